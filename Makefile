@@ -1,0 +1,57 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+
+PYTHON ?= python3
+ARGS ?=
+VENV := .venv
+COLCON_VENV := .venv-colcon
+
+# The ROS wheels set these two in every process they start; a child that is started with another
+# virtual environment's Python would load the wrong libraries.
+unexport LD_LIBRARY_PATH
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-fast check venv clean
+
+help:  ## List the commands
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
+
+demo: $(VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2")
+	$(VENV)/bin/sphere_nmpc demo $(ARGS)
+
+test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test (ARGS="-k name")
+	$(VENV)/bin/python -m pytest $(ARGS)
+
+test-fast: $(VENV)/.stamp  ## Run the tests that take no more than a few seconds
+	$(VENV)/bin/python -m pytest -m "not slow" $(ARGS)
+
+check: $(VENV)/.stamp  ## Lint and type check
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+
+venv: $(VENV)/.stamp  ## Install the package and everything it can use into .venv
+
+clean:  ## Remove the virtual environments and all that was built
+	rm -rf $(VENV) $(COLCON_VENV) build dist install log *.egg-info
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
+
+define new_venv
+@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
+	echo "sphere_nmpc needs Python 3.10 or later: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
+@$(PYTHON) -c 'import ensurepip, venv' || { \
+	echo "$(PYTHON) lacks the venv module (on Debian and Ubuntu: apt install python3-venv)" >&2; exit 1; }
+$(PYTHON) -m venv $(@D)
+endef
+
+$(VENV)/.stamp: setup.py requirements/lock.txt
+	$(new_venv)
+	$(VENV)/bin/python -m pip install --quiet --use-pep517 --no-deps -r requirements/lock.txt
+	$(VENV)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+# colcon needs an older setuptools than the rest, hence a virtual environment of its own.
+$(COLCON_VENV)/.stamp: requirements/colcon.txt
+	$(new_venv)
+	$(COLCON_VENV)/bin/python -m pip install --quiet --use-pep517 --no-deps -r requirements/colcon.txt
+	@touch $@

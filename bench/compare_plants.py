@@ -1,0 +1,341 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The plant with contact against the ideal rolling plant, and both against the printed Eq. (12).
+
+``python bench/compare_plants.py --out docs`` writes ``rigid_body_figures.md`` and
+``rigid_body.png``; docs/rigid_body.md says what they mean.
+"""
+
+import argparse
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import matplotlib
+import numpy as np
+from plant_runs import (
+    HEADER,
+    KNOT_PERIOD,
+    ROBOT,
+    Comparison,
+    angles_between,
+    compare,
+    deviation,
+    draw_sequences,
+    run,
+    steps_of,
+)
+from printed_model import PrintedModel
+
+from sphere_nmpc.model.dynamics import rotor_torque
+from sphere_nmpc.model.state import angle_error, position_error
+from sphere_sim.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.plant.rolling_plant import RollingPlant
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+DEFAULT = RigidBodySettings()
+IDEAL = RigidBodySettings(drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3)
+"""Drives without lag or limit: what is left is contact and integration."""
+
+TIME_CONSTANTS = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
+IMPEDANCES = (0.9, 0.999)
+TIME_STEPS = (0.0005, 0.001, 0.002, 0.004, 0.008)
+
+
+def table(rows: list[str]) -> str:
+    return "\n".join([HEADER, *rows, ""])
+
+
+class Study:
+    """All comparisons on one set of sequences; each method returns Markdown."""
+
+    def __init__(self, number: int, seed: int) -> None:
+        self.sequences = draw_sequences(number, seed)
+        self.reference = [run(RollingPlant(ROBOT, s.start), s) for s in self.sequences]
+        self.figure, self.axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
+
+    def compare(self, name: str, settings: RigidBodySettings, alter=None) -> Comparison:
+        result = compare(self.sequences, self.reference, settings, alter)
+        print(result.row(name), flush=True)
+        return result
+
+    def agreement(self) -> str:
+        settings = {
+            "ideal drives": IDEAL,
+            "default (300 rad/s, 3.2 N m)": DEFAULT,
+            "default with feed-forward": replace(DEFAULT, drive_feedforward=True),
+            "100 rad/s": replace(DEFAULT, drive_bandwidth=100.0),
+            "torque limit 1.6 N m": replace(DEFAULT, torque_limit=1.6),
+            "torque limit 0.8 N m": replace(DEFAULT, torque_limit=0.8),
+        }
+        rows = [self.compare(name, given).row(name) for name, given in settings.items()]
+        return "### Drives\n\n" + table(rows)
+
+    def stiffness(self) -> str:
+        rows, axes = [], self.axes[0]
+        for impedance in IMPEDANCES:
+            worst = []
+            for constant in TIME_CONSTANTS:
+                settings = replace(
+                    IDEAL, time_step=0.001, contact_time_constant=constant,
+                    contact_impedance=impedance,
+                )  # fmt: skip
+                # What the contact sinks in under the weight at rest.
+                sunk = (1 - impedance) / impedance * 9.81 * constant**2
+                name = (
+                    f"{1e3 * constant:g} ms, impedance {impedance:g} (sinks {1e6 * sunk:.2g} um)"
+                )
+                result = self.compare(name, settings)
+                rows.append(result.row(name))
+                worst.append(result)
+            plot(axes, 1e3 * np.array(TIME_CONSTANTS), worst, f"impedance {impedance:g}")
+        finish(axes, "contact time constant [ms], time step 1 ms")
+        return "### Contact stiffness (ideal drives, time step 1 ms)\n\n" + table(rows)
+
+    def time_step(self) -> str:
+        rows, axes = [], self.axes[1]
+        for label, constant_of in (
+            ("contact 16 ms", lambda _: 0.016),
+            ("contact 2 time steps", lambda h: 2.0 * h),
+        ):
+            results = []
+            for step in TIME_STEPS:
+                settings = replace(IDEAL, time_step=step, contact_time_constant=constant_of(step))
+                name = f"{1e3 * step:g} ms, {label}"
+                results.append(self.compare(name, settings))
+                rows.append(results[-1].row(name))
+            plot(axes, 1e3 * np.array(TIME_STEPS), results, label)
+        finish(axes, "time step [ms]")
+        return "### Time step (ideal drives)\n\n" + table(rows)
+
+    def engine_options(self) -> str:
+        import mujoco
+
+        def integrator(kind):
+            def alter(model) -> None:
+                model.opt.integrator = kind
+
+            return alter
+
+        def ratio(value):
+            def alter(model) -> None:
+                model.opt.impratio = value
+
+            return alter
+
+        def pyramid(model) -> None:
+            model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+
+        kinds = mujoco.mjtIntegrator
+        choices = {
+            "Runge-Kutta, elliptic cone, ratio 10 (chosen)": None,
+            "semi-implicit Euler": integrator(kinds.mjINT_EULER),
+            "implicitfast": integrator(kinds.mjINT_IMPLICITFAST),
+            "implicit": integrator(kinds.mjINT_IMPLICIT),
+            "pyramidal cone": pyramid,
+            "impedance ratio 1": ratio(1.0),
+            "impedance ratio 100": ratio(100.0),
+        }
+        rows = [self.compare(name, IDEAL, alter).row(name) for name, alter in choices.items()]
+        return "### Options of the engine (ideal drives, default contact, 2 ms)\n\n" + table(rows)
+
+    def floor(self) -> str:
+        def of(**changes) -> RigidBodySettings:
+            return replace(DEFAULT, **changes)
+
+        settings = {f"friction {mu:g}": of(friction=mu) for mu in (0.8, 0.4, 0.3, 0.2, 0.1)}
+        for value in (1e-5, 1e-4, 1e-3):
+            settings[f"rolling friction {1e3 * value:g} mm"] = of(rolling_friction=value)
+        for value in (1e-5, 1e-4, 1e-3):
+            settings[f"torsional friction {1e3 * value:g} mm"] = of(torsional_friction=value)
+        for value in (1e-5, 1e-4, 1e-3):
+            name = f"roughness {1e3 * value:g} mm, bumps 0.5 m apart"
+            settings[name] = of(floor_roughness=value)
+        settings["slope 0.1 degree"] = of(slope=math.radians(0.1))
+        settings["slope 1 degree"] = of(slope=math.radians(1.0))
+        rows = [self.compare(name, given).row(name) for name, given in settings.items()]
+        return "### Floors (default drives, open loop)\n\n" + table(rows)
+
+    def erratum(self) -> str:
+        rigid = [run(RigidBodyPlant(ROBOT, s.start, IDEAL), s) for s in self.sequences]
+        lines = [
+            "### Eq. (12) against the plant with contact (ideal drives)\n",
+            "| model | position, median [mm] | worst | angle, median [mrad] | worst |",
+            "|---|---|---|---|---|",
+        ]
+        times = np.arange(1, rigid[0].shape[0] + 1) * 0.01
+        models = {
+            "rolling plant": lambda s: RollingPlant(ROBOT, s.start),
+            "Eqs. (7), (12), sign of the third line corrected": lambda s: PrintedModel(
+                ROBOT, s.start, corrected=True
+            ),
+            "Eqs. (7), (12) as printed": lambda s: PrintedModel(ROBOT, s.start, corrected=False),
+        }
+        for name, make in models.items():
+            runs = [run(make(s), s) for s in self.sequences]
+            pairs = [deviation(a, b) for a, b in zip(runs, rigid, strict=True)]
+            position, angle = 1e3 * np.array(pairs).T
+            lines.append(
+                f"| {name} | {np.median(position):.3g} | {position.max():.3g} "
+                f"| {np.median(angle):.3g} | {angle.max():.3g} |"
+            )
+            print(lines[-1], flush=True)
+            angles = [angles_between(a, b) for a, b in zip(runs, rigid, strict=True)]
+            label = {"corrected": "sign corrected", "printed": "as printed"}.get(name.split()[-1])
+            if label:
+                self.axes[2].semilogy(times, 1e3 * np.median(angles, axis=0), label=label)
+        self.axes[2].set_xlabel("time [s]")
+        self.axes[2].set_ylabel("median angle from the plant with contact [mrad]")
+        self.axes[2].set_title("Eq. (12)")
+        self.axes[2].grid(alpha=0.3)
+        self.axes[2].legend(fontsize=8)
+        return "\n".join([*lines, ""])
+
+    def torque(self) -> str:
+        lines = [
+            "### Rotor torque, Eqs. (44) to (46), predicted less measured\n",
+            "| drives | rms [N m] | 99 % | worst | worst, 30 ms after a knot left out "
+            "| largest measured [N m] | Eq. (46) over an interval, worst |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        eq45 = torque_function()
+        for name, settings in (("ideal", IDEAL), ("default", DEFAULT)):
+            errors, settled, largest, means = [], [], 0.0, []
+            for sequence in self.sequences:
+                plant = RigidBodyPlant(ROBOT, sequence.start, settings)
+                interval, before = [], np.zeros(4)
+                for i, (speeds, slope) in enumerate(steps_of(sequence)):
+                    plant.advance(speeds, 0.01)
+                    measured = plant.rotor_torques
+                    predicted = eq45(plant.state[2:], plant.rotor_speeds, slope)
+                    error = np.abs(np.array(predicted).ravel() - measured)
+                    errors.append(error)
+                    if i % 50 >= 3:
+                        settled.append(error)
+                    interval.append(measured)
+                    largest = max(largest, float(np.abs(measured).max()))
+                    if i % 50 == 49:
+                        after = np.concatenate((plant.body_rate[:2], plant.rotor_speeds))
+                        change = (after - before) / KNOT_PERIOD
+                        eq46 = ROBOT.rotor_axial_inertia * (change[:2] + change[2:])
+                        means.append(np.abs(eq46 - np.mean(interval, axis=0)))
+                        interval, before = [], after
+            errors = np.array(errors)
+            lines.append(
+                f"| {name} | {np.sqrt(np.mean(errors**2)):.2g} "
+                f"| {np.percentile(errors, 99):.2g} | {errors.max():.2g} "
+                f"| {np.max(settled):.2g} | {largest:.3g} | {np.max(means):.2g} |"
+            )
+            print(lines[-1], flush=True)
+        return "\n".join([*lines, ""])
+
+    def push(self) -> str:
+        rest = RigidBodyPlant(ROBOT, np.array([0, 0, 1.0, 0, 0, 0]), DEFAULT)
+        rest.push([1.0, 0.0])
+        slipped = 0.0
+        start_velocity = rest.velocity[0]
+        while np.linalg.norm(rest.slip) > 1e-3:
+            rest.advance(np.zeros(2), 0.001)
+            slipped += 0.001
+        at_roll = rest.velocity[0]
+        rest.advance(np.zeros(2), 5.0 - slipped)
+        moved, turned, momenta = [], [], []
+        for sequence in self.sequences:
+            ends = []
+            for impulse in (0.0, 1.0):
+                plant = RigidBodyPlant(ROBOT, sequence.start, DEFAULT)
+                for i, (speeds, _) in enumerate(steps_of(sequence)):
+                    if i == 250:
+                        plant.push([impulse, 0.0])
+                    plant.advance(speeds, 0.01)
+                ends.append(plant.state)
+            momenta.append(plant.momentum)
+            moved.append(position_error(*ends))
+            turned.append(angle_error(*ends))
+        spread = np.abs(np.array(momenta) - [0.0, ROBOT.shell_radius, 0.0]).max()
+        lines = [
+            "### A push of 1 N s along x (default settings)\n",
+            f"- At rest, rotors held: {start_velocity:.4f} m/s at first, slips for "
+            f"{1e3 * slipped:.0f} ms, rolls on at {at_roll:.4f} m/s; after 5 s it is at "
+            f"x = {rest.state[0]:.3f} m and rolls at {rest.velocity[0]:.4f} m/s.",
+            f"- In motion, pushed at 2.5 s of each sequence: 2.5 s later {np.median(moved):.3f} m "
+            f"(median; worst {np.max(moved):.3f} m) and {np.median(turned):.2f} rad (worst "
+            f"{np.max(turned):.2f} rad) from the run without a push.",
+            "- Angular momentum about the contact point then differs from Rs J = "
+            f"{ROBOT.shell_radius:.2f} N m s about y by {spread:.1e} N m s at most.",
+            "",
+        ]
+        print("\n".join(lines), flush=True)
+        return "\n".join(lines)
+
+    def slope(self) -> str:
+        plant = RigidBodyPlant(
+            ROBOT, np.array([0, 0, 1.0, 0, 0, 0]), replace(DEFAULT, slope=math.radians(1.0))
+        )
+        plant.advance(np.zeros(2), 5.0)
+        gain = ROBOT.total_mass * 9.81 * math.sin(math.radians(1.0)) * ROBOT.shell_radius
+        full = ROBOT.rotor_axial_inertia * ROBOT.max_rotor_speed
+        line = (
+            "### A slope of 1 degree (default settings)\n\n"
+            f"- Rotors held: after 5 s {plant.state[0]:.3f} m downhill at "
+            f"{plant.velocity[0]:.3f} m/s.\n"
+            f"- Gravity adds {gain:.3f} N m s of angular momentum each second; a rotor stores "
+            f"{full:.2f} N m s at full speed, so one rotor alone holds the sphere for "
+            f"{full / gain:.1f} s (computed).\n"
+        )
+        print(line, flush=True)
+        return line
+
+
+def torque_function() -> ca.Function:
+    """Return Eq. (45) as (q, u, du) -> torques, built once for all the steps."""
+    q, u, du = ca.SX.sym("q", 4), ca.SX.sym("u", 2), ca.SX.sym("du", 2)
+    constants = ca.DM(ROBOT.lumped.as_array())
+    torque = rotor_torque(q, u, du, constants, ROBOT.rotor_axial_inertia)
+    return ca.Function("torque", [q, u, du], [torque])
+
+
+def plot(axes, x: np.ndarray, results: list[Comparison], label: str) -> None:
+    line = axes.loglog(x, [1e3 * r.angle_median for r in results], "o-", label=label)[0]
+    axes.loglog(x, [1e3 * r.angle_worst for r in results], ":", color=line.get_color())
+
+
+def finish(axes, label: str) -> None:
+    axes.set_xlabel(label)
+    axes.set_ylabel("angle from the rolling plant [mrad]")
+    axes.set_title("median (line) and worst (dotted)")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=8)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for table and figure")
+    parser.add_argument("--sequences", type=int, default=100, help="input sequences of 5 s")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    study = Study(given.sequences, given.seed)
+    parts = [
+        f"Written by bench/compare_plants.py: {given.sequences} sequences of 5 s, "
+        f"seed {given.seed}.\n",
+        study.agreement(),
+        study.stiffness(),
+        study.time_step(),
+        study.engine_options(),
+        study.erratum(),
+        study.torque(),
+        study.floor(),
+        study.push(),
+        study.slope(),
+    ]
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "rigid_body_figures.md").write_text("\n".join(parts).rstrip() + "\n")
+    study.figure.savefig(given.out / "rigid_body.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()

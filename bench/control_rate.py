@@ -1,0 +1,120 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""High control rates through the nodes: what rate is held, how evenly, how late, how often not.
+
+    python bench/control_rate.py --json out/control_rate.json          # about nine minutes
+
+The simulator publishes as many poses as the controller solves plans. Every few seconds another
+drawn goal keeps the sphere on its way. Latency is from the writing of the pose of an instant to
+the writing of the command for it. With ``hogs`` a process beside the nodes keeps a processor busy.
+"""
+
+import argparse
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from node_runs import Observer, Record, hogs, machine, running, write_json
+
+from sphere_nmpc.model.state import Vector
+from sphere_sim.scenarios import draw_scenarios
+
+_NEW_GOAL_EVERY = 8.0
+"""Simulated time to each goal [s]."""
+_COLUMNS = {
+    "strategy": "s", "rate_hz": ".0f", "hogs": "d", "achieved_hz": ".1f", "period_p50_ms": ".2f",
+    "period_p99_ms": ".2f", "latency_p50_ms": ".2f", "latency_p99_ms": ".2f",
+    "solve_p50_ms": ".3f", "solve_p99_ms": ".3f", "tick_p50_ms": ".3f", "missed": "d",
+    "missed_percent": ".2f", "pace": ".3f",
+}
+
+
+def measure(strategy: str, rate: float, hogged: int, duration: float) -> dict[str, Any]:
+    """Run both nodes for a while and return the figures."""
+    goals = itertools.cycle(scenario.goal for scenario in draw_scenarios(50, 3))
+    world = {"pose_rate": rate}
+    controller = {"strategy": strategy, "control_rate": rate, "command_rate": 100.0}
+    with running(world, controller, keep_poses=False) as observer, hogs(hogged):
+        observer.begin()
+        _drive(observer, goals, duration)
+        return {
+            "strategy": strategy, "rate_hz": rate, "hogs": hogged, "duration_s": duration,
+            **figures(observer.record, rate),
+        }
+
+
+def figures(record: Record, rate: float) -> dict[str, float]:
+    """Return rate, evenness and latency of the commands that were sent."""
+    stamps, written = np.array(record.command_stamps), np.array(record.command_written)
+    gaps = np.diff(written)
+    ticking = gaps < 0.2  # while the sphere rests between two goals nothing need be sent
+    gaps = gaps[ticking]
+    periods = 1e3 * np.percentile(gaps, [50, 99])
+    latency = 1e3 * np.percentile(_latencies(record, stamps, written), [50, 99])
+    solving = [s for s in record.statuses if s["mode"] == "on the way to the goal"]
+    solves = 1e3 * np.percentile([float(s["solve_time_s"]) for s in solving], [50, 99])
+    ticks = 1e3 * np.percentile([float(s["tick_time_s"]) for s in solving], [50, 99])
+    missed = int(record.statuses[-1]["missed_ticks"])
+    simulated = record.pose_stamps[-1] - record.pose_stamps[0]
+    wall = record.pose_written[-1] - record.pose_written[0]
+    return {
+        "commands": len(stamps),
+        "achieved_hz": float(gaps.size / gaps.sum()),
+        "period_p50_ms": periods[0], "period_p99_ms": periods[1],
+        "latency_p50_ms": latency[0], "latency_p99_ms": latency[1],
+        "solve_p50_ms": solves[0], "solve_p99_ms": solves[1],
+        "tick_p50_ms": ticks[0], "tick_p99_ms": ticks[1],
+        "missed": missed, "missed_percent": 100.0 * missed / (simulated * rate),
+        "pace": simulated / wall,
+    }
+
+
+def _latencies(record: Record, stamps: Vector, written: Vector) -> Vector:
+    """Return how long after the newest pose of its instant each command was written [s]."""
+    poses, pose_written = np.array(record.pose_stamps), np.array(record.pose_written)
+    newest = np.searchsorted(poses, stamps + 1e-6, side="right") - 1
+    known = newest >= 0
+    found: Vector = written[known] - pose_written[newest[known]]
+    return found
+
+
+def _drive(observer: Observer, goals: "itertools.cycle[Vector]", duration: float) -> None:
+    record = observer.record
+    end, next_goal = record.pose_stamps[-1] + duration, -math.inf
+    while record.pose_stamps[-1] < end:
+        if record.pose_stamps[-1] >= next_goal:
+            next_goal = observer.send(next(goals)) + _NEW_GOAL_EVERY
+        before = record.pose_stamps[-1]
+        target = min(end, next_goal)
+        if not observer.until(lambda: record.pose_stamps[-1] >= target, 120.0):  # noqa: B023
+            raise RuntimeError(f"time stands still at {before:.2f} s")
+
+
+def main() -> int:
+    """Measure all combinations and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rates", type=float, nargs="+", default=[100.0, 500.0])
+    parser.add_argument("--strategies", nargs="+", default=["paper", "time_optimal"])
+    parser.add_argument("--hogs", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--duration", type=float, default=60.0, help="simulated time of each [s]")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    options = parser.parse_args()
+    about, rows = machine(), []
+    print(f"{about['date']}, load {about['load_average']}\n\n| {' | '.join(_COLUMNS)} |")
+    print(f"|{'---|' * len(_COLUMNS)}")
+    for hogged, strategy, rate in itertools.product(
+        options.hogs, options.strategies, options.rates
+    ):
+        row = measure(strategy, rate, hogged, options.duration)
+        row["load_average"] = machine()["load_average"]
+        rows.append(row)
+        cells = (format(row[name], how) for name, how in _COLUMNS.items())
+        print(f"| {' | '.join(cells)} |", flush=True)
+    write_json(options, {"machine": about, "rows": rows})
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,103 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Drawn goals one after another through the nodes in real time: is any command late?
+
+    python bench/deadlines.py --draw 20 --seed 1
+
+Each run starts where the one before ended, at rest. A miss is a sample instant at which no command
+was sent, as planning took longer or the machine was busy elsewhere.
+"""
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+from node_runs import Observer, machine, running, write_json
+
+from sphere_nmpc.control.settings import SAMPLE_PERIODS
+from sphere_nmpc.model.state import Vector, state_error
+from sphere_sim.scenarios import draw_scenarios
+
+_ARRIVED = 1e-2
+_STAYS = 0.5
+"""Simulated time at the goal after which a run counts as over [s]."""
+_HEADER = "run  misses  first plan ms  longest plan ms  settled after s  final error"
+
+
+def one_run(observer: Observer, goal: Vector, longest: float, pace: float) -> dict[str, float]:
+    """Go to a goal and return what it took."""
+    record = observer.record
+    missed = int(record.statuses[-1]["missed_ticks"])
+    first_pose, first_status = len(record.poses), len(record.statuses)
+    sent = observer.send(goal)
+    looked, inside = first_pose, math.inf
+
+    def over() -> bool:
+        nonlocal looked, inside
+        while looked < len(record.poses):
+            now = record.pose_stamps[looked]
+            there = state_error(record.state(looked), goal) < _ARRIVED
+            inside = min(inside, now) if there else math.inf
+            looked += 1
+        return record.pose_stamps[-1] > min(sent + longest, inside + _STAYS)
+
+    observer.until(over, 3.0 * longest / pace + 10.0)
+    plans = [
+        1e3 * float(status["solve_time_s"])
+        for status in record.statuses[first_status:]
+        if status["mode"] == "on the way to the goal"
+    ]
+    return {
+        "misses": int(record.statuses[-1]["missed_ticks"]) - missed,
+        "first_plan_ms": plans[0] if plans else math.nan,
+        "longest_plan_ms": max(plans, default=math.nan),
+        "settled_s": inside - sent if math.isfinite(inside) else math.nan,
+        "final_error": float(state_error(record.state(-1), goal)),
+    }
+
+
+def main() -> int:
+    """Make the runs, print a line each and a summary."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draw", type=int, default=20, help="number of goals")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--strategy", choices=SAMPLE_PERIODS, default="time_optimal")
+    parser.add_argument("--rtf", type=float, default=1.0, help="real-time factor")
+    parser.add_argument("--longest", type=float, default=40.0, help="time for a run [s]")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    options = parser.parse_args()
+    scenarios = draw_scenarios(options.draw, options.seed)
+    about = machine()
+    start = ", ".join(repr(float(value)) for value in scenarios[0].start)
+    world = {"initial_state": f"[{start}]", "real_time_factor": options.rtf}
+    runs = []
+    print(f"{about['date']}, load {about['load_average']}\n{_HEADER}")
+    with running(world, {"strategy": options.strategy}) as observer:
+        observer.begin()
+        for number, scenario in enumerate(scenarios):
+            run = one_run(observer, scenario.goal, options.longest, options.rtf)
+            runs.append(run)
+            print(
+                f"{number:3d}  {run['misses']:6d}  {run['first_plan_ms']:13.1f}"
+                f"  {run['longest_plan_ms']:15.1f}  {run['settled_s']:15.2f}"
+                f"  {run['final_error']:11.2e}",
+                flush=True,
+            )
+    settled = np.array([run["settled_s"] for run in runs])
+    summary = {
+        "runs": len(runs),
+        "settled": int(np.sum(np.isfinite(settled))),
+        "misses": int(sum(run["misses"] for run in runs)),
+        "settled_s_median": float(np.nanmedian(settled)),
+        "first_plan_ms_max": float(np.nanmax([run["first_plan_ms"] for run in runs])),
+        "longest_plan_ms": float(np.nanmax([run["longest_plan_ms"] for run in runs])),
+        "load_average_after": machine()["load_average"],
+    }
+    print(summary)
+    write_json(options, {"machine": about, "summary": summary, "runs": runs})
+    return 0 if summary["misses"] == 0 and summary["settled"] == len(runs) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,75 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Make the pictures of README.md and docs/figures.md from runs over ROS 2.
+
+    python bench/document_figures.py --out docs/figures
+
+Each run is a demo in lockstep, so that it repeats to the bit. Bags that are already in --runs are
+drawn anew and not recorded again.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from sphere_sim.figures.animation import write_animation
+from sphere_sim.figures.contact_locus import contact_locus
+from sphere_sim.figures.paper_panels import paper_panels
+from sphere_sim.figures.style import styled
+from sphere_sim.recording.bag import read_run
+from sphere_sim.scenarios import PAPER_CASES
+
+STRATEGIES = ("paper", "time_optimal")
+
+
+def record(runs: Path, case: int, strategy: str) -> Path:
+    """Return the folder of a demo, which is run unless it is there."""
+    folder = runs / f"{strategy}_{case}"
+    if not (folder / "summary.json").exists():
+        command = ["demo", "--rtf", "0", "--case", str(case), "--strategy", strategy]
+        program = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
+        subprocess.run(
+            [sys.executable, "-c", program, *command, "--no-viewer", "--out", str(folder)],
+            check=False,  # in case 4 the paper's controller need not arrive
+        )
+    return folder
+
+
+def save(figure: Figure, path: Path) -> None:
+    with styled():
+        figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs/figures"))
+    parser.add_argument("--runs", type=Path, default=Path("runs/documents"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for case in PAPER_CASES:
+        for strategy in STRATEGIES:
+            folder = record(given.runs.absolute(), case, strategy)
+            told = json.loads((folder / "summary.json").read_text())["metrics"]
+            rows.append((case, strategy, told))
+        run = read_run(given.runs.absolute() / f"paper_{case}" / "bag")
+        number = case + 2
+        save(paper_panels(run, f"case {case}, strategy paper"), given.out / f"fig{number}.png")
+        save(contact_locus(run), given.out / f"fig7_case{case}.png")
+    first = given.runs.absolute() / "time_optimal_1"
+    (given.out / "comparison.png").write_bytes((first / "comparison.png").read_bytes())
+    write_animation(read_run(first / "bag"), given.out / "run.gif")
+    names = ("settle_time_s", "within_s", "p95_error_after", "final_error",
+             "max_rotor_torque_nm", "solve_ms_p50", "solve_ms_p99")
+    print("| case | strategy | " + " | ".join(names) + " |")
+    for case, strategy, told in rows:
+        values = ("-" if told[name] is None else f"{told[name]:.3g}" for name in names)
+        print(f"| {case} | `{strategy}` | " + " | ".join(values) + " |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator and controller as processes over DDS, and an observer that takes little time itself.
+
+Times of messages are those at which their publishers wrote them, which the middleware tells; so a
+late observer measures the same.
+"""
+
+import argparse
+import json
+import os
+import platform
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
+from sphere_sim.cli.children import Children
+from sphere_sim.cli.domain import own_domain
+
+PATIENCE = 60.0
+"""How long nodes on a busy machine may take to come up [s]."""
+_RADIUS = 0.3
+
+
+@dataclass
+class Record:
+    """What was published: stamps [s, control time] and the moments of writing [s, wall]."""
+
+    pose_stamps: list[float] = field(default_factory=list)
+    pose_written: list[float] = field(default_factory=list)
+    poses: list[bytes] = field(default_factory=list)
+    command_stamps: list[float] = field(default_factory=list)
+    command_written: list[float] = field(default_factory=list)
+    statuses: list[dict[str, str]] = field(default_factory=list)
+
+    def state(self, index: int) -> Vector:
+        """Return one of the poses as a state, shape (6,)."""
+        return pose_from_ros(deserialize_message(self.poses[index], PoseStamped))
+
+
+class Observer:
+    """Sends goals, lets time run and notes what is published."""
+
+    def __init__(self, children: Children, keep_poses: bool) -> None:
+        self._children = children
+        self._keep = keep_poses
+        self.record = Record()
+        self._node = rclpy.create_node("observer")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._goal = self._node.create_publisher(PoseStamped, "goal_pose", 1)
+        self._pause = self._node.create_client(SetBool, "simulator/pause")
+        node = self._node
+        node.create_subscription(PoseStamped, "pose", self._take_pose, 1000, raw=True)
+        node.create_subscription(
+            JointTrajectory, "rotor_trajectory", self._take_command, 1000, raw=True
+        )
+        node.create_subscription(DiagnosticStatus, "controller/status", self._take_status, 1000)
+
+    def begin(self) -> None:
+        """Wait for both nodes and let time run."""
+        self.until(lambda: self._goal.get_subscription_count() > 0, PATIENCE)
+        self.until(self._pause.service_is_ready, PATIENCE)
+        self.until(lambda: self.record.pose_stamps, PATIENCE)
+        self.until(lambda: self._node.count_subscribers("rotor_trajectory") > 1, PATIENCE)
+        future = self._pause.call_async(SetBool.Request(data=False))
+        self.until(future.done, PATIENCE)
+        self.until(lambda: self.record.statuses, PATIENCE)
+
+    def send(self, goal: Vector) -> float:
+        """Send a goal; return the control time [s]."""
+        self._goal.publish(pose_to_ros(goal, 0, _RADIUS))
+        return self.record.pose_stamps[-1]
+
+    def until(self, condition: Callable[[], Any], patience: float) -> bool:
+        """Serve the graph until `condition` holds; False after `patience` of wall time [s]."""
+        end = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.05)
+        self._children.check()
+        return True
+
+    def _take_pose(self, raw: bytes, info: dict[str, int]) -> None:
+        self.record.pose_stamps.append(_stamp(raw))
+        self.record.pose_written.append(info["source_timestamp"] / 1e9)
+        if self._keep:
+            self.record.poses.append(raw)
+
+    def _take_command(self, raw: bytes, info: dict[str, int]) -> None:
+        self.record.command_stamps.append(_stamp(raw))
+        self.record.command_written.append(info["source_timestamp"] / 1e9)
+
+    def _take_status(self, message: DiagnosticStatus) -> None:
+        self.record.statuses.append({value.key: value.value for value in message.values})
+
+
+@contextmanager
+def running(
+    simulator: dict[str, object], controller: dict[str, object], keep_poses: bool = True
+) -> Iterator[Observer]:
+    """Run both nodes with these parameters; yield their observer, time still paused."""
+    # ROS takes over the processes' environment: a domain of its own keeps others out.
+    with own_domain(), tempfile.TemporaryDirectory() as logs, Children(Path(logs)) as children:
+        children.start("simulator", _arguments({"start_paused": True, **simulator}))
+        children.start("controller", _arguments({"use_sim_time": True, **controller}))
+        rclpy.init()
+        try:
+            yield Observer(children, keep_poses)
+        finally:
+            rclpy.try_shutdown()
+
+
+@contextmanager
+def hogs(number: int) -> Iterator[None]:
+    """Keep `number` processors busy with something else."""
+    code = "while True: pass"
+    busy = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(number)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def machine() -> dict[str, object]:
+    """Return what figures depend on."""
+    return {
+        "date": time.strftime("%Y-%m-%d %H:%M"),
+        "processors": os.cpu_count(),
+        "load_average": [round(load, 1) for load in os.getloadavg()],
+        "python": platform.python_version(),
+        "command": " ".join(["python", *sys.argv]),
+    }
+
+
+def write_json(options: argparse.Namespace, result: dict[str, object]) -> None:
+    """Write the result where ``--json`` says."""
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def _arguments(parameters: dict[str, object]) -> list[str]:
+    given = []
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        given += ["-p", f"{name}:={text}"]
+    return ["--ros-args", *given]
+
+
+def _stamp(raw: bytes) -> float:
+    """Return the stamp of a message that begins with a header [s], from its serialised form."""
+    seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
+    return float(seconds + nanoseconds * 1e-9)

@@ -1,0 +1,114 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a viewer costs the control loop: periods and missed ticks with and without it.
+
+    python bench/viewer_load.py --seconds 60                      # about four minutes
+
+At a control rate of 100 Hz, as the controller's own diagnostics tell it: without a viewer, with a
+viewer whose page nobody has open, and with the page open in a headless Chromium, which draws on
+the processor. Another goal every few seconds keeps the sphere on its way.
+"""
+
+import argparse
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+
+from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_sim.cli.domain import own_domain
+from sphere_sim.scenarios import draw_scenarios
+
+ROOT = Path(__file__).parents[1]
+sys.path.append(str(ROOT / "test" / "sphere_sim" / "viewer"))
+
+from browser import Browser, find_browser  # noqa: E402
+
+CONDITIONS = ("no viewer", "viewer, no page", "viewer and page")
+
+
+@contextmanager
+def node(folder: Path, verb: str, *arguments: str) -> Iterator[Path]:
+    command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments]
+    log = folder / f"{verb}.log"
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=output)
+    try:
+        yield log
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(10.0)
+
+
+def measure(condition: str, seconds: float, folder: Path) -> str:
+    told: list[dict[str, str]] = []
+
+    def note(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "controller: loop":
+                told.append({pair.key: pair.value for pair in status.values})
+
+    with ExitStack() as stack:
+        stack.enter_context(node(folder, "simulator"))
+        stack.enter_context(node(
+            folder, "controller", "--ros-args", "-p", "use_sim_time:=true", "-p",
+            "control_rate:=100.0",
+        ))
+        if condition != CONDITIONS[0]:
+            log = stack.enter_context(node(folder, "viewer", "--port", "0"))
+        probe = rclpy.create_node("probe")
+        stack.callback(probe.destroy_node)
+        probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
+        goals = probe.create_publisher(PoseStamped, "goal_pose", 1)
+        time.sleep(8.0)
+        if condition == CONDITIONS[2]:
+            home = Path(stack.enter_context(
+                tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+            ))
+            page = stack.enter_context(Browser(find_browser() or "", home, (1200, 800)))
+            page.open(re.search(r"http://\S+", log.read_text()).group())
+            page.settle()
+        scenarios = iter(draw_scenarios(100, 3))
+        began, due, first = time.monotonic(), 0.0, None
+        while time.monotonic() < began + seconds:
+            if time.monotonic() > due:
+                due = time.monotonic() + 8.0
+                goals.publish(pose_to_ros(next(scenarios).goal, 0, 0.3))
+            rclpy.spin_once(probe, timeout_sec=0.1)
+            if first is None and told:
+                first = int(told[-1]["missed ticks"])
+        p99 = [float(values["wall period p99 ms"]) for values in told[10:]]
+        middle = [float(values["wall period median ms"]) for values in told[10:]]
+        missed = int(told[-1]["missed ticks"]) - (first or 0)
+        return (
+            f"| {condition} | {np.median(middle):.2f} | {np.median(p99):.2f} | {max(p99):.2f} | "
+            f"{missed} | {100.0 * missed / (100.0 * seconds):.2f} | {os.getloadavg()[0]:.1f} |"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    given = parser.parse_args()
+    with own_domain(), tempfile.TemporaryDirectory() as folder:
+        rclpy.init()
+        print("| condition | median [ms] | p99 [ms] | worst p99 [ms] | missed | of ticks [%] | "
+              "load |\n|---|---|---|---|---|---|---|", flush=True)
+        for condition in CONDITIONS:
+            print(measure(condition, given.seconds, Path(folder)), flush=True)
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the controller."""
+
+from dataclasses import dataclass
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.quantity import quantity, validate
+
+SAMPLE_PERIODS = {"time_optimal": 0.25, "paper": 0.5}
+"""Strategies that can be chosen by name, and the spacing of the knots that suits each [s]."""
+
+
+_SHORTEST_PERIOD = 1e-2
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What is solved, how often, and when the controller gives up.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not in its range.
+    """
+
+    strategy: str = quantity(
+        "time_optimal", "-",
+        "What is solved at each sample: an arrival in least time, or Algorithm 1 of the paper",
+        choices=tuple(SAMPLE_PERIODS),
+    )
+    sample_period: float = quantity(
+        0.0, "s",
+        "Spacing of the knots of the first-order hold (T); 0 is the strategy's own",
+        minimum=0.0, maximum=10.0,
+    )
+    control_rate: float = quantity(
+        0.0, "Hz",
+        "How often the plan is solved anew; 0 is once a sample period",
+        minimum=0.0, maximum=1000.0,
+    )
+    horizon: int = quantity(
+        4, "-", "Knots that are planned ahead (N)", minimum=1, maximum=60
+    )
+    terminal_weight: float = quantity(
+        1e8, "-", "Weight of the squared error at the end of the horizon (beta)",
+        minimum=1.0, maximum=1e16, live=True,
+    )
+    input_weight: float = quantity(
+        0.5, "s^2/rad^2", "Weight of the squared rotor speeds (alpha)",
+        minimum=0.0, maximum=1e6, live=True,
+    )
+    max_iterations: int = quantity(
+        100, "-", "Cap on solver iterations a sample", minimum=1, maximum=10000, live=True
+    )
+    time_budget: float = quantity(
+        0.0, "s", "Wall time a plan may take; 0 is no limit, results are then repeatable",
+        minimum=0.0, maximum=10.0, live=True,
+    )
+    planning_effort: int = quantity(
+        150_000, "-",
+        "Work of a search for an early arrival: solver iterations times intervals, 1 us each",
+        minimum=1000, maximum=100_000_000, live=True,
+    )
+    learning: bool = quantity(
+        True, "-", "Learn the plant's constants from its motion", live=True
+    )
+    pose_position_noise: float = quantity(
+        0.0, "m",
+        "Standard deviation of measured positions; 0 in both noises is to trust poses exactly",
+        minimum=0.0, maximum=1.0, live=True,
+    )
+    pose_orientation_noise: float = quantity(
+        0.0, "rad",
+        "Standard deviation of measured orientations about each axis",
+        minimum=0.0, maximum=1.0, live=True,
+    )
+    drive_lag: float = quantity(
+        0.0, "s",
+        "How far the rotors lag behind what is sent; with learning, what is expected at first",
+        minimum=0.0, maximum=0.05, live=True,
+    )
+    integration_step: float = quantity(
+        0.1, "s", "Longest step of the prediction's integrator", minimum=1e-3, maximum=0.5
+    )
+    pose_timeout: float = quantity(
+        0.5, "s", "Age of the newest pose at which the rotors are ramped to rest",
+        minimum=1e-3, maximum=60.0, live=True,
+    )
+    command_rate: float = quantity(
+        100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0
+    )
+    lockstep: bool = quantity(
+        False, "-", "Solve when the pose of the sample instant arrives, not when a timer fires"
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if 0.0 < self.sample_period < _SHORTEST_PERIOD:
+            raise InvalidParameterError(
+                "sample_period", self.sample_period, f"0 or at least {_SHORTEST_PERIOD:g} s"
+            )
+
+    @property
+    def period(self) -> float:
+        """Spacing of the knots [s]: as given, or the strategy's own."""
+        return self.sample_period or SAMPLE_PERIODS[self.strategy]
+
+    @property
+    def control_period(self) -> float:
+        """Time between two solves [s]: the sample period, or less at a high control rate."""
+        if self.control_rate <= 0.0:
+            return self.period
+        return min(self.period, 1.0 / self.control_rate)

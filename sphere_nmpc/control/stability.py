@@ -1,0 +1,205 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Monitor of Theorem 3: whether the value function falls, sample by sample, as the proof needs.
+
+For each transition from sample k to k + 1 under the input u(k+1) it reports
+
+    V*(k+1) - V*(k) <= -l(x(k), u(k+1)),   l = |x - x_d|^2 + alpha |u|^2          (Eq. 42)
+    Delta = |x(k+1) - x_d|^2 - |x(k) - x_d|^2 < 0                          (Assumption 3)
+    beta >= (|x(k) - x_d|^2 + 2 alpha u_max^2) / |Delta|                        (Eq. 36)
+
+As Delta can never be below -|x - x_d|^2, no step whatever satisfies Eq. (36) where
+|x - x_d|^2 < 2 alpha u_max^2 / (beta - 1): that ball is taken as the neighbourhood D of Remark 5.
+With the paper's numbers its radius is 1e-2.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What is known at a sample instant.
+
+    Attributes
+    ----------
+    time : float
+        Control time [s].
+    state : ndarray, shape (6,)
+        x(k).
+    goal : ndarray, shape (6,)
+        x_d with the quaternion sign that the plan aims at.
+    value : float
+        V*(k), the optimal cost in the units of Eq. (24); nan where the solve failed.
+    next_input : ndarray, shape (2,)
+        u(k+1), the rotor speeds at the next sample instant [rad/s].
+    input_weight : float
+        alpha [s^2/rad^2].
+    terminal_weight : float
+        beta [-], above 1.
+    max_speed : float
+        u_max [rad/s].
+    """
+
+    time: float
+    state: Vector
+    goal: Vector
+    value: float
+    next_input: Vector
+    input_weight: float
+    terminal_weight: float
+    max_speed: float
+
+    @property
+    def square_error(self) -> float:
+        """|x - x_d|^2 [mixed units]."""
+        return float(np.sum((self.state - self.goal) ** 2))
+
+    @property
+    def stage_cost(self) -> float:
+        """l(x(k), u(k+1)) (Eq. 34)."""
+        return self.square_error + self.input_weight * float(np.sum(self.next_input**2))
+
+    @property
+    def bound_numerator(self) -> float:
+        """|x - x_d|^2 + 2 alpha u_max^2, what beta |Delta| must exceed (Eq. 36)."""
+        return self.square_error + 2.0 * self.input_weight * self.max_speed**2
+
+    @property
+    def inside(self) -> bool:
+        """Whether the state is in the neighbourhood D of Remark 5."""
+        return math.sqrt(self.square_error) < neighbourhood_radius(
+            self.input_weight, self.terminal_weight, self.max_speed
+        )
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether every number is finite and every array of its shape."""
+        shapes = (self.state.shape, self.goal.shape, self.next_input.shape)
+        numbers = (self.time, self.value, self.input_weight, self.terminal_weight, self.max_speed)
+        return shapes == ((STATE_SIZE,), (STATE_SIZE,), (INPUT_SIZE,)) and all(
+            bool(np.all(np.isfinite(n)))
+            for n in (*numbers, self.state, self.goal, self.next_input)
+        )
+
+
+@dataclass(frozen=True)
+class StabilityReport:
+    """What the newest sample says about the transition that led to it.
+
+    Attributes
+    ----------
+    time : float
+        Control time of the newest sample [s].
+    value : float
+        V* there; nan where the solve failed.
+    value_change : float
+        V*(k+1) - V*(k); nan for the first sample at a goal.
+    allowed_change : float
+        -l(x(k), u(k+1)), the largest change that Eq. (42) allows; nan likewise.
+    delta : float
+        Delta of Assumption 3; nan likewise.
+    beta_bound : float
+        Smallest beta for which Eq. (36) holds; inf where Delta >= 0, nan likewise.
+    inside : bool
+        Whether the newest state is in the neighbourhood D of Remark 5.
+    decreases : bool or None
+        Whether Eq. (42) held; None where it cannot be said.
+    approaches : bool or None
+        Whether Delta < 0; None where it cannot be said.
+    judged : int
+        Transitions since the start that began outside D and could be judged.
+    decrease_violations, approach_violations, beta_violations : int
+        How many of these broke Eq. (42), had Delta >= 0, broke Eq. (36).
+    """
+
+    time: float
+    value: float
+    value_change: float
+    allowed_change: float
+    delta: float
+    beta_bound: float
+    inside: bool
+    decreases: bool | None
+    approaches: bool | None
+    judged: int
+    decrease_violations: int
+    approach_violations: int
+    beta_violations: int
+
+
+def neighbourhood_radius(
+    input_weight: float, terminal_weight: float, max_speed: float
+) -> float:
+    """Return the radius of D [mixed units]: inside, no step satisfies Eq. (36)."""
+    if terminal_weight <= 1.0:
+        return math.inf
+    return math.sqrt(2.0 * input_weight / (terminal_weight - 1.0)) * max_speed
+
+
+class StabilityMonitor:
+    """Watch a closed loop with one call a sample period; never raises while running.
+
+    A new goal or new weights make another value function: the transition across is not judged.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last sample and all counts."""
+        self._last: Sample | None = None
+        self._judged = 0
+        self._decrease_violations = 0
+        self._approach_violations = 0
+        self._beta_violations = 0
+
+    def update(self, sample: Sample) -> StabilityReport:
+        """Take the newest sample and report on the transition that led to it."""
+        last, self._last = self._last, sample if sample.is_usable else None
+        nan = float("nan")
+        if last is None or self._last is None or not _comparable(last, sample):
+            return self._report(sample, nan, nan, nan, nan)
+        delta = sample.square_error - last.square_error
+        bound = last.bound_numerator / -delta if delta < 0.0 else math.inf
+        change, allowed = sample.value - last.value, -last.stage_cost
+        if not last.inside:
+            self._judged += 1
+            self._decrease_violations += int(change > allowed)
+            self._approach_violations += int(delta >= 0.0)
+            self._beta_violations += int(bound > last.terminal_weight)
+        return self._report(sample, change, allowed, delta, bound)
+
+    def _report(
+        self, sample: Sample, change: float, allowed: float, delta: float, bound: float
+    ) -> StabilityReport:
+        unknown = math.isnan(change)
+        return StabilityReport(
+            time=sample.time,
+            value=sample.value,
+            value_change=change,
+            allowed_change=allowed,
+            delta=delta,
+            beta_bound=bound,
+            inside=sample.is_usable and sample.inside,
+            decreases=None if unknown else change <= allowed,
+            approaches=None if unknown else delta < 0.0,
+            judged=self._judged,
+            decrease_violations=self._decrease_violations,
+            approach_violations=self._approach_violations,
+            beta_violations=self._beta_violations,
+        )
+
+
+def _comparable(before: Sample, after: Sample) -> bool:
+    return (
+        after.time > before.time
+        and np.array_equal(before.goal, after.goal)
+        and before.input_weight == after.input_weight
+        and before.terminal_weight == after.terminal_weight
+        and before.max_speed == after.max_speed
+    )

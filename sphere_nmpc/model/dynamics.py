@@ -1,0 +1,112 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Equations of motion in CasADi: the one place where the controller's model is written down.
+
+The angular momentum about the contact point is conserved and zero from rest on (Eq. 11). With the
+body's inertia D - m k k^T about that point, k the world vertical in body axes, this reads
+
+    (D - m k k^T) omega = -I1 [u1, u2, 0]^T,   D = diag(It1 + m, It1 + m, It2 + m),  m = Mt Rs^2,
+
+solved for omega by the Sherman-Morrison formula, so that only the four lumped constants
+``p = [Rs, c1, r1, r3]`` remain. The paper's Eqs. (4) and (12) carry misprints; see
+``msg_docs/conventions.md``.
+
+Every function takes and returns CasADi expressions (SX, MX or DM columns).
+"""
+
+from typing import Any
+
+import casadi as ca
+
+Expression = Any
+"""A CasADi SX, MX or DM; CasADi ships no types."""
+
+
+def quaternion_product(a: Expression, b: Expression) -> Expression:
+    """Return the Hamilton product of two quaternions, wxyz, shape (4,)."""
+    return ca.vertcat(
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+def rotation_matrix(q: Expression) -> Expression:
+    """Return the matrix that takes body vectors to world ones, shape (3, 3) (Eq. 1)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return ca.vertcat(
+        ca.horzcat(w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        ca.horzcat(2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
+        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
+    )
+
+
+def body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
+    """Return the angular velocity of the shell [rad/s; body frame], shape (3,).
+
+    Parameters
+    ----------
+    q : expression, shape (4,)
+        Unit quaternion wxyz, body to world.
+    u : expression, shape (2,)
+        Rotor speeds relative to the shell [rad/s].
+    p : expression, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    """
+    c1, r1, r3 = p[1], p[2], p[3]
+    k = rotation_matrix(q)[2, :].T
+    along = k[0] * u[0] + k[1] * u[1]
+    shared = along / (1 - r1 * (k[0] * k[0] + k[1] * k[1]) - r3 * k[2] * k[2])
+    return -c1 * ca.vertcat(
+        u[0] + r1 * k[0] * shared, u[1] + r1 * k[1] * shared, r3 * k[2] * shared
+    )
+
+
+def world_rate(q: Expression, u: Expression, p: Expression) -> Expression:
+    """Return the angular velocity of the shell [rad/s; world frame], shape (3,) (Eq. 5)."""
+    return ca.mtimes(rotation_matrix(q), body_rate(q, u, p))
+
+
+def rolling_velocity(world: Expression, shell_radius: Expression) -> Expression:
+    """Return the velocity of the centre that rolls without slipping [m/s], shape (2,) (Eq. 7)."""
+    return shell_radius * ca.vertcat(world[1], -world[0])
+
+
+def state_rate(x: Expression, u: Expression, p: Expression) -> Expression:
+    """Return dx/dt = G(x) u, shape (6,) (Eq. 15)."""
+    q = x[2:6]
+    rate = body_rate(q, u, p)
+    turn = 0.5 * quaternion_product(q, ca.vertcat(0, rate))
+    return ca.vertcat(rolling_velocity(ca.mtimes(rotation_matrix(q), rate), p[0]), turn)
+
+
+def contact_point(q: Expression, shell_radius: Expression) -> Expression:
+    """Return the contact point on the shell [m; body frame], shape (3,) (Eq. 18)."""
+    return -shell_radius * rotation_matrix(q)[2, :].T
+
+
+def rotor_torque(
+    q: Expression, u: Expression, du: Expression, p: Expression, rotor_axial_inertia: Expression
+) -> Expression:
+    """Return the motor torques [N m], shape (2,) (Eq. 45, with the exact derivative for Eq. 46).
+
+    Parameters
+    ----------
+    q, u, p
+        As in `body_rate`.
+    du : expression, shape (2,)
+        Rotor accelerations relative to the shell [rad/s^2].
+    rotor_axial_inertia : expression
+        I1 [kg m^2].
+    """
+    turn = ca.SX.sym("q", 4)
+    speed = ca.SX.sym("u", 2)
+    constants = ca.SX.sym("p", 4)
+    rate = body_rate(turn, speed, constants)
+    turn_rate = 0.5 * quaternion_product(turn, ca.vertcat(0, rate))
+    acceleration = ca.SX.sym("du", 2)
+    shell = ca.jtimes(rate, turn, turn_rate) + ca.jtimes(rate, speed, acceleration)
+    total = shell[0:2] + acceleration
+    absolute = ca.Function("rotor_acceleration", [turn, speed, acceleration, constants], [total])
+    return rotor_axial_inertia * absolute(q, u, du, p)

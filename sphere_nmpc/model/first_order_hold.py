@@ -1,0 +1,178 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Rotor speeds as a continuous, piecewise linear function of time (Eqs. 21 and 22)."""
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class FirstOrderHold:
+    """Knots joined by straight lines; outside the first and the last knot their values hold.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K,)
+        Times of the knots [s], strictly rising.
+    speeds : ndarray, shape (K, 2)
+        Rotor speeds at the knots [rad/s].
+
+    Raises
+    ------
+    InvalidInputError
+        If the shapes do not fit, a number is not finite, or the times do not rise.
+    """
+
+    times: Vector
+    speeds: Vector
+    _knots: list[float] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        times = np.array(self.times, dtype=float)
+        speeds = np.array(self.speeds, dtype=float)
+        if times.ndim != 1 or times.size == 0 or speeds.shape != (times.size, INPUT_SIZE):
+            raise InvalidInputError(
+                f"first-order hold: given times of shape {times.shape} and speeds of shape "
+                f"{speeds.shape}, expected (K,) and (K, {INPUT_SIZE}) with K >= 1"
+            )
+        # Methods rather than numpy's functions: this runs several times a control period.
+        if not (np.isfinite(times).all() and np.isfinite(speeds).all()):
+            raise InvalidInputError("first-order hold: given a knot that is not a finite number")
+        if not (times[1:] > times[:-1]).all():
+            raise InvalidInputError(
+                f"first-order hold: given times {times.tolist()}, expected strictly rising ones"
+            )
+        self._keep(times, speeds)
+
+    def _keep(self, times: Vector, speeds: Vector) -> None:
+        times.flags.writeable = False
+        speeds.flags.writeable = False
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "speeds", speeds)
+        # One value at a time is looked up far faster in a list than in an array.
+        object.__setattr__(self, "_knots", times.tolist())
+
+    @classmethod
+    def _sound(cls, times: Vector, speeds: Vector) -> "FirstOrderHold":
+        """Return a hold of arrays that are sound by construction and nobody else's."""
+        hold = object.__new__(cls)
+        hold._keep(times, speeds)
+        return hold
+
+    @classmethod
+    def constant(cls, time: float, speeds: Vector) -> "FirstOrderHold":
+        """Return a hold of one knot: the same speeds for ever."""
+        return cls(np.array([time]), np.asarray(speeds, dtype=float).reshape(1, INPUT_SIZE))
+
+    @classmethod
+    def ramp_to_rest(
+        cls, time: float, speeds: Vector, max_acceleration: float
+    ) -> "FirstOrderHold":
+        """Return the ramp from `speeds` to zero, both rotors arriving together.
+
+        Parameters
+        ----------
+        time : float
+            Start of the ramp [s].
+        speeds : ndarray, shape (2,)
+            Rotor speeds at that time [rad/s].
+        max_acceleration : float
+            Largest rotor acceleration [rad/s^2].
+        """
+        end = time + max(map(abs, np.asarray(speeds).tolist())) / max_acceleration
+        # On a clock that counts from 1970 a float resolves 2e-7 s: a ramp may have no length.
+        if end <= time + 1e-9:
+            return cls.constant(time, np.zeros(INPUT_SIZE))
+        # Rounded up, for a ramp that is cut short by rounding would break the limit.
+        times = np.array([time, np.nextafter(end, np.inf)])
+        return cls(times, np.vstack((speeds, np.zeros(INPUT_SIZE))))
+
+    @property
+    def start(self) -> float:
+        """Time of the first knot [s]."""
+        return self._knots[0]
+
+    @property
+    def end(self) -> float:
+        """Time of the last knot [s]."""
+        return self._knots[-1]
+
+    def at(self, time: float) -> Vector:
+        """Return the rotor speeds at `time` [rad/s], shape (2,)."""
+        knots = self._knots
+        i = bisect_right(knots, time) - 1
+        if i < 0:
+            return self.speeds[0].copy()
+        if i >= len(knots) - 1 or knots[i] == time:
+            return self.speeds[i].copy()
+        here = self.speeds[i]
+        speeds: Vector = (self.speeds[i + 1] - here) / (knots[i + 1] - knots[i])
+        speeds *= time - knots[i]
+        speeds += here
+        return speeds
+
+    def slope_at(self, time: float) -> Vector:
+        """Return the rotor accelerations just after `time` [rad/s^2], shape (2,); 0 outside."""
+        i = int(np.searchsorted(self.times, time, side="right")) - 1
+        if i < 0 or i >= self.times.size - 1:
+            return np.zeros(INPUT_SIZE)
+        slope: Vector = (self.speeds[i + 1] - self.speeds[i]) / (self.times[i + 1] - self.times[i])
+        return slope
+
+    def delayed(self, offset: float) -> "FirstOrderHold":
+        """Return the same hold `offset` seconds later."""
+        return FirstOrderHold(self.times + offset, self.speeds)
+
+    def starting_at(self, time: float, speeds: Vector) -> "FirstOrderHold":
+        """Return the hold that leaves `speeds` at `time` and joins this one at its next knot.
+
+        A command that takes effect late must not bend the past: what lies before `time` is
+        dropped and the ramp starts from the speed in force.
+        """
+        first = bisect_right(self._knots, time + 1e-9)
+        times = np.array([time, *self._knots[first:]])
+        knots = np.empty((times.size, INPUT_SIZE))
+        knots[0] = speeds
+        knots[1:] = self.speeds[first:]
+        if not (math.isfinite(time) and np.isfinite(knots[0]).all()):
+            raise InvalidInputError("first-order hold: given a start that is not finite")
+        return FirstOrderHold._sound(times, knots)
+
+    def ending_at_rest(self, max_acceleration: float) -> "FirstOrderHold":
+        """Return the hold with a ramp to rest behind its last knot, if that is not at rest."""
+        last = self.speeds[-1]
+        if not last.any():
+            return self
+        ramp = FirstOrderHold.ramp_to_rest(self.end, last, max_acceleration)
+        if ramp.times.size == 1:
+            # Too slow to need a ramp, but rest is rest.
+            speeds = self.speeds.copy()
+            speeds[-1] = 0.0
+            return FirstOrderHold._sound(self.times, speeds)
+        times = np.concatenate((self.times, ramp.times[1:]))
+        return FirstOrderHold._sound(times, np.concatenate((self.speeds, ramp.speeds[1:])))
+
+    def limited(self, max_speed: float, max_acceleration: float) -> "FirstOrderHold":
+        """Return the hold with every knot moved, first to last, as little as the limits need.
+
+        Parameters
+        ----------
+        max_speed : float
+            Largest rotor speed [rad/s]; the first knot is a fact and is left alone.
+        max_acceleration : float
+            Largest rotor acceleration [rad/s^2].
+        """
+        times, rows = self._knots, self.speeds.tolist()
+        for i in range(1, len(times)):
+            reach = max_acceleration * (times[i] - times[i - 1])
+            for rotor in range(INPUT_SIZE):
+                before = rows[i - 1][rotor]
+                wanted = min(max(rows[i][rotor], -max_speed), max_speed)
+                rows[i][rotor] = min(max(wanted, before - reach), before + reach)
+        return FirstOrderHold._sound(self.times.copy(), np.array(rows))

@@ -1,0 +1,142 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Integration of the motion under a first-order hold, on the rotation group itself.
+
+A commutator-free Lie group method of order four (CF4 of Celledoni, Marthinsen and Owren, 2003)
+composes exponentials of body rates, so the quaternion keeps its unit norm to rounding, and at the
+robot's speeds one step is worth about three of the classical Runge-Kutta method.
+"""
+
+import math
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from sphere_nmpc.model.dynamics import (
+    Expression,
+    body_rate,
+    quaternion_product,
+    rolling_velocity,
+    rotation_matrix,
+)
+from sphere_nmpc.model.state import Vector
+
+DEFAULT_MAX_STEP = 0.1
+"""Longest integration step [s]; error of a 0.5 s interval about 2e-4 at the 99th percentile."""
+
+_EXPONENTIAL_TERMS = 9
+"""Terms of the power series in `quaternion_exponential`: rounding accuracy up to 2 rad."""
+
+
+def quaternion_exponential(rotation: Expression) -> Expression:
+    """Return the unit quaternion wxyz of a rotation vector [rad], shape (4,), up to 2 rad.
+
+    Power series instead of sine over angle: smooth at zero, where that one divides by zero, and
+    made of products and sums alone, so that compiled code can evaluate it on vector registers.
+    """
+    quarter = 0.25 * ca.dot(rotation, rotation)
+    cosine: Expression = 0.0
+    sine_over_angle: Expression = 0.0
+    for n in reversed(range(_EXPONENTIAL_TERMS)):
+        cosine = (-1) ** n / math.factorial(2 * n) + quarter * cosine
+        sine_over_angle = (-1) ** n / math.factorial(2 * n + 1) + quarter * sine_over_angle
+    return ca.vertcat(cosine, 0.5 * sine_over_angle * rotation)
+
+
+def cf4_step(
+    q: Expression, u_start: Expression, u_end: Expression, h: Expression, p: Expression
+) -> tuple[Expression, Expression]:
+    """Advance one step with the inputs ramping from `u_start` to `u_end`.
+
+    Parameters
+    ----------
+    q : expression, shape (4,)
+        Unit quaternion wxyz at the start of the step.
+    u_start, u_end : expression, shape (2,)
+        Rotor speeds at its start and end [rad/s].
+    h : expression
+        Length of the step [s].
+    p : expression, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+
+    Returns
+    -------
+    displacement : expression, shape (2,)
+        How far the centre moved [m; world frame].
+    q_end : expression, shape (4,)
+        Quaternion at the end of the step.
+    """
+    u_middle = 0.5 * (u_start + u_end)
+
+    def rates(quaternion: Expression, u: Expression) -> tuple[Expression, Expression]:
+        body = body_rate(quaternion, u, p)
+        return body, rolling_velocity(ca.mtimes(rotation_matrix(quaternion), body), p[0])
+
+    def turned(quaternion: Expression, rotation: Expression) -> Expression:
+        return quaternion_product(quaternion, quaternion_exponential(rotation))
+
+    w1, v1 = rates(q, u_start)
+    q2 = turned(q, 0.5 * h * w1)
+    w2, v2 = rates(q2, u_middle)
+    q3 = turned(q, 0.5 * h * w2)
+    w3, v3 = rates(q3, u_middle)
+    q4 = turned(q2, h * (w3 - 0.5 * w1))
+    w4, v4 = rates(q4, u_end)
+    first = turned(q, h / 12 * (3 * w1 + 2 * w2 + 2 * w3 - w4))
+    q_end = turned(first, h / 12 * (-w1 + 2 * w2 + 2 * w3 + 3 * w4))
+    return h / 6 * (v1 + 2 * v2 + 2 * v3 + v4), q_end
+
+
+def steps_for(duration: float, max_step: float = DEFAULT_MAX_STEP) -> int:
+    """Return how many integration steps an interval of `duration` [s] gets, at least one."""
+    # The tolerance keeps 0.5 / 0.1 at 5 steps when 0.5 was a difference of two clock readings.
+    return max(1, math.ceil(duration / max_step - 1e-6))
+
+
+@cache
+def step_function() -> ca.Function:
+    """Return the compiled-once CasADi function (x, u_start, u_end, h, p) -> x_end of one step."""
+    x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 4)
+    u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
+    displacement, q_end = cf4_step(x[2:6], u_start, u_end, h, p)
+    x_end = ca.vertcat(x[0:2] + displacement, q_end)
+    return ca.Function("cf4_step", [x, u_start, u_end, h, p], [x_end])
+
+
+def integrate(
+    state: Vector,
+    u_start: Vector,
+    u_end: Vector,
+    duration: float,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> Vector:
+    """Return the state after one interval of a first-order hold (Eq. 20 with Eq. 21).
+
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+        State at the start.
+    u_start, u_end : ndarray, shape (2,)
+        Rotor speeds at the start and the end of the interval [rad/s].
+    duration : float
+        Length of the interval [s].
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    max_step : float, optional
+        Longest integration step [s].
+
+    Returns
+    -------
+    ndarray, shape (6,)
+    """
+    steps = steps_for(duration, max_step)
+    step = step_function()
+    h = duration / steps
+    x: Vector = state
+    for i in range(steps):
+        here = u_start + (u_end - u_start) * (i / steps)
+        there = u_start + (u_end - u_start) * ((i + 1) / steps)
+        x = np.array(step(x, here, there, h, constants)).ravel()
+    return x

@@ -1,0 +1,134 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Layout and geometry of the state vector ``x = [x, y, q1, q2, q3, q4]``.
+
+Position of the sphere's centre in the plane [m; world frame], then the unit quaternion **wxyz**
+(scalar first) that takes body vectors to world ones. Every slice of a state is named here.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sphere_nmpc.errors import InvalidStateError
+
+STATE_NAMES = ("x", "y", "q1", "q2", "q3", "q4")
+STATE_SIZE = 6
+INPUT_SIZE = 2
+POSITION = slice(0, 2)
+QUATERNION = slice(2, 6)
+
+QUATERNION_NORM_TOLERANCE = 1e-2
+"""How far from 1 the norm of a quaternion that somebody typed or sent may be before it is refused.
+
+The paper prints its cases with three or four digits; case 1 has |q| = 1.0006.
+"""
+
+Vector = NDArray[np.float64]
+
+FARTHEST = 1e6
+"""Largest coordinate of a position [m]; far beyond it sums and squares lose what is near."""
+
+
+def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
+    """Build a state from its parts, normalising the quaternion.
+
+    Parameters
+    ----------
+    position : array_like, shape (2,)
+        Centre of the sphere [m; world frame].
+    quaternion_wxyz : array_like, shape (4,)
+        Orientation, body to world, of a norm within `QUATERNION_NORM_TOLERANCE` of 1.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+
+    Raises
+    ------
+    InvalidStateError
+        If a part has the wrong length, is not finite or too far away, or the quaternion is not of
+        unit norm.
+    """
+    place = np.asarray(position, dtype=float)
+    turn = np.asarray(quaternion_wxyz, dtype=float)
+    if place.shape != (2,) or turn.shape != (4,):
+        raise InvalidStateError(
+            f"state: given shapes {place.shape} and {turn.shape}, "
+            "expected a position (2,) [m] and a quaternion (4,) wxyz"
+        )
+    # Methods rather than numpy's functions: every pose of a fast robot comes by here.
+    if not (np.isfinite(place).all() and np.isfinite(turn).all()):
+        raise InvalidStateError(
+            f"state: given position {place.tolist()} and quaternion {turn.tolist()}, "
+            "expected finite numbers"
+        )
+    if (np.abs(place) > FARTHEST).any():
+        raise InvalidStateError(
+            f"position: given {place.tolist()}, expected at most {FARTHEST:g} m from the origin "
+            "along each axis"
+        )
+    norm = math.sqrt(turn.dot(turn))
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
+        raise InvalidStateError(
+            f"quaternion: given {turn.tolist()} of norm {norm:.6g}, "
+            f"expected norm 1 within {QUATERNION_NORM_TOLERANCE:g}"
+        )
+    return np.concatenate((place, turn / norm))
+
+
+def as_state(values: ArrayLike) -> Vector:
+    """Check and normalise a flat state; see `make_state`.
+
+    Parameters
+    ----------
+    values : array_like, shape (6,)
+        [x, y, qw, qx, qy, qz].
+
+    Returns
+    -------
+    ndarray, shape (6,)
+
+    Raises
+    ------
+    InvalidStateError
+        If the length is wrong, a number is not finite, or the quaternion is not of unit norm.
+    """
+    flat = np.asarray(values, dtype=float)
+    if flat.shape != (STATE_SIZE,):
+        raise InvalidStateError(f"state: given shape {flat.shape}, expected (6,)")
+    return make_state(flat[POSITION], flat[QUATERNION])
+
+
+def nearer_sign(goal: Vector, state: Vector) -> Vector:
+    """Return `goal` with the sign of its quaternion that is nearer to that of `state`."""
+    signed = goal.copy()
+    if float(goal[QUATERNION] @ state[QUATERNION]) < 0.0:
+        signed[QUATERNION] *= -1.0
+    return signed
+
+
+def flipped_sign(goal: Vector) -> Vector:
+    """Return the same goal with the other of its two quaternions."""
+    flipped = goal.copy()
+    flipped[QUATERNION] *= -1.0
+    return flipped
+
+
+def state_error(state: Vector, goal: Vector) -> float:
+    """Return ||x - x_d|| in R^6 with the goal's quaternion sign that is nearer [mixed units]."""
+    difference = state - nearer_sign(goal, state)
+    return math.sqrt(difference.dot(difference))
+
+
+def position_error(state: Vector, goal: Vector) -> float:
+    """Return the distance between the two centres [m]."""
+    return float(np.linalg.norm(state[POSITION] - goal[POSITION]))
+
+
+def angle_error(state: Vector, goal: Vector) -> float:
+    """Return the angle of the rotation between the two orientations [rad], 0 to pi."""
+    # The chord is accurate for small angles, where arccos of the dot product is not.
+    chord = float(np.linalg.norm((state - nearer_sign(goal, state))[QUATERNION]))
+    return 4.0 * float(np.arcsin(min(1.0, 0.5 * chord)))

@@ -1,0 +1,140 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Small deviations of the state and how the motion carries them along.
+
+A deviation is [dx, dy, a1, a2, a3], shape (5,): a shift [m; world frame] and a rotation vector
+[rad; body frame] behind the orientation, q exp(a / 2). Five numbers for five degrees of freedom,
+without the constraint that the four of a quaternion obey.
+"""
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from sphere_nmpc.model.dynamics import (
+    body_rate,
+    quaternion_product,
+    rolling_velocity,
+    rotation_matrix,
+)
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, cf4_step, steps_for
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+
+DEVIATION_SIZE = 5
+_SMALL = 1e-8
+"""Angle [rad] below which sine over angle is 1 to rounding."""
+
+
+def deviated(state: Vector, deviation: Vector) -> Vector:
+    """Return the state, shape (6,), moved by a deviation, shape (5,)."""
+    angle = float(np.linalg.norm(deviation[2:]))
+    factor = 0.5 if angle < _SMALL else np.sin(0.5 * angle) / angle
+    turn = np.concatenate(([np.cos(0.5 * angle)], factor * deviation[2:]))
+    q = _product(state[QUATERNION], turn)
+    return np.concatenate((state[POSITION] + deviation[:2], q / np.linalg.norm(q)))
+
+
+def deviation_between(state: Vector, other: Vector) -> Vector:
+    """Return the deviation, shape (5,), that leads from `state` to `other`, both shape (6,)."""
+    inverse = state[QUATERNION] * np.array([1.0, -1.0, -1.0, -1.0])
+    turn = _product(inverse, other[QUATERNION])
+    # Both signs of a quaternion are one orientation; the nearer one gives the shorter turn.
+    turn = turn if turn[0] >= 0.0 else -turn
+    sine = float(np.linalg.norm(turn[1:]))
+    factor = 2.0 if sine < _SMALL else 2.0 * np.arctan2(sine, turn[0]) / sine
+    return np.concatenate((other[POSITION] - state[POSITION], factor * turn[1:]))
+
+
+def state_rates(state: Vector, speeds: Vector, constants: Vector) -> Vector:
+    """Return how fast the state deviates from where it is, shape (5,), [m/s; rad/s].
+
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+    speeds : ndarray, shape (2,)
+        Rotor speeds [rad/s].
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    """
+    return np.array(_rates()(state, speeds, constants)).ravel()
+
+
+def carried(
+    state: Vector,
+    speeds: tuple[Vector, Vector],
+    duration: float,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> tuple[Vector, Vector, Vector]:
+    """Advance over an interval of a first-order hold, with the derivatives of the result.
+
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+        State at the start.
+    speeds : tuple of ndarray, each of shape (2,)
+        Rotor speeds at both ends [rad/s].
+    duration : float
+        Length of the interval [s].
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    max_step : float, optional
+        Longest integration step [s].
+
+    Returns
+    -------
+    state : ndarray, shape (6,)
+        State at the end.
+    by_state : ndarray, shape (5, 5)
+        Derivative of its deviation by the deviation at the start.
+    by_constants : ndarray, shape (5, 4)
+        Derivative of its deviation by the constants.
+    """
+    steps = steps_for(duration, max_step)
+    start, change = speeds[0], speeds[1] - speeds[0]
+    by_state: Vector = np.eye(DEVIATION_SIZE)
+    by_constants: Vector = np.zeros((DEVIATION_SIZE, 4))
+    for i in range(steps):
+        here, there = start + change * (i / steps), start + change * ((i + 1) / steps)
+        found = _carrying_step()(state, here, there, duration / steps, constants)
+        end, onwards, added = (np.array(matrix, dtype=float) for matrix in found)
+        state = end.ravel()
+        by_state, by_constants = onwards @ by_state, onwards @ by_constants + added
+    return state, by_state, by_constants
+
+
+@cache
+def _carrying_step() -> ca.Function:
+    x, p, d = ca.SX.sym("x", 6), ca.SX.sym("p", 4), ca.SX.sym("d", DEVIATION_SIZE)
+    u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
+    shift, q = cf4_step(x[2:6], u_start, u_end, h, p)
+    # To first order, which is all that a derivative at zero asks for.
+    turned = quaternion_product(x[2:6], ca.vertcat(1.0, 0.5 * d[2:5]))
+    moved, turned_end = cf4_step(turned, u_start, u_end, h, p)
+    inverse = ca.vertcat(q[0], -q[1:4])
+    held = ca.SX.sym("q", 4)
+    away = ca.vertcat(d[0:2] + moved, 2.0 * quaternion_product(held, turned_end)[1:4])
+    by_state = ca.substitute(ca.jacobian(away, d), held, inverse)
+    by_constants = ca.substitute(ca.jacobian(away, p), held, inverse)
+    zero = ca.SX.zeros(DEVIATION_SIZE)
+    outputs = [
+        ca.vertcat(x[0:2] + shift, q),
+        ca.substitute(by_state, d, zero),
+        ca.substitute(by_constants, d, zero),
+    ]
+    return ca.Function("carrying_step", [x, u_start, u_end, h, p], outputs)
+
+
+@cache
+def _rates() -> ca.Function:
+    x, u, p = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("p", 4)
+    body = body_rate(x[2:6], u, p)
+    velocity = rolling_velocity(ca.mtimes(rotation_matrix(x[2:6]), body), p[0])
+    return ca.Function("rates", [x, u, p], [ca.vertcat(velocity, body)])
+
+
+def _product(a: Vector, b: Vector) -> Vector:
+    """Return the Hamilton product of two quaternions wxyz, shape (4,)."""
+    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
+    return np.concatenate(([w], v))

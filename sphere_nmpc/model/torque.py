@@ -1,0 +1,148 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Motor torques of a plan, and the rotor acceleration that a torque limit leaves (Eqs. 44 to 46).
+
+A motor accelerates its rotor against inertia, together with the shell that it sits in:
+
+    tau_i = I1 (du_i/dt + domega_i/dt),   omega = W(k) u,   domega/dt = W du/dt + (dW/dt) u.
+
+The last term is what the shell's turning asks for at constant speeds. Both parts are largest at
+orientations that can be searched for once, so that a torque limit becomes a slew limit that holds
+everywhere: with |u_i| <= u_max and |du_i/dt| <= a,
+
+    |tau_i| <= I1 (s a + w),   s = max_k sum_j |1_ij + W_ij|,   w = max_{k, u} |(dW/dt u)_i|.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.dynamics import body_rate, rotor_torque
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+
+_ORIENTATIONS = 500
+"""Directions of the vertical that are searched; the maxima are flat, 400 find them to 1 %."""
+_MARGIN = 1.01
+"""Over the largest that the search found."""
+_EDGE = 21
+"""Rotor speeds on each edge of the square |u_i| <= u_max that are searched."""
+
+
+def torques(
+    states: Vector, hold: FirstOrderHold, constants: LumpedConstants, rotor_axial_inertia: float
+) -> tuple[Vector, Vector]:
+    """Return the motor torques along a plan, just after and just before its knots.
+
+    Parameters
+    ----------
+    states : ndarray, shape (K, 6)
+        States at the knots.
+    hold : FirstOrderHold
+        Rotor speeds, K knots.
+    constants : LumpedConstants
+        What is believed about the plant.
+    rotor_axial_inertia : float
+        I1 [kg m^2].
+
+    Returns
+    -------
+    after : ndarray, shape (K - 1, 2)
+        At the start of each interval [N m].
+    before : ndarray, shape (K - 1, 2)
+        At its end [N m]. Within an interval the torque is nearly a straight line.
+    """
+    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+    after = _torques(states[:-1], hold.speeds[:-1], slopes, constants, rotor_axial_inertia)
+    before = _torques(states[1:], hold.speeds[1:], slopes, constants, rotor_axial_inertia)
+    return after, before
+
+
+def largest_acceleration(robot: RobotParameters) -> float:
+    """Return the rotor acceleration [rad/s^2] that keeps the torque limit wherever the robot is.
+
+    That is `max_rotor_acceleration` without a torque limit or where that asks for less.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the limit does not even hold rotors at their largest speed while the shell turns.
+    """
+    if robot.max_rotor_torque <= 0.0:
+        return robot.max_rotor_acceleration
+    inertia = robot.rotor_axial_inertia
+    share, turning = _worst(*robot.lumped.as_array()[1:])
+    at_speed = turning * robot.max_rotor_speed**2
+    left = (robot.max_rotor_torque / inertia - at_speed) / share
+    if left < 1.0:
+        raise InvalidParameterError(
+            "max_rotor_torque", robot.max_rotor_torque,
+            f"0 or more than {inertia * (at_speed + share):.3g} N m, which the shell's turning "
+            f"asks for at {robot.max_rotor_speed:g} rad/s",
+        )
+    return min(robot.max_rotor_acceleration, left)
+
+
+def within_torque(robot: RobotParameters) -> RobotParameters:
+    """Return the robot with the acceleration limit that its torque limit leaves."""
+    return replace(robot, max_rotor_acceleration=largest_acceleration(robot))
+
+
+@cache
+def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tuple[float, float]:
+    """Return s [-] and w over u_max^2 [-] of the module's bound."""
+    p = np.array([1.0, input_gain, transverse_ratio, axial_ratio])
+    turns = _turns(_ORIENTATIONS)
+    rates = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
+    gain = ca.jacobian(body_rate(*rates, p)[0:2], rates[1]) + ca.SX.eye(INPUT_SIZE)
+    gains = ca.Function("gain", [rates[0]], [gain]).map(len(turns))
+    sums = np.abs(np.array(gains(turns.T)).reshape(INPUT_SIZE, len(turns), INPUT_SIZE)).sum(axis=2)
+    along = np.linspace(-1.0, 1.0, _EDGE)
+    # A rate quadratic in the speeds is largest on the square's edges; opposite ones agree.
+    edges = np.vstack([np.column_stack((np.ones(_EDGE), along)),
+                       np.column_stack((along, np.ones(_EDGE)))])
+    turning = max(
+        float(np.max(np.abs(_evaluate(turns, np.tile(u, (len(turns), 1)), 0.0 * turns[:, :2], p))))
+        for u in edges
+    )
+    return _MARGIN * float(np.max(sums)), _MARGIN * turning
+
+
+def _torques(
+    states: Vector, speeds: Vector, slopes: Vector, constants: LumpedConstants, inertia: float
+) -> Vector:
+    turns = states[:, QUATERNION]
+    found: Vector = inertia * _evaluate(turns, speeds, slopes, constants.as_array())
+    return found
+
+
+def _evaluate(turns: Vector, speeds: Vector, slopes: Vector, constants: Vector) -> Vector:
+    """Return rotor accelerations in space [rad/s^2], shape (K, 2)."""
+    if not len(turns):
+        return np.zeros((0, INPUT_SIZE))
+    batch = _unit_torque().map(len(turns))
+    found: Vector = np.array(
+        batch(turns.T, speeds.T, slopes.T, np.tile(constants[:, None], len(turns)))
+    ).T
+    return found
+
+
+@cache
+def _unit_torque() -> ca.Function:
+    q, u, du, p = (ca.SX.sym(name, size) for name, size in zip("qudp", (4, 2, 2, 4), strict=True))
+    return ca.Function("unit_torque", [q, u, du, p], [rotor_torque(q, u, du, p, 1.0)])
+
+
+def _turns(number: int) -> Vector:
+    """Return orientations, wxyz of shape (number, 4), with verticals spread over the sphere."""
+    height = 1.0 - (2.0 * np.arange(number) + 1.0) / number
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(number)
+    # The turn that takes the direction to the vertical: about their cross product.
+    flat = np.sqrt(1.0 - height**2)
+    vertical = np.column_stack((flat * np.cos(angle), flat * np.sin(angle), height))
+    turns = np.column_stack((1.0 + height, vertical[:, 1], -vertical[:, 0], np.zeros(number)))
+    return turns / np.linalg.norm(turns, axis=1)[:, None]

@@ -1,0 +1,119 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Physical quantities as validated dataclass fields.
+
+One declaration gives the default, the unit, the range and the words that explain a parameter; the
+dataclasses check themselves with it, the ROS nodes declare their parameters from it, and the
+parameter tables of the documentation are held against it.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from sphere_nmpc.errors import InvalidParameterError
+
+_KEY = "quantity"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is known about a parameter apart from its value.
+
+    Attributes
+    ----------
+    unit : str
+        SI unit, ``"-"`` for a pure number.
+    description : str
+        One line for ``ros2 param describe``.
+    minimum, maximum : float or None
+        Inclusive range of a number; None where there is no bound.
+    choices : tuple of str
+        Accepted values of a text; empty where any text will do.
+    live : bool
+        Whether the value may change while a node runs.
+    """
+
+    unit: str
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool = False
+
+
+def quantity(
+    default: Any,
+    unit: str,
+    description: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+    live: bool = False,
+) -> Any:
+    """Make a dataclass field that knows its unit, range and meaning.
+
+    Parameters
+    ----------
+    default : bool, int, float, str or tuple of float
+        Default value; its type is the type of the parameter.
+    unit, description, minimum, maximum, choices, live
+        See `Quantity`.
+
+    Returns
+    -------
+    dataclasses.Field
+        To be assigned to an annotated name in a dataclass body.
+    """
+    about = Quantity(unit, description, minimum, maximum, choices, live)
+    return dataclasses.field(default=default, metadata={_KEY: about})
+
+
+def quantities(settings: Any) -> dict[str, Quantity]:
+    """Return the quantity behind each field of a dataclass or dataclass instance, in order."""
+    fields = dataclasses.fields(settings)
+    return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
+
+
+def validate(settings: Any) -> None:
+    """Check every quantity of a dataclass instance against its type, range and choices.
+
+    Raises
+    ------
+    InvalidParameterError
+        Naming the first field that is wrong, the value given and what was expected.
+    """
+    defaults = {field.name: field.default for field in dataclasses.fields(settings)}
+    for name, about in quantities(settings).items():
+        _check(name, getattr(settings, name), defaults[name], about)
+
+
+def _check(name: str, value: Any, default: Any, about: Quantity) -> None:
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise InvalidParameterError(name, value, "true or false")
+    elif isinstance(default, str):
+        if not isinstance(value, str) or (about.choices and value not in about.choices):
+            expected = " or ".join(about.choices) if about.choices else "a text"
+            raise InvalidParameterError(name, value, expected)
+    elif isinstance(default, tuple):
+        if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != len(default):
+            raise InvalidParameterError(name, value, f"{len(default)} numbers [{about.unit}]")
+        for item in value:
+            _check_number(name, item, value, about)
+    else:
+        _check_number(name, value, value, about)
+        if isinstance(default, int) and not isinstance(value, int):
+            raise InvalidParameterError(name, value, "a whole number")
+
+
+def _check_number(name: str, number: Any, value: Any, about: Quantity) -> None:
+    if isinstance(number, bool) or not isinstance(number, (int, float)) or number != number:
+        raise InvalidParameterError(name, value, f"a finite number [{about.unit}]")
+    low = -math.inf if about.minimum is None else about.minimum
+    high = math.inf if about.maximum is None else about.maximum
+    # Compared, not converted: a whole number may be too large for a float.
+    if not (low <= number <= high and -math.inf < number < math.inf):
+        raise InvalidParameterError(name, value, f"{low:g} to {high:g} [{about.unit}]")

@@ -1,0 +1,86 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The controller's two command outputs: the first-order hold, and its samples at a fixed rate."""
+
+import time
+from collections.abc import Callable
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.conversions import hold_to_trajectory
+
+_LONGEST_FAREWELL = 1.0
+"""Wall time that the last ramp may take [s]; launch kills what is not gone after five."""
+
+
+class CommandSender:
+    """Send holds, and the speeds they mean while one is in force.
+
+    After a hold has ended the sender falls silent, so that somebody else may drive the robot.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the publishers and of the timer, which runs on the node's clock.
+    command_rate : float
+        Rate of ``rotor_commands`` [Hz].
+    now : callable
+        Control time [s], None while it is not known.
+    """
+
+    def __init__(
+        self, node: Node, command_rate: float, now: Callable[[], float | None]
+    ) -> None:
+        self._period = 1.0 / command_rate
+        self._now = now
+        self._hold: FirstOrderHold | None = None
+        self._silent = True
+        self._trajectory: JointTrajectory | None = None
+        self._trajectories = node.create_publisher(JointTrajectory, "rotor_trajectory", 10)
+        self._speeds = node.create_publisher(Float64MultiArray, "rotor_commands", 10)
+        self._timer = node.create_timer(self._period, self._sample)
+
+    def send(self, hold: FirstOrderHold, epoch: int) -> None:
+        """Send a hold, control times [s] since `epoch` [ns]; it replaces what was sent before."""
+        self._hold = hold
+        self._silent = False
+        self._trajectory = hold_to_trajectory(hold, epoch, self._trajectory)
+        self.repeat()
+
+    def repeat(self) -> None:
+        """Send the last hold once more, for a robot that has only now begun to listen."""
+        if self._trajectory is not None:
+            self._trajectories.publish(self._trajectory)
+
+    def farewell(self) -> None:
+        """Play the hold in force to its end on the wall clock and leave zero as the last word.
+
+        The timer of the node no longer runs, and the node's clock may have stopped.
+        """
+        hold, now = self._hold, self._now()
+        if hold is None:
+            return
+        self._trajectories.wait_for_all_acked(Duration(seconds=0.5))
+        moment = hold.end if now is None else now
+        limit = moment + _LONGEST_FAREWELL
+        while moment < min(hold.end, limit):
+            self._publish(hold.at(moment))
+            time.sleep(self._period)
+            moment += self._period
+        self._publish(hold.speeds[-1])
+        self._speeds.wait_for_all_acked(Duration(seconds=0.5))
+
+    def _sample(self) -> None:
+        hold, now = self._hold, self._now()
+        if hold is None or now is None or self._silent:
+            return
+        self._silent = now > hold.end  # once its last speeds, which are zero, have been said
+        self._publish(hold.at(now))
+
+    def _publish(self, speeds: Vector) -> None:
+        self._speeds.publish(Float64MultiArray(data=speeds.tolist()))

@@ -1,0 +1,248 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The controller node: rolls the sphere to a goal position and orientation.
+
+subscribes  pose, goal_pose
+publishes   rotor_trajectory, rotor_commands, ~/active_goal, ~/predicted_path, ~/status,
+            /diagnostics
+services    ~/enable
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rclpy.clock import JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import SetBool
+
+from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.planning_time import PlanningTime
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.ros.background import Background
+from sphere_nmpc.ros.command_sender import CommandSender
+from sphere_nmpc.ros.controller_reports import ControllerReports
+from sphere_nmpc.ros.conversions import (
+    NANOSECONDS,
+    framed_pose_from_ros,
+    seconds,
+    stamp_from_ros,
+)
+from sphere_nmpc.ros.diagnostics import Diagnostics
+from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
+from sphere_nmpc.ros.sample_grid import SampleGrid
+from sphere_nmpc.ros.throttle import FaultLog
+
+AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
+
+
+class ControllerNode(LivingNode):
+    """Tell a `Controller` what the graph says and the graph what it decides.
+
+    Parameters
+    ----------
+    parameter_overrides : list of Parameter, optional
+        As given on a command line; for use within a program.
+    """
+
+    lean = True
+
+    def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__(
+            "controller",
+            parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        declared = DeclaredSettings(self, ControllerSettings(), on_change=self._change)
+        robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
+        warn_of_unknown(self, [*declared.names, *robot.names])
+        settings = self._settings = declared.settings
+        self._faults = FaultLog(lambda line: self.get_logger().warning(line))
+        self._aside = Background(lambda line: self._faults.report("learning failed", line))
+        self.controller = Controller(
+            settings, robot.settings, aside=None if settings.lockstep else self._aside.do
+        )
+        self._grid = SampleGrid(settings.control_period)
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        self._planning = PlanningTime(settings.control_period, self._simulated)
+        self._starting = True
+        self._epoch = 0 if self._simulated else self._stamp()
+        self._sender = CommandSender(self, settings.command_rate, self._now)
+        self._reports = ControllerReports(
+            self, self.controller, self._grid, self._faults, robot.settings, settings
+        )
+        self._answered: int | None = None
+        self._listen()
+        tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
+        self._diagnostics = Diagnostics(self, self._stamp, tasks)
+
+    def finish(self) -> None:
+        """Send a ramp to rest, on both command topics."""
+        now = self._now()
+        self.controller.enabled = False
+        if now is not None:
+            self._decide(now, lambda: now)
+        self._sender.farewell()
+        self._aside.close()
+
+    def _listen(self) -> None:
+        # In lockstep the pose of a sample instant must not get lost; it is the last one published
+        # before time stands still, so that a depth of one keeps it.
+        lockstep = self._settings.lockstep
+        reliability = ReliabilityPolicy.RELIABLE if lockstep else ReliabilityPolicy.BEST_EFFORT
+        newest = QoSProfile(depth=1, reliability=reliability)
+        take = self._take_sample if lockstep else self._take_pose
+        self._inputs = [
+            self.create_subscription(PoseStamped, "pose", take, newest),
+            self.create_subscription(PoseStamped, "goal_pose", self._take_goal, 1),
+            self.create_service(SetBool, "~/enable", self._enable),
+        ]
+        if not lockstep:
+            self._timer = self.create_timer(self._settings.control_period, self._tick)
+        backwards = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._jumps = self.get_clock().create_jump_callback(
+            backwards, post_callback=self._time_jumped
+        )
+
+    def _stamp(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _now(self) -> float | None:
+        """Return control time [s]; None before the first message on /clock."""
+        stamp = self._stamp()
+        return None if self._simulated and stamp == 0 else seconds(stamp, self._epoch)
+
+    def _tick(self) -> None:
+        now = self._now()
+        if now is not None:
+            instant = self._grid.instant(now)
+            self._decide(instant, lambda: self._now() or now, self._planning.lead)
+
+    def _decide(self, instant: float, now: Callable[[], float], lead: float = 0.0) -> None:
+        began = time.perf_counter()
+        # In lockstep time waits, and so that results repeat a plan may take what it takes.
+        budget = math.inf
+        if not self._settings.lockstep:
+            budget = self._planning.budget(instant, now())
+        instant += lead
+        decision = self.controller.decide(instant, budget)
+        hold = self.controller.commit(decision, now())
+        if hold is None and self._settings.lockstep:
+            hold = AT_REST.delayed(instant)  # time waits for an answer, even if it is nothing
+        if hold is not None:
+            self._sender.send(hold, self._epoch)
+        took = time.perf_counter() - began
+        self._planning.took(took)
+        self._reports.tick(decision, instant, took, self._epoch)
+        self._starting = self._starting and decision.mode is not Mode.TRACKING
+
+    def _start(self) -> None:
+        """Begin a new grid of sample instants where somewhere to go is waiting for nothing else.
+
+        The first plan takes longest, so it waits until its share of wall time is known.
+        """
+        now = self._now()
+        if now is None or not self._starting or self._settings.lockstep:
+            return
+        if self._planning.pace is not None and self.controller.awaits_start(now):
+            self._timer.reset()
+            self._grid.reset()
+            if self._settings.strategy == "time_optimal":
+                self._planning.expect_all()
+            self._tick()
+
+    def _take_pose(self, message: PoseStamped) -> None:
+        state, now = self._state(message), self._now()
+        if state is None or now is None:
+            return
+        stamp = seconds(stamp_from_ros(message.header.stamp), self._epoch)
+        if stamp - now > self._settings.pose_timeout:
+            # It would count as fresh for as long as it is ahead.
+            self._faults.report(
+                "pose refused",
+                f"given a stamp {stamp - now:.6g} s ahead of this node's clock, expected at most "
+                f"{self._settings.pose_timeout:g} s",
+            )
+            return
+        self.controller.observe(stamp, state)
+        self._planning.read(now, time.monotonic())
+        self._start()
+
+    def _take_sample(self, message: PoseStamped) -> None:
+        """Decide, in lockstep, when the pose of a sample instant arrives."""
+        stamp, state = stamp_from_ros(message.header.stamp), self._state(message)
+        if state is None or stamp % round(self._settings.control_period * NANOSECONDS):
+            return
+        if stamp == self._answered:
+            self._sender.repeat()
+            return
+        instant = seconds(stamp, self._epoch)
+        self.controller.observe(instant, state)
+        self._decide(instant, lambda: instant)
+        self._answered = stamp
+
+    def _take_goal(self, message: PoseStamped) -> None:
+        try:
+            self.controller.set_goal(framed_pose_from_ros(message))
+        except InvalidStateError as error:
+            self._faults.report("goal_pose refused", f"{error}; the goal in force stays")
+            return
+        goal = self.controller.goal
+        assert goal is not None
+        self.get_logger().info(f"goal: {[round(float(value), 4) for value in goal]}")
+        self._answered = None
+        self._reports.goal(goal, self._stamp())
+        self._starting = True
+        self._start()
+
+    def _state(self, message: PoseStamped) -> Vector | None:
+        try:
+            return framed_pose_from_ros(message)
+        except InvalidStateError as error:
+            self._faults.report("pose refused", str(error))
+            return None
+
+    def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.controller.enabled = request.data
+        now = self._now()
+        if not self._settings.lockstep and now is not None and not request.data:
+            self._decide(now, lambda: now)  # a stop does not wait for the next sample
+        self._starting = request.data
+        response.success = True
+        response.message = "enabled" if request.data else "disabled, rotors ramp to rest"
+        return response
+
+    def _change(self, settings: ControllerSettings) -> None:
+        self._settings = settings
+        self.controller.change(settings)
+        self._reports.change(settings)
+
+    def _time_jumped(self, jump: TimeJump) -> None:
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        self._faults.report("clock jumped", "poses and plans are forgotten, the goal stays")
+        self.controller.forget()
+        self._grid.reset()
+        self._answered = None
+        self._starting = True
+
+
+_ABOUT = f"""{__doc__}
+Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
+msg_docs/parameters.md lists them.
+"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
+    return run(ControllerNode, args, _ABOUT)

@@ -1,0 +1,72 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostics in the layout of diagnostic_updater, which the wheels of ROS do not have."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+
+from sphere_nmpc.ros.conversions import stamp_to_ros
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+)
+HARDWARE_ID = "sphere"
+
+
+def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+    """Return a status; numbers among the values are written with six digits."""
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=message,
+        hardware_id=HARDWARE_ID,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+class Diagnostics:
+    """Publish what a node's tasks report once a second of wall time on ``/diagnostics``.
+
+    Parameters
+    ----------
+    node : Node
+        The node that reports.
+    now : callable
+        Stamp [ns] of the message.
+    tasks : dict of str to callable
+        Each returns level, message and values.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        now: Callable[[], int],
+        tasks: dict[str, Callable[[], tuple[bytes, str, Mapping[str, Any]]]],
+    ) -> None:
+        self._name = node.get_name()
+        self._now = now
+        self._tasks = tasks
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Wall time: a simulated clock that stands still is itself worth reporting.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0, self.publish, clock=wall)
+
+    def publish(self) -> None:
+        """Publish the reports of all tasks."""
+        message = DiagnosticArray()
+        message.header.stamp = stamp_to_ros(self._now())
+        message.status = [
+            status(f"{self._name}: {task}", *report()) for task, report in self._tasks.items()
+        ]
+        self._publisher.publish(message)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

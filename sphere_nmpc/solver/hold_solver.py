@@ -1,0 +1,188 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The solver as the rest of the package calls it: compiled where possible, readable otherwise."""
+
+import threading
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.batch import (
+    BatchSolution,
+    solve_batch_compiled,
+    solve_batch_in_python,
+)
+from sphere_nmpc.solver.compiled import TIME_BUDGET, Slot, library
+from sphere_nmpc.solver.levenberg_marquardt import solve_in_python
+from sphere_nmpc.solver.native import CompilerError
+from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
+from sphere_nmpc.solver.shooting import roll_out
+
+BACKENDS = ("auto", "compiled", "vm")
+
+
+class HoldSolver:
+    """Solves `HoldProblem` after `HoldProblem`; safe to share between threads.
+
+    Parameters
+    ----------
+    settings : SolverSettings, optional
+        When to stop.
+    backend : str, optional
+        "compiled": C, built at the first use on this machine. "vm": CasADi's own machine, no
+        compiler needed, the same steps some hundred times slower. "auto": the first if possible,
+        else the second with a warning.
+
+    Raises
+    ------
+    CompilerError
+        If "compiled" is demanded and cannot be had.
+    """
+
+    def __init__(self, settings: SolverSettings | None = None, backend: str = "auto") -> None:
+        if backend not in BACKENDS:
+            raise InvalidParameterError("backend", backend, "one of " + ", ".join(BACKENDS))
+        self.settings = SolverSettings() if settings is None else settings
+        self.backend = _resolve(backend)
+        self._slots = threading.local()
+
+    def solve(
+        self, problem: HoldProblem, start: Vector, time_budget: float | None = None
+    ) -> HoldSolution:
+        """Solve a problem from a start.
+
+        Parameters
+        ----------
+        problem : HoldProblem
+            What to solve.
+        start : ndarray, shape (N, 2)
+            First guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
+        time_budget : float, optional
+            Wall time of this solve [s], instead of the one in the settings.
+
+        Returns
+        -------
+        HoldSolution
+        """
+        settings = self.settings
+        budget = settings.time_budget if time_budget is None else time_budget
+        if self.backend == "vm":
+            return solve_in_python(problem, start, replace(settings, time_budget=budget))
+        slot = self._slot(problem.durations.size)
+        slot.write(problem)
+        slot.head[TIME_BUDGET] = budget
+        slot.start[:] = start
+        library().hold_solve(slot.address)
+        return slot.read()
+
+    def roll_out(self, problem: HoldProblem, inputs: Vector) -> Vector:
+        """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, (N + 1, 2)."""
+        if self.backend == "vm":
+            return roll_out(problem, inputs)
+        slot = self._slot(problem.durations.size)
+        slot.write(problem)
+        slot.inputs[:] = inputs
+        library().hold_roll_out(slot.address)
+        return slot.states.copy()
+
+    def solve_batch(
+        self,
+        problems: HoldProblem | Sequence[HoldProblem],
+        starts: Sequence[Vector] | Vector,
+        *,
+        threads: int = 1,
+        stop_at_first: bool = False,
+        time_budget: float = float("inf"),
+    ) -> BatchSolution:
+        """Solve a problem from many starts, or many problems from a start each.
+
+        Parameters
+        ----------
+        problems : HoldProblem or sequence of HoldProblem
+            One for all starts, or one a start; their horizons may differ.
+        starts : sequence of ndarray, shape (N, 2) each
+            First guesses [rad/s].
+        threads : int, optional
+            How many threads share the work; the answers do not depend on it.
+        stop_at_first : bool, optional
+            Abandon what comes after the lowest index that reaches `SolverSettings.target_cost`;
+            what comes before it is always finished, so the winner does not depend on the threads.
+        time_budget : float, optional
+            Wall time for the whole batch [s]; what is not begun by then is abandoned.
+
+        Returns
+        -------
+        BatchSolution
+        """
+        guesses = list(starts)
+        count = len(guesses)
+        many = [problems] * count if isinstance(problems, HoldProblem) else list(problems)
+        if len(many) != count:
+            raise InvalidInputError(
+                f"batch: given {len(many)} problems and {count} starts, expected as many"
+            )
+        if self.backend == "vm":
+            return solve_batch_in_python(many, guesses, self.settings, stop_at_first, time_budget)
+        return solve_batch_compiled(
+            many, guesses, self.settings, threads, stop_at_first, time_budget
+        )
+
+    def _slot(self, intervals: int) -> Slot:
+        slots: dict[Any, Any] = self._slots.__dict__
+        slot: Slot | None = slots.get(intervals)
+        if slot is None:
+            slot = Slot(intervals).own_workspace()
+            slot.write_settings(self.settings)
+            slots[intervals] = slot
+        return slot
+
+
+def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | float]:
+    """Return what the compiled iteration sees at `start` [rad/s], for comparison.
+
+    Returns
+    -------
+    dict
+        ``cost``; ``gradient`` (2 N,) and ``hessian`` (2 N, 2 N) by scaled inputs; ``states``
+        (N + 1, 6); ``sensitivities`` (N + 1, 6, 2 N) per rad/s.
+    """
+    n = problem.intervals
+    slot = Slot(n).own_workspace()
+    slot.write_settings(SolverSettings())
+    slot.write(problem)
+    slot.start[:] = start
+    gradient, hessian = np.zeros(2 * n), np.zeros((2 * n, 2 * n))
+    sensitivities = np.zeros((n + 1, 6, 2 * n))
+    outputs = (array.ctypes.data for array in (gradient, hessian, sensitivities))
+    library().hold_expand(slot.address, *outputs)
+    found = slot.read()
+    return {
+        "cost": found.cost,
+        "gradient": gradient,
+        "hessian": hessian,
+        "states": found.states,
+        "sensitivities": sensitivities / problem.input_scale,
+    }
+
+
+def _resolve(backend: str) -> str:
+    if backend == "vm":
+        return backend
+    try:
+        library()
+    except CompilerError as problem:
+        if backend == "compiled":
+            raise
+        warnings.warn(
+            f"{problem}; the solver runs on CasADi's virtual machine instead: same results, some "
+            "hundred times slower. A C compiler (cc, gcc or clang) cures this.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return "vm"
+    return "compiled"

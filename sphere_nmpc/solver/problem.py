@@ -1,0 +1,144 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is solved at every sample, as data: OCP_N of the paper (Eqs. 24 and 25) and its kin."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
+from sphere_nmpc.model.state import Vector
+
+
+@dataclass(frozen=True, eq=False)
+class HoldProblem:
+    """Find the knots u_1 ... u_N of a first-order hold that starts at the input in force u_0.
+
+    Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction),
+
+        w_T |x_N - x_d|^2 + w_x sum_{m=1}^{N-1} |x_m - x_d|^2 + w_u sum_{m=1}^{N} |u_m / U|^2
+            + w_s sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
+
+    subject to lower <= u_m <= upper. U = `input_scale`; a = `max_acceleration`; h_m the interval
+    lengths, which need not be equal: a short first one lets the problem be solved again between
+    the knots. The paper's weights divided by beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
+
+    Attributes
+    ----------
+    state : ndarray, shape (6,)
+        x_0, the state at the start.
+    goal : ndarray, shape (6,)
+        x_d with the quaternion sign that is aimed at.
+    input_in_force : ndarray, shape (2,)
+        u_0 [rad/s].
+    durations : ndarray, shape (N,)
+        Interval lengths h_1 ... h_N [s].
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    lower, upper : ndarray, shape (N, 2)
+        Bounds of the knots [rad/s]; equal ones fix a knot.
+    input_scale : float
+        U [rad/s].
+    terminal_weight, stage_weight, input_weight, slew_weight : float
+        w_T, w_x, w_u, w_s.
+    max_acceleration : float
+        a [rad/s^2]; only of effect where `slew_weight` is positive.
+    max_step : float
+        Longest integration step [s].
+    """
+
+    state: Vector
+    goal: Vector
+    input_in_force: Vector
+    durations: Vector
+    constants: Vector
+    lower: Vector
+    upper: Vector
+    input_scale: float
+    terminal_weight: float = 1.0
+    stage_weight: float = 0.0
+    input_weight: float = 0.0
+    slew_weight: float = 0.0
+    max_acceleration: float = np.inf
+    max_step: float = DEFAULT_MAX_STEP
+
+    @property
+    def intervals(self) -> int:
+        """N, the number of intervals and of free knots."""
+        return int(self.durations.size)
+
+
+class SolveStatus(Enum):
+    """How a solve ended."""
+
+    CONVERGED = "converged"
+    CAPPED = "iteration cap"
+    BUDGET = "time budget"
+    NOT_FINITE = "not finite"
+    ABANDONED = "abandoned"
+    """Never begun or given up in a batch, as another start had succeeded or time was out."""
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """When the iteration stops.
+
+    Attributes
+    ----------
+    max_iterations : int
+        Cap on trial steps: the same work on every machine.
+    gradient_tolerance : float
+        Converged when the KKT residual is below this [cost per scaled input].
+    decrease_tolerance : float
+        Converged when a step lowers the cost by less than this share of it.
+    decrease_floor : float
+        Converged when a step lowers the cost by less than this [cost].
+    initial_damping : float
+        Levenberg-Marquardt damping of the first step [cost per squared scaled input]. Directions
+        in which the cost bends less than this are at first left as the start has them.
+    time_budget : float
+        Wall time after which the best point so far is returned [s]; infinite by default, as a
+        budget makes results depend on the machine.
+    target_cost : float
+        Stop, converged, as soon as the cost is below this; for feasibility searches.
+    """
+
+    max_iterations: int = 100
+    gradient_tolerance: float = 1e-8
+    decrease_tolerance: float = 1e-9
+    decrease_floor: float = 0.0
+    initial_damping: float = 1e-4
+    time_budget: float = np.inf
+    target_cost: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class HoldSolution:
+    """Answer to a `HoldProblem`; the bounds hold exactly whatever the status.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (N + 1, 2)
+        u_0 (in force) to u_N [rad/s].
+    states : ndarray, shape (N + 1, 6)
+        x_0 to x_N.
+    cost : float
+        Value of the objective of `HoldProblem`.
+    status : SolveStatus
+        How the solve ended.
+    iterations : int
+        Trial steps taken.
+    kkt_residual : float
+        Largest component of the projected gradient, P(v - g) - v with v = u / U.
+    solve_time : float
+        Wall time of the solve [s], steady clock.
+    """
+
+    inputs: Vector
+    states: Vector
+    cost: float
+    status: SolveStatus
+    iterations: int
+    kkt_residual: float
+    solve_time: float

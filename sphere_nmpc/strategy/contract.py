@@ -1,0 +1,56 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What every strategy offers to the control loop."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.strategy.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """All that a strategy may look at when it plans.
+
+    Attributes
+    ----------
+    time : float
+        The sample instant, control time [s].
+    state : ndarray, shape (6,)
+        State at that instant, predicted from the newest measurement.
+    goal : ndarray, shape (6,)
+        Goal state.
+    input_in_force : ndarray, shape (2,)
+        Rotor speeds at that instant [rad/s].
+    constants : LumpedConstants
+        What is believed about the plant at that instant.
+    noise : float
+        What is believed about disturbances: standard deviation of each state a sample [m, -].
+    uncertainty : float
+        How far the true state may be from `state`: standard deviation of the error in R^6.
+    time_budget : float
+        Wall time the answer may take [s]; a strategy returns the best it has by then.
+    """
+
+    time: float
+    state: Vector
+    goal: Vector
+    input_in_force: Vector
+    constants: LumpedConstants
+    noise: float = 0.0
+    uncertainty: float = 0.0
+    time_budget: float = float("inf")
+
+
+class Strategy(Protocol):
+    """Plans rotor speeds at sample instants and may remember its last plan as a warm start."""
+
+    def plan(self, situation: Situation) -> Plan:
+        """Return the plan from `situation.time` on; where it raises the loop falls back."""
+        ...
+
+    def reset(self) -> None:
+        """Forget warm starts and plans, as after a new goal or a jump of the state."""
+        ...

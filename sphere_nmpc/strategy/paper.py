@@ -1,0 +1,115 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithm 1 of the paper, to the letter: a short horizon with nearly all weight at its end.
+
+Stage cost ||x - x_d||^2 + alpha ||u||^2, terminal cost beta ||x - x_d||^2 (Eq. 34) on the raw
+difference of quaternions, warm start shifted by one knot with a zero behind (step 6).
+
+Between two knots the same problem is solved with its first interval shortened, so that a faster
+control rate answers a disturbance at once; at the paper's rate nothing of this shows.
+"""
+
+import numpy as np
+
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+
+_SHORTEST_INTERVAL = 1e-6
+"""A knot nearer than this [s] counts as reached."""
+
+
+class PaperStrategy:
+    """See `sphere_nmpc.strategy.contract.Strategy`.
+
+    Parameters
+    ----------
+    settings : ControllerSettings
+        Horizon N, sample period T, weights alpha and beta.
+    robot : RobotParameters
+        Limits of the drives.
+    """
+
+    def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
+        self._settings = settings
+        self._robot = robot
+        self._solver = HoldSolver(SolverSettings(max_iterations=settings.max_iterations))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the warm start and the grid of knots."""
+        self._last: FirstOrderHold | None = None
+        self._origin: float | None = None
+
+    def plan(self, situation: Situation) -> Plan:
+        """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
+        times = self._knot_times(situation.time)
+        problem = self._problem(situation, times)
+        solution = self._solver.solve(
+            problem, self._warm_start(times[1:]), situation.time_budget
+        )
+        if solution.status is SolveStatus.NOT_FINITE:
+            raise ArithmeticError("the optimal control problem has no finite cost")
+        self._last = FirstOrderHold(times, solution.inputs)
+        capped = solution.status is not SolveStatus.CONVERGED
+        settings = self._settings
+        initial = float(np.sum((situation.state - situation.goal) ** 2))
+        return Plan(
+            PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
+            self._last,
+            solution.states,
+            # The solver's cost is over beta and leaves out the stage cost of the known state.
+            cost=settings.terminal_weight * solution.cost + initial,
+            iterations=solution.iterations,
+            kkt_residual=solution.kkt_residual,
+            solve_time=solution.solve_time,
+            message=solution.status.value,
+        )
+
+    def _knot_times(self, now: float) -> Vector:
+        period = self._settings.period
+        if self._origin is None:
+            self._origin = now
+        passed = np.floor((now - self._origin + _SHORTEST_INTERVAL) / period)
+        knots = self._origin + period * (passed + np.arange(1, self._settings.horizon + 1))
+        return np.concatenate(([now], knots))
+
+    def _warm_start(self, times: Vector) -> Vector:
+        """Return the last plan at the new knots, zero beyond its end (step 6), shape (N, 2)."""
+        last = self._last
+        if last is None:
+            return np.zeros((times.size, INPUT_SIZE))
+        known = times <= last.end + _SHORTEST_INTERVAL
+        return np.array(
+            [last.at(t) if k else np.zeros(INPUT_SIZE) for t, k in zip(times, known, strict=True)]
+        )
+
+    def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
+        settings, limit = self._settings, self._robot.max_rotor_speed
+        durations = np.diff(times)
+        upper = np.full((durations.size, INPUT_SIZE), limit)
+        # The first knot is the one that is sent: it keeps the limit of acceleration exactly.
+        reach = self._robot.max_rotor_acceleration * durations[0]
+        in_force = situation.input_in_force
+        lower = -upper
+        upper[0] = np.minimum(np.maximum(in_force + reach, -limit), limit)
+        lower[0] = np.minimum(np.maximum(in_force - reach, -limit), limit)
+        return HoldProblem(
+            state=situation.state,
+            goal=situation.goal,
+            input_in_force=in_force,
+            durations=durations,
+            constants=situation.constants.as_array(),
+            lower=lower,
+            upper=upper,
+            input_scale=limit,
+            terminal_weight=1.0,
+            stage_weight=1.0 / settings.terminal_weight,
+            input_weight=settings.input_weight * limit**2 / settings.terminal_weight,
+            max_step=settings.integration_step,
+        )

@@ -1,0 +1,29 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Who takes part, by the names under which they are reported."""
+
+from sphere_sim.benchmark.contender import Maker
+from sphere_sim.benchmark.do_mpc_peer import DoMpc
+from sphere_sim.benchmark.nlp_peers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
+from sphere_sim.benchmark.numpy_peer import NumpySlsqp
+from sphere_sim.benchmark.ours import AlgorithmOne, BothSigns
+from sphere_sim.benchmark.report import OURS
+
+IPOPT = "casadi ipopt"
+
+QUICK: dict[str, Maker] = {
+    OURS: BothSigns,
+    f"{OURS} (Algorithm 1)": AlgorithmOne,
+    "scipy slsqp (casadi cost)": lambda: Slsqp(exact_gradient=False),
+    IPOPT: ipopt,
+}
+"""Those that are set up at once."""
+
+ALL: dict[str, Maker] = {
+    **QUICK,
+    "scipy slsqp (numpy)": NumpySlsqp,
+    "scipy slsqp (casadi cost and gradient)": lambda: Slsqp(exact_gradient=True),
+    "casadi ipopt (compiled)": ipopt_compiled,
+    "casadi sqpmethod+qrqp (generated C)": GeneratedSqp,
+    "do-mpc": DoMpc,
+}

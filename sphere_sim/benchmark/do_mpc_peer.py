@@ -1,0 +1,69 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""do-mpc as its users would write the problem: multiple shooting, its own warm start."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from sphere_nmpc.model.integrator import step_function, steps_for
+from sphere_nmpc.model.state import Vector
+from sphere_sim.benchmark.contender import (
+    CONSTANTS,
+    HORIZON,
+    INPUT_WEIGHT,
+    INTEGRATION_STEP,
+    LIMIT,
+    SAMPLE_PERIOD,
+    TERMINAL_WEIGHT,
+    Answer,
+)
+
+
+class DoMpc:
+    """The first-order hold makes the last input a part of the state."""
+
+    def __init__(self) -> None:
+        import do_mpc
+
+        self._do_mpc: Any = do_mpc
+
+    def start(self, goal: Vector) -> None:
+        """See `Contender`."""
+        model = self._do_mpc.model.Model("discrete", "SX")
+        state = model.set_variable("_x", "state", (6, 1))
+        last = model.set_variable("_x", "last", (2, 1))
+        v = model.set_variable("_u", "v", (2, 1))
+        x, there, steps = state, LIMIT * v, steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
+        for i in range(steps):
+            here_u = last + (there - last) * (i / steps)
+            there_u = last + (there - last) * ((i + 1) / steps)
+            x = step_function()(x, here_u, there_u, SAMPLE_PERIOD / steps, CONSTANTS)
+        model.set_rhs("state", x)
+        model.set_rhs("last", there)
+        model.setup()
+        controller = self._do_mpc.controller.MPC(model)
+        controller.settings.n_horizon = HORIZON
+        controller.settings.t_step = SAMPLE_PERIOD
+        controller.settings.n_robust = 0
+        controller.settings.store_full_solution = False
+        controller.settings.supress_ipopt_output()
+        miss = ca.sumsqr(model.x["state"] - goal)
+        effort = INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT * ca.sumsqr(model.u["v"])
+        controller.set_objective(mterm=miss, lterm=miss / TERMINAL_WEIGHT + effort)
+        controller.bounds["lower", "_u", "v"] = -1.0
+        controller.bounds["upper", "_u", "v"] = 1.0
+        controller.setup()
+        self._controller = controller
+        self._begun = False
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """See `Contender`."""
+        x = np.concatenate((state, input_in_force)).reshape(-1, 1)
+        if not self._begun:
+            self._controller.x0 = x
+            self._controller.set_initial_guess()
+            self._begun = True
+        v = np.asarray(self._controller.make_step(x)).ravel()
+        return Answer(LIMIT * v, bool(self._controller.solver_stats["success"]))

@@ -1,0 +1,189 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Solvers of general nonlinear programs on the same single-shooting problem, scaled alike."""
+
+import contextlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+
+from sphere_nmpc.model.integrator import step_function, steps_for
+from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+from sphere_sim.benchmark.contender import (
+    CONSTANTS,
+    HORIZON,
+    INPUT_WEIGHT,
+    INTEGRATION_STEP,
+    LIMIT,
+    SAMPLE_PERIOD,
+    TERMINAL_WEIGHT,
+    Answer,
+)
+
+SIZE = HORIZON * INPUT_SIZE
+_QUIET: dict[str, Any] = {"print_time": False}
+_IPOPT: dict[str, Any] = {"ipopt.print_level": 0, "ipopt.sb": "yes"}
+_SQP: dict[str, Any] = {
+    "qpsol": "qrqp",
+    "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
+    "hessian_approximation": "limited-memory",
+    "max_iter": 100,
+    "print_header": False,
+    "print_iteration": False,
+    "print_status": False,
+}
+
+
+@cache
+def nonlinear_program() -> dict[str, Any]:
+    """Return the problem in CasADi's form: x = scaled knots, p = [state, goal, input in force]."""
+    v, p = ca.MX.sym("v", SIZE), ca.MX.sym("p", 2 * STATE_SIZE + INPUT_SIZE)
+    x, goal, u = p[0:6], p[6:12], p[12:14]
+    steps = steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
+    step = step_function()
+    cost = INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT * ca.sumsqr(v)
+    for m in range(HORIZON):
+        there = LIMIT * v[2 * m : 2 * m + 2]
+        for i in range(steps):
+            here_u = u + (there - u) * (i / steps)
+            there_u = u + (there - u) * ((i + 1) / steps)
+            x = step(x, here_u, there_u, SAMPLE_PERIOD / steps, CONSTANTS)
+        u = there
+        cost += (1.0 if m == HORIZON - 1 else 1.0 / TERMINAL_WEIGHT) * ca.sumsqr(x - goal)
+    return {"x": v, "p": p, "f": cost}
+
+
+class WarmStarted:
+    """The part all of them share: parameters, warm start, scaling."""
+
+    def start(self, goal: Vector) -> None:
+        """See `Contender`."""
+        self._goal = goal
+        self._warm: Vector = np.zeros(SIZE)
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """See `Contender`."""
+        p = np.concatenate((state, self._goal, input_in_force))
+        v, solved = self.minimise(self._warm, p)
+        finite = bool(np.all(np.isfinite(v)))
+        v = np.clip(v, -1.0, 1.0) if finite else np.zeros(SIZE)
+        self._warm = np.concatenate((v[INPUT_SIZE:], np.zeros(INPUT_SIZE)))
+        return Answer(LIMIT * v[:INPUT_SIZE], solved and finite)
+
+    def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
+        """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
+        raise NotImplementedError
+
+
+class Slsqp(WarmStarted):
+    """scipy's SLSQP; the gradient by scipy's finite differences or exactly by CasADi."""
+
+    def __init__(self, exact_gradient: bool) -> None:
+        program = nonlinear_program()
+        v, p, f = program["x"], program["p"], program["f"]
+        outputs = [f, ca.gradient(f, v)] if exact_gradient else [f]
+        self._cost = ca.Function("cost", [v, p], outputs)
+        self._exact = exact_gradient
+
+    def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
+        """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
+
+        def evaluate(v: Vector) -> Any:
+            if self._exact:
+                value, gradient = self._cost(v, p)
+                return float(value), np.array(gradient).ravel()
+            return float(self._cost(v, p))
+
+        found = scipy.optimize.minimize(
+            evaluate,
+            start,
+            jac=True if self._exact else None,
+            method="SLSQP",
+            bounds=[(-1.0, 1.0)] * SIZE,
+            options={"ftol": 1e-10, "maxiter": 100},
+        )
+        return np.asarray(found.x), bool(found.success)
+
+
+class CasadiSolver(WarmStarted):
+    """A solver behind CasADi's `nlpsol`."""
+
+    def __init__(self, plugin: str, options: dict[str, Any]) -> None:
+        with _scratch_folder():
+            self._solver = ca.nlpsol("solver", plugin, nonlinear_program(), {**_QUIET, **options})
+
+    def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
+        """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
+        found = self._solver(x0=start, p=p, lbx=-1.0, ubx=1.0)
+        return np.array(found["x"]).ravel(), bool(self._solver.stats()["success"])
+
+
+class GeneratedSqp(WarmStarted):
+    """CasADi's sqpmethod with qrqp and BFGS, the whole of it generated to C and compiled."""
+
+    def __init__(self) -> None:
+        solver = ca.nlpsol("solver", "sqpmethod", nonlinear_program(), {**_QUIET, **_SQP})
+        with _scratch_folder() as folder:
+            solver.generate("solver.c")
+            library = folder / "solver.so"
+            command = [c_compiler(), "-O2", "-march=native", "-shared", "-fPIC", "solver.c"]
+            subprocess.run([*command, "-o", str(library), "-lm"], check=True, capture_output=True)
+            self._solver = ca.external("solver", str(library))
+
+    def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
+        """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
+        found = self._solver(x0=start, p=p, lbx=-1.0, ubx=1.0)
+        # Generated code does not tell; a cost that is a number has to do.
+        return np.array(found["x"]).ravel(), bool(np.isfinite(float(found["f"])))
+
+
+def ipopt() -> CasadiSolver:
+    """Return IPOPT on CasADi's virtual machine."""
+    return CasadiSolver("ipopt", _IPOPT)
+
+
+def ipopt_compiled() -> CasadiSolver:
+    """Return IPOPT with its functions compiled."""
+    # The files are left to the scratch folder, which is gone when CasADi would remove them.
+    options: dict[str, Any] = {
+        "flags": ["-O2"],
+        "verbose": False,
+        "compiler": c_compiler(),
+        "cleanup": False,
+    }
+    jit: dict[str, Any] = {
+        "jit": True,
+        "compiler": "shell",
+        "jit_options": options,
+        "jit_cleanup": False,
+    }
+    return CasadiSolver("ipopt", {**_IPOPT, **jit})
+
+
+def c_compiler() -> str:
+    """Return the C compiler's path."""
+    found = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if found is None:
+        raise ModuleNotFoundError("needs a C compiler")
+    return found
+
+
+@contextlib.contextmanager
+def _scratch_folder() -> Iterator[Path]:
+    """Work in a folder that goes away: CasADi writes what it compiles into the current one."""
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as name:
+        os.chdir(name)
+        try:
+            yield Path(name)
+        finally:
+            os.chdir(before)

@@ -1,0 +1,53 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The solver of `sphere_nmpc` in the two ways it is used."""
+
+import numpy as np
+
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.solver.both_signs import plan_keeping_solvers, solve_both_signs
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
+from sphere_sim.benchmark.contender import HORIZON, Answer, paper_problem, shifted
+
+
+class BothSigns:
+    """The recommended way: plan-keeping settings, a warm start for each sign of the goal."""
+
+    def __init__(self) -> None:
+        self._solvers = plan_keeping_solvers()
+
+    def start(self, goal: Vector) -> None:
+        """See `Contender`."""
+        self._goal = goal
+        rest: Vector = np.zeros((HORIZON, INPUT_SIZE))
+        self._starts = (rest, rest)
+        self._followed = 0
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """See `Contender`."""
+        problem = paper_problem(state, self._goal, input_in_force)
+        answer = solve_both_signs(self._solvers, problem, self._starts, self._followed)
+        self._starts = (shifted(answer.inputs_for(0)), shifted(answer.inputs_for(1)))
+        self._followed = answer.followed
+        solution = answer.solution
+        return Answer(solution.inputs[1], solution.status is not SolveStatus.NOT_FINITE)
+
+
+class AlgorithmOne:
+    """Algorithm 1 of the paper to the letter: one sign, solved to convergence."""
+
+    def __init__(self) -> None:
+        self._solver = HoldSolver(SolverSettings(max_iterations=100))
+
+    def start(self, goal: Vector) -> None:
+        """See `Contender`."""
+        self._goal = goal
+        self._start: Vector = np.zeros((HORIZON, INPUT_SIZE))
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """See `Contender`."""
+        problem = paper_problem(state, self._goal, input_in_force)
+        solution = self._solver.solve(problem, self._start)
+        self._start = shifted(solution.inputs)
+        return Answer(solution.inputs[1], solution.status is not SolveStatus.NOT_FINITE)

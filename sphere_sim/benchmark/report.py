@@ -1,0 +1,135 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The outcome of the benchmark as numbers, as a table and as a picture."""
+
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sphere_sim.benchmark.race import Record
+
+OURS = "sphere_nmpc"
+_COMPARED = ("median", "p99", "cpu_median", "cpu_p99")
+_SHOWN_TIMES = ("median_ms", "p99_ms", "max_ms", "cpu_median_ms", "cpu_p99_ms")
+
+
+def as_numbers(records: dict[str, Record], missing: dict[str, str]) -> dict[str, Any]:
+    """Return what goes into the JSON file."""
+    solvers = {name: _solver_numbers(record) for name, record in records.items() if record.wall}
+    report: dict[str, Any] = {"solvers": solvers, "missing": missing, "machine": _machine()}
+    ours = solvers.get(OURS)
+    if ours:
+        report["times_faster"] = {
+            name: {key: theirs[f"{key}_ms"] / ours[f"{key}_ms"] for key in _COMPARED}
+            for name, theirs in solvers.items()
+            if name != OURS
+        }
+        report["control_rate_hz"] = {"p99": 1e3 / ours["p99_ms"], "max": 1e3 / ours["max_ms"]}
+    return report
+
+
+def _solver_numbers(record: Record) -> dict[str, Any]:
+    wall, cpu = 1e3 * np.array(record.wall), 1e3 * np.array(record.cpu)
+    return {
+        "median_ms": float(np.median(wall)),
+        "p99_ms": float(np.percentile(wall, 99.0)),
+        "max_ms": float(np.max(wall)),
+        "cpu_median_ms": float(np.median(cpu)),
+        "cpu_p99_ms": float(np.percentile(cpu, 99.0)),
+        "cpu_max_ms": float(np.max(cpu)),
+        "settle_s": record.settle,
+        "failures": record.failures,
+        "solves": len(record.wall),
+        "setup_s": record.setup_s,
+        "stopped": record.stopped,
+    }
+
+
+def _machine() -> dict[str, Any]:
+    model = platform.processor()
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None:
+    """Print the table and what follows from it."""
+    table = Table(title="Closed loops on the paper's problem, time of a solve [ms]")
+    table.add_column("solver")
+    for name in ("median", "p99", "max", "CPU median", "CPU p99", "failures", "solves"):
+        table.add_column(name, justify="right")
+    table.add_column("settles, case " + " / ".join(map(str, cases)) + " [s]", justify="right")
+    for name, row in report["solvers"].items():
+        settle = " / ".join("never" if t is None else f"{t:.1f}" for t in row["settle_s"])
+        table.add_row(
+            name,
+            *(f"{row[key]:.3f}" for key in _SHOWN_TIMES),
+            str(row["failures"]),
+            str(row["solves"]) + (" (stopped)" if row["stopped"] else ""),
+            settle,
+            style="bold" if name == OURS else "",
+        )
+    for name, reason in report["missing"].items():
+        table.add_row(name, *["-"] * 7, reason, style="dim")
+    console.print(table)
+    rate = report.get("control_rate_hz")
+    if rate:
+        console.print(
+            f"Control rate this machine can hold: {rate['p99']:.0f} Hz at the 99th percentile, "
+            f"{rate['max']:.0f} Hz at the slowest solve seen."
+        )
+    if "floor_us" in report:
+        parts = ", ".join(f"{k.replace('_', ' ')} {v:.1f}" for k, v in report["floor_us"].items())
+        console.print(f"The floor [us]: {parts}.")
+    if "first_use_s" in report:
+        console.print(
+            f"First use on a clean cache, first solve included: {report['first_use_s']:.1f} s."
+        )
+    if "random" in report:
+        _show_random(report["random"], console)
+
+
+def _show_random(summary: dict[str, float], console: Console) -> None:
+    kinds = sorted({key.partition("_not_worse")[0] for key in summary if "_not_worse" in key})
+    for kind in kinds:
+        console.print(
+            f"Random problems ({summary['problems']:.0f}), {kind.replace('_', ' ')}: not worse "
+            f"than IPOPT in {summary[f'{kind}_not_worse']:.1%}, better in "
+            f"{summary[f'{kind}_better']:.1%}; median {summary[f'{kind}_median_ms']:.3f} ms."
+        )
+
+
+def draw(records: dict[str, Record], path: Path) -> None:
+    """Draw the distribution of solve times as a PNG."""
+    from matplotlib.figure import Figure
+
+    shown = {name: record for name, record in records.items() if record.wall}
+    figure = Figure(figsize=(8.0, 0.55 * len(shown) + 1.6), layout="constrained")
+    axes = figure.add_subplot()
+    for row, (name, record) in enumerate(reversed(shown.items())):
+        times = 1e3 * np.sort(record.wall)
+        colour = "tab:orange" if name.startswith(OURS) else "tab:blue"
+        axes.plot(times, np.full(times.size, row), "|", color=colour, alpha=0.25, markersize=12)
+        axes.plot(np.median(times), row, "o", color=colour)
+        axes.plot(np.percentile(times, 99.0), row, ">", color=colour)
+    axes.set_yticks(range(len(shown)), list(reversed(shown)))
+    axes.set_xscale("log")
+    axes.set_xlabel("wall time of a solve [ms]; dot: median, triangle: 99th percentile")
+    axes.grid(axis="x", alpha=0.3)
+    figure.savefig(path, dpi=150)

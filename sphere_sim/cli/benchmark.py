@@ -1,0 +1,130 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc benchmark``: the solver beside its peers, on this machine."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_FIRST_SOLVE = (
+    "import numpy as np\n"
+    "from sphere_sim.benchmark.ours import BothSigns\n"
+    "from sphere_sim.scenarios import PAPER_CASES\n"
+    "ours = BothSigns()\n"
+    "ours.start(PAPER_CASES[1].goal)\n"
+    "ours.solve(PAPER_CASES[1].start, np.zeros(2))\n"
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; return the exit code."""
+    options = _parse(argv)
+    # Before numpy is loaded: its libraries read them once.
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    from rich.console import Console
+
+    from sphere_nmpc.solver.native import CACHE_VARIABLE
+    from sphere_sim.benchmark.report import OURS, as_numbers, draw, show
+
+    console = Console()
+    records, missing, extra = _run(options, console)
+    if not options.quick:
+        with tempfile.TemporaryDirectory() as empty:
+            began = time.perf_counter()
+            environment = {**os.environ, CACHE_VARIABLE: empty}
+            command = [sys.executable, "-c", _FIRST_SOLVE]
+            subprocess.run(command, check=True, env=environment, capture_output=True)
+            extra["first_use_s"] = time.perf_counter() - began
+    report = {**as_numbers(records, missing), **extra}
+    show(report, options.cases, console)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    picture = options.json.with_suffix(".png")
+    draw(records, picture)
+    console.print(f"Written: {options.json} and {picture}")
+    return 1 if OURS in missing else 0
+
+
+def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="sphere_nmpc benchmark", description=__doc__)
+    parser.add_argument("--json", type=Path, required=True, help="where the numbers go")
+    parser.add_argument("--quick", action="store_true", help="fewer peers, one round, no extras")
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="how often the cases are run (default: 3)"
+    )
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=60.0,
+        help="seconds a peer may spend in its solves before it is taken out (default: 60)",
+    )
+    parser.add_argument(
+        "--random",
+        type=int,
+        default=0,
+        metavar="N",
+        help="also compare the costs of N random problems with IPOPT's",
+    )
+    parser.add_argument(
+        "--cases",
+        type=int,
+        nargs="+",
+        default=[1, 2, 3, 4],
+        choices=[1, 2, 3, 4],
+        help="which of the paper's cases (default: all)",
+    )
+    parser.add_argument(
+        "--duration", type=float, default=30.0, help="simulated seconds (default: 30)"
+    )
+    options = parser.parse_args(argv)
+    if options.quick:
+        options.rounds, options.budget = 1, min(options.budget, 15.0)
+    if options.rounds < 1 or options.random < 0 or not options.duration >= 1.0:
+        parser.error("--rounds must be at least 1, --random 0, --duration 1")
+    return options
+
+
+def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str], dict[str, Any]]:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from sphere_sim.benchmark.contender import SAMPLE_PERIOD
+    from sphere_sim.benchmark.contenders import ALL, IPOPT, QUICK
+    from sphere_sim.benchmark.floor import measure_floor
+    from sphere_sim.benchmark.nlp_peers import ipopt
+    from sphere_sim.benchmark.race import race, set_up
+    from sphere_sim.benchmark.random_problems import Comparison, compare
+    from sphere_sim.scenarios import PAPER_CASES
+
+    extra: dict[str, Any] = {}
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        makers = QUICK if options.quick else ALL
+        task = progress.add_task("setting up", total=len(makers))
+
+        def told(name: str) -> None:
+            progress.update(task, description=f"setting up {name}", advance=1)
+
+        contenders, records, missing = set_up(makers, told)
+        samples = round(options.duration / SAMPLE_PERIOD)
+        total = options.rounds * len(options.cases) * samples * len(contenders)
+        task = progress.add_task("closed loops", total=total)
+        scenarios = [PAPER_CASES[case] for case in options.cases]
+        for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
+            progress.advance(task)
+        extra["floor_us"] = measure_floor()
+        if options.random:
+            comparison = Comparison()
+            task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
+            for _ in compare(ipopt(), options.random, 0, comparison):
+                progress.advance(task)
+            extra["random"] = comparison.summary()
+    return records, missing, extra

@@ -1,0 +1,170 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc demo``: a run from start to goal over ROS 2, recorded and drawn."""
+
+import json
+import re
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+from rich.console import Console
+from ruamel.yaml import YAML
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.cli.children import Children
+from sphere_sim.cli.demo_comparison import compute_other
+from sphere_sim.cli.demo_plan import DemoPlan, parse
+from sphere_sim.cli.demo_summary import summarise, table
+from sphere_sim.cli.domain import own_domain
+from sphere_sim.cli.progress_display import ProgressDisplay
+from sphere_sim.figures.paper_panels import paper_panels
+from sphere_sim.figures.side_by_side import side_by_side
+from sphere_sim.figures.style import save
+from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.errors import BagError
+from sphere_sim.ros.demo_director import DemoDirector, directing
+
+_READY_TIMEOUT = 45.0
+"""How long the nodes may take to come together [s]; a busy machine needs some ten."""
+_PAGE_TIMEOUT = 10.0
+"""How long the viewer may take to show a page before the run starts without it [s]."""
+_STALLED = 30.0
+"""Wall time without progress of simulated time after which the run is given up [s]."""
+
+
+class StalledError(SphereNmpcError):
+    """Simulated time stands still."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demo.
+
+    Returns
+    -------
+    int
+        0 when the sphere has arrived, 1 when it has not or something failed.
+    """
+    plan = parse(arguments)
+    console = Console()
+    previous = signal.signal(signal.SIGTERM, _as_interrupt)
+    try:
+        with own_domain() as domain:
+            return _demonstrate(plan, domain, console)
+    except (SphereNmpcError, OSError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("demo: interrupted; all nodes are stopped", file=sys.stderr)
+        return 1
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _as_interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _demonstrate(plan: DemoPlan, domain: int, console: Console) -> int:
+    if plan.bag.exists():
+        raise BagError(plan.bag, "exists already and is not overwritten; choose another --out")
+    plan.folder.mkdir(parents=True, exist_ok=True)
+    parameters = _write_parameters(plan)
+    console.print(f"[bold]{plan.title}[/bold] (ROS domain {domain})")
+    began = time.monotonic()
+    with Children(plan.folder) as children, Children(plan.folder) as onlookers:
+        for verb in ("controller", "simulator", "recorder"):
+            children.start(verb, ["--ros-args", "--params-file", str(parameters)])
+        if plan.viewer:
+            # Nobody checks on it: the run must not end because nothing can be shown.
+            onlookers.start("viewer", ["--ros-args", "-p", "use_sim_time:=true"])
+        radius = RobotParameters().shell_radius
+        with directing(plan.scenario.goal, radius, children.check) as director:
+            director.prepare(_READY_TIMEOUT)
+            console.print(f"nodes are up after {time.monotonic() - began:.1f} s")
+            _tell_page(plan, console)
+            director.start()
+            arrived = _watch(plan, director, console)
+            director.halt()
+            children.stop("recorder")
+            children.stop("controller", "simulator")
+    return _conclude(plan, arrived, console)
+
+
+def _tell_page(plan: DemoPlan, console: Console) -> None:
+    """Tell where the viewer shows the run, once it does."""
+    log, end = plan.folder / "viewer.log", time.monotonic() + _PAGE_TIMEOUT
+    while plan.viewer and time.monotonic() < end:
+        page = re.search(r"http://\S+", log.read_text(errors="replace"))
+        if page:
+            console.print(f"watch it at {page.group()}")
+            return
+        time.sleep(0.1)
+
+
+def _watch(plan: DemoPlan, director: DemoDirector, console: Console) -> bool:
+    """Show the run until it has arrived and stayed, or its time is up; tell which."""
+    inside_since: float | None = None
+    arrived_at: float | None = None
+    moved, last = time.monotonic(), -1.0
+    with ProgressDisplay(console, plan) as display:
+        while True:
+            director.spin()
+            progress = director.progress
+            if progress.time > last:
+                moved, last = time.monotonic(), progress.time
+            elif time.monotonic() > moved + _STALLED:
+                raise StalledError(f"simulated time stands still at {progress.time:.2f} s")
+            if not progress.error < plan.tolerance:
+                inside_since = None
+            elif inside_since is None:
+                inside_since = progress.time
+            display.show(progress)
+            stays = inside_since is not None and progress.time >= inside_since + plan.hold
+            if stays and arrived_at is None:
+                arrived_at = progress.time
+            if arrived_at is not None and progress.time >= arrived_at + plan.linger:
+                return True
+            if progress.time >= plan.duration:
+                return arrived_at is not None
+
+
+def _conclude(plan: DemoPlan, arrived: bool, console: Console) -> int:
+    """Measure the run from its bag, compare and draw it, and tell."""
+    run = read_run(plan.bag, name=f"{plan.strategy}, recorded over ROS")
+    metrics = run.metrics()
+    if metrics is None:
+        raise BagError(plan.bag, "holds no goal or no pose after it")
+    runs, left = {plan.strategy: run}, [save(paper_panels(run, plan.title), plan.folder, "panels")]
+    if plan.compare:
+        other = runs[plan.other_strategy] = compute_other(plan, run)
+        figure = side_by_side(run, other, plan.scenario_title)
+        left.append(save(figure, plan.folder, "comparison"))
+    summary = json.dumps(summarise(plan, arrived, runs), indent=2)
+    (plan.folder / "summary.json").write_text(summary + "\n")
+    console.print(table(plan, runs))
+    figures = ", ".join(files[0].name for files in left)
+    console.print(f"bag, {figures} and summary.json are in {plan.folder}", soft_wrap=True)
+    console.print(f"once more: sphere_nmpc viewer --replay {plan.bag}", soft_wrap=True)
+    if not arrived:
+        print(
+            f"demo: not at the goal after {run.times[-1]:.1f} s: error {metrics.final_error:.3g}, "
+            f"expected below {plan.tolerance:g}",
+            file=sys.stderr,
+        )
+    return 0 if arrived else 1
+
+
+def _write_parameters(plan: DemoPlan) -> Path:
+    """Write the parameters of the nodes to a file they, and anybody later, can be started with."""
+    path = plan.folder / "parameters.yaml"
+    nodes = {"simulator": plan.simulator, "controller": plan.controller, "recorder": plan.recorder}
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    with path.open("w") as stream:
+        yaml.dump({f"/**/{name}": {"ros__parameters": own} for name, own in nodes.items()}, stream)
+    return path

@@ -1,0 +1,181 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc faults``: what the running nodes survive, fault by fault and in pairs."""
+
+import argparse
+import contextlib
+import math
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.cli.domain import own_domain
+from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
+from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
+from sphere_sim.ros.fault_session import SessionSettings, joined
+from sphere_sim.ros.fault_trial import Trial
+
+_PAIRS = 12
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign.
+
+    Returns
+    -------
+    int
+        0 when every trial was survived, 1 when one was not or the campaign could not be run.
+    """
+    given = _parse(arguments)
+    console = Console()
+    previous = signal.signal(signal.SIGTERM, _as_interrupt)
+    try:
+        singles = chosen(given.fault, given.quick)
+        trials = singles * given.repeat
+        if given.pairs:
+            trials += pairs(singles, given.pairs, given.seed)
+        with _folder(given.out) as folder, own_domain():
+            table = rows(_tried(trials, _settings(given, folder), console))
+        write_json(given.json, table)
+    except (SphereNmpcError, OSError) as error:
+        print(f"faults: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("faults: interrupted; all nodes are stopped", file=sys.stderr)
+        return 1
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    _tell(table, console)
+    return 0 if all(row.survived == len(row.outcomes) for row in table) else 1
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="sphere_nmpc faults",
+        description="Let simulator, controller and recorder run as separate ROS 2 nodes, let "
+        "something go wrong on the way to a goal, and judge what they make of it. Exits 0 when "
+        "all was survived.",
+        epilog="faults: " + ", ".join(FAULTS),
+    )
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE",
+                        help="write the table to this file")
+    parser.add_argument("--quick", action="store_true", help="one fault of each group")
+    parser.add_argument("--fault", nargs="+", action="extend", default=[], metavar="NAME",
+                        help="only these faults")
+    parser.add_argument("--pairs", nargs="?", type=_count, const=_PAIRS, default=0, metavar="N",
+                        help=f"then N pairs at once, drawn by the seed (default: {_PAIRS})")
+    parser.add_argument("--repeat", type=_count, default=1, metavar="N",
+                        help="try each fault N times, on the way to other goals")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: 0)")
+    parser.add_argument("--rtf", type=float, default=2.0, metavar="F",
+                        help="simulated over wall time (default: 2)")
+    parser.add_argument("--strategy", choices=sorted(SAMPLE_PERIODS),
+                        default=ControllerSettings().strategy, help="what the controller solves")
+    parser.add_argument("--out", type=Path, metavar="DIR",
+                        help="keep logs and bags in this folder")
+    given = parser.parse_args(arguments)
+    if not 0.5 <= given.rtf <= 5.0:
+        parser.error(f"--rtf: given {given.rtf:g}, expected 0.5 to 5")
+    if given.seed < 0:
+        parser.error(f"--seed: given {given.seed}, expected 0 or more")
+    return given
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"given {text}, expected 1 or more")
+    return number
+
+
+def _as_interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _folder(given: Path | None) -> Iterator[Path]:
+    """Yield the folder for logs and bags; one that nobody asked for is gone afterwards."""
+    if given is not None:
+        folder = given.expanduser().absolute()
+        if folder.exists() and any(folder.iterdir()):
+            raise SphereNmpcError(f"{folder}: is not empty; choose another --out")
+        yield folder
+        return
+    folder = Path(tempfile.mkdtemp(prefix="sphere_nmpc_faults_"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _settings(given: argparse.Namespace, folder: Path) -> SessionSettings:
+    return SessionSettings(folder, given.rtf, given.seed, given.strategy)
+
+
+def _tried(
+    trials: list[tuple[Fault, ...]], settings: SessionSettings, console: Console
+) -> Iterator[Outcome]:
+    """Run the trials, all in one life of the nodes as long as they survive."""
+    columns = (TextColumn("{task.description:<36}"), BarColumn(), MofNCompleteColumn(),
+               TimeElapsedColumn())
+    left = list(trials)
+    lives = 0
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("nodes come up", total=len(trials))
+        while left:
+            lives += 1
+            life = replace(
+                settings, folder=settings.folder / f"life_{lives}", seed=settings.seed + lives - 1
+            )
+            with joined(life) as session:
+                while left:
+                    faults = left.pop(0)
+                    progress.update(task, description=name_of(faults))
+                    outcome = Trial(session, faults).run()
+                    progress.advance(task)
+                    progress.console.print(_line(outcome), highlight=False, soft_wrap=True)
+                    yield outcome
+                    if not outcome.survived:
+                        break
+
+
+def _line(outcome: Outcome) -> str:
+    if outcome.survived:
+        return f"{outcome.fault}: survived, at the goal {outcome.recovery:.2f} s after it"
+    return f"[red]{outcome.fault}: {'; '.join(outcome.complaints)}[/red]"
+
+
+def _tell(table: list[FaultRow], console: Console) -> None:
+    robot = RobotParameters()
+    shown = Table(
+        "fault", "tried", "survived", "recovery [s]", "speed [rad/s]", "slew [rad/s^2]",
+        title=f"limits: {robot.max_rotor_speed:g} rad/s, {robot.max_rotor_acceleration:g} rad/s^2",
+        title_justify="left",
+    )
+    for row in table:
+        style = "" if row.survived == len(row.outcomes) else "red"
+        recovery = "-" if math.isnan(row.recovery) else f"{row.recovery:.2f}"
+        worst = (max(o.worst_speed for o in row.outcomes), max(o.worst_slew for o in row.outcomes))
+        shown.add_row(
+            row.fault, str(len(row.outcomes)), str(row.survived), recovery,
+            f"{worst[0]:.2f}", f"{worst[1]:.2f}", style=style,
+        )
+    console.print(shown)
+    for row in table:
+        for complaint in row.complaints:
+            console.print(f"{row.fault}: {complaint}", highlight=False, soft_wrap=True)
+    survived, tried = (sum(n) for n in zip(*((r.survived, len(r.outcomes)) for r in table),
+                                           strict=True))
+    console.print(f"{survived} of {tried} trials survived")

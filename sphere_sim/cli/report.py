@@ -1,0 +1,132 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc report``: figures, a page and tables from recorded runs."""
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.figures import analysis
+from sphere_sim.figures.animation import write_animation
+from sphere_sim.figures.comparison import comparison
+from sphere_sim.figures.contact_locus import contact_locus
+from sphere_sim.figures.paper_panels import paper_panels
+from sphere_sim.figures.style import save
+from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run import Run
+from sphere_sim.report.page import describe, write_page
+from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
+
+FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
+    "panels": (
+        paper_panels,
+        "Position, Euler parameters, path and rotor speeds; dotted: the goal and the limits.",
+    ),
+    "error": (analysis.error_over_time, "Error in the norm of the state, distance and angle."),
+    "contact": (
+        contact_locus,
+        "Where the shell touched the ground; the locus crosses circle Γ at a right angle.",
+    ),
+    "torque": (analysis.rotor_torques, "Torques of the rotors' motors."),
+    "solve_time": (analysis.solve_times, "What the solves took, over time and as a histogram."),
+    "value": (analysis.value_function, "Value of the optimal control problem at each sample."),
+}
+"""What is drawn of each run: file name, how, and the words below."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the report.
+
+    Returns
+    -------
+    int
+        0 when it is written, 1 when a bag cannot be read.
+    """
+    given = _parse(arguments)
+    try:
+        runs = [
+            read_run(path, given.namespace, name)
+            for path, name in zip(given.bags, _names(given.bags), strict=True)
+        ]
+        given.out.mkdir(parents=True, exist_ok=True)
+        page = _write(runs, given)
+    except (SphereNmpcError, OSError) as error:
+        print(f"report: {error}", file=sys.stderr)
+        return 1
+    for run in runs:
+        for note in run.notes:
+            print(f"report: {run.name}: {note}", file=sys.stderr)
+        for name, value in describe(run.metrics()):
+            print(f"{run.name}: {name} {value}")
+    print(f"report in {page}")
+    return 0
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="sphere_nmpc report",
+        description="Turn bags, of the recorder or of 'ros2 bag record', into figures (PNG and "
+        "SVG), a self-contained HTML page and, if asked for, tables.",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG",
+                        help="folder of a bag, or a .mcap or .db3 file")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where to write")
+    parser.add_argument("--namespace", metavar="NS", help="which robot, if a bag has several")
+    parser.add_argument("--animation", action="store_true",
+                        help="write an animated picture (GIF) of each run too")
+    parser.add_argument("--csv", action="store_true", help="write the series as CSV too")
+    parser.add_argument("--parquet", action="store_true", help="write the series as Parquet too")
+    return parser.parse_args(arguments)
+
+
+def _names(bags: Sequence[Path]) -> list[str]:
+    """Return a short name for each bag, all different; the demo calls every bag 'bag'."""
+    resolved = [bag.resolve() for bag in bags]
+    names = [bag.parent.name if bag.name == "bag" else bag.stem for bag in resolved]
+    return [
+        name if names.count(name) == 1 else f"{name}_{names[: i + 1].count(name)}"
+        for i, name in enumerate(names)
+    ]
+
+
+def _write(runs: Sequence[Run], given: argparse.Namespace) -> Path:
+    figures: list[tuple[str, str, Path]] = []
+    if len(runs) > 1:
+        words = "Errors, paths, rotor speeds and solve times of all runs."
+        figures.append(("Comparison", words, save(comparison(runs), given.out, "comparison")[1]))
+    for run in runs:
+        # With one run the files have the plain names that scripts and documents rely on.
+        prefix = f"{run.name}_" if len(runs) > 1 else ""
+        for name, (draw, words) in FIGURES.items():
+            files = save(draw(run), given.out, f"{prefix}{name}")
+            figures.append((run.name, words, files[1]))
+        if given.animation:
+            write_animation(run, given.out / f"{prefix}animation.gif")
+        _write_tables(run, given, prefix)
+    page: Path = given.out / "report.html"
+    write_page(page, runs, figures)
+    summary = {run.name: _summary(run) for run in runs}
+    (given.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    return page
+
+
+def _write_tables(run: Run, given: argparse.Namespace, prefix: str) -> None:
+    for name, table in (("motion", motion_table(run)), ("solves", solve_table(run))):
+        if given.csv:
+            write_csv(table, given.out / f"{prefix}{name}.csv")
+        if given.parquet:
+            write_parquet(table, given.out / f"{prefix}{name}.parquet")
+
+
+def _summary(run: Run) -> dict[str, object]:
+    metrics = run.metrics()
+    values = {} if metrics is None else dataclasses.asdict(metrics)
+    # JSON has no nan, the one number that differs from itself.
+    finite = {key: value if value == value else None for key, value in values.items()}
+    return {"bag": str(run.path), "metrics": finite, "notes": list(run.notes)}

@@ -1,0 +1,204 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc study``: run many scenarios and write tables of the outcome."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.simulator_settings import PLANTS
+
+if TYPE_CHECKING:
+    from sphere_sim.scenarios import Scenario
+    from sphere_sim.study.conditions import StudyConditions
+    from sphere_sim.study.study import Bounds
+
+_BOUND = "sphere_sim.study.bound"
+_INTERRUPTED = 130
+"""What a shell reports of a program that Ctrl-C ended."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Arguments after the verb.
+
+    Returns
+    -------
+    int
+        0 when all runs were made, 2 when the arguments are wrong, 1 when something else is, 130
+        after Ctrl-C.
+    """
+    arguments = _parser().parse_args(argv)
+    # A library that starts a thread a core slows down small problems and other processes; read
+    # by numpy when it is imported, hence the imports below.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    from sphere_sim.study.errors import WorkersError
+
+    try:
+        return _run(arguments)
+    except WorkersError as error:
+        print(f"sphere_nmpc study: {error}", file=sys.stderr)
+        return 1
+    except SphereNmpcError as error:
+        print(f"sphere_nmpc study: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(
+            f"\nsphere_nmpc study: interrupted; {arguments.out} keeps the runs made so far and "
+            "the same command goes on from them",
+            file=sys.stderr,
+        )
+        return _INTERRUPTED
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sphere_sim.scenarios import draw_scenarios, read_scenarios
+    from sphere_sim.study.progress import StudyProgress
+    from sphere_sim.study.study import Study
+    from sphere_sim.study.summary import headline
+    from sphere_sim.study.workers import Workers, cores
+
+    if arguments.scenarios is not None:
+        scenarios = read_scenarios(arguments.scenarios)
+    else:
+        scenarios = draw_scenarios(arguments.draw, arguments.seed)
+    strategies = tuple(dict.fromkeys(arguments.strategy or [ControllerSettings().strategy]))
+    study = Study(scenarios, _conditions(arguments, strategies[0]), arguments.out, strategies)
+    runs = len(scenarios) * len(strategies)
+    where = Workers(arguments.jobs or cores(), arguments.scheduler)
+    with where as workers, StudyProgress(runs) as progress:
+        summaries = study.run(workers, _bounds(arguments), progress.saw)
+    for summary in summaries.values():
+        print(f"{headline(summary)} -> {arguments.out}")
+    return 1 if any(summary["crashed"] for summary in summaries.values()) else 0
+
+
+def _conditions(arguments: argparse.Namespace, strategy: str) -> "StudyConditions":
+    from sphere_sim.study.conditions import StudyConditions
+
+    position_noise, orientation_noise = arguments.pose_noise
+    named = {
+        "controller.strategy": strategy,
+        "simulator.plant": arguments.plant,
+        "simulator.process_noise": arguments.process_noise,
+        "simulator.position_noise": position_noise,
+        "simulator.orientation_noise": orientation_noise,
+    }
+    if arguments.no_learning:
+        named["controller.learning"] = "false"
+    conditions = StudyConditions(
+        duration=arguments.duration,
+        perturbation=arguments.perturb,
+        latency=arguments.latency,
+    )
+    return conditions.with_settings([*((k, str(v)) for k, v in named.items()), *arguments.set])
+
+
+def _bounds(arguments: argparse.Namespace) -> "Bounds | None":
+    if arguments.no_bound or find_spec(_BOUND) is None:
+        return None
+    search: Any = import_module(_BOUND).best_known_times
+
+    def times(scenarios: "Sequence[Scenario]") -> Sequence[float]:
+        found: Sequence[float] = search(scenarios)
+        return found
+
+    return times
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sphere_nmpc study",
+        description="Run many scenarios in closed loop and write tables of the outcome. "
+        "A study that was interrupted goes on where it was.",
+    )
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--scenarios", type=Path, metavar="FILE.csv",
+        help="starts and goals: x,y,qw,qx,qy,qz,goal_x,...,goal_qz and, if wanted, seed",
+    )
+    source.add_argument(
+        "--draw", type=_count, metavar="N",
+        help="draw N scenarios: positions in +-3 m, any orientation",
+    )
+    parser.add_argument(
+        "--seed", type=_seed, default=0, metavar="S", help="seed of the draw (0)"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder of the results"
+    )
+    parser.add_argument(
+        "--strategy", nargs="+", action="extend", choices=SAMPLE_PERIODS, metavar="NAME",
+        help=f"one or several of {', '.join(SAMPLE_PERIODS)}; several are compared",
+    )
+    parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
+    parser.add_argument(
+        "--perturb", type=float, default=0.0, metavar="PERCENT",
+        help="largest error of each of the robot's parameters, which the controller is not told",
+    )
+    parser.add_argument(
+        "--process-noise", type=float, default=0.0, metavar="S",
+        help="standard deviation added to each state a sample period",
+    )
+    parser.add_argument(
+        "--pose-noise", type=float, nargs=2, default=(0.0, 0.0), metavar=("METRES", "RADIANS"),
+        help="standard deviation of the measured position and orientation",
+    )
+    parser.add_argument(
+        "--latency", type=float, default=0.0, metavar="SECONDS",
+        help="age of the newest pose at a sample instant",
+    )
+    parser.add_argument(
+        "--duration", type=float, default=30.0, metavar="SECONDS", help="length of a run (30)"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs", type=_count, metavar="N", help="processes; all cores by default"
+    )
+    where.add_argument(
+        "--scheduler", metavar="URL", help="run on this Dask cluster, such as tcp://host:8786"
+    )
+    parser.add_argument(
+        "--no-learning", action="store_true", help="keep the controller's idea of the robot"
+    )
+    parser.add_argument(
+        "--no-bound", action="store_true", help="leave out the best known times"
+    )
+    parser.add_argument(
+        "--set", type=_assignment, action="append", default=[], metavar="NAME=VALUE",
+        help="any other setting, such as horizon=8 or simulator.sample_period=0.25",
+    )
+    return parser
+
+
+def _count(text: str) -> int:
+    return _whole(text, 1)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) < least:
+        raise argparse.ArgumentTypeError(f"given {text}, expected a whole number from {least} on")
+    return int(text)
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"given {text}, expected NAME=VALUE")
+    return name.strip(), value.strip()

@@ -1,0 +1,76 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc viewer``: a running or recorded sphere in the browser."""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.viewer.server import DEFAULT_PORT, free_port
+
+_ROS = "--ros-args"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Show the page until it is interrupted.
+
+    Returns
+    -------
+    int
+        0 after Ctrl-C, 1 when a bag cannot be read.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    at = given.index(_ROS) if _ROS in given else len(given)
+    own = _parse(given[:at])
+    port = free_port(own.port)
+    if own.replay is None:
+        # Where only bags are looked at, ROS need not be there.
+        from sphere_sim.ros import viewer_node
+
+        return viewer_node.main(given[at:], port)
+    try:
+        return _replay(own.replay, own.namespace, port)
+    except SphereNmpcError as error:
+        print(f"viewer: {error}", file=sys.stderr)
+        return 1
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="sphere_nmpc viewer",
+        description="Show a sphere in the browser, on this machine only: the one whose topics are "
+        "heard, or with --replay a recorded one.",
+        epilog="ROS arguments follow --ros-args, for example: --ros-args -r __ns:=/left",
+    )
+    parser.add_argument("--port", type=int, default=DEFAULT_PORT, metavar="P",
+                        help="of the page; a free one if it is taken (default: %(default)s)")
+    parser.add_argument("--replay", type=Path, metavar="BAG",
+                        help="folder of a bag, or a .mcap or .db3 file")
+    parser.add_argument("--namespace", metavar="NS", help="which robot, if the bag has several")
+    given = parser.parse_args(arguments)
+    if not 0 <= given.port < 65536:
+        parser.error(f"--port: given {given.port}, expected 0 to 65535")
+    return given
+
+
+def _replay(bag: Path, namespace: str | None, port: int) -> int:
+    from sphere_sim.recording.bag import read_run
+    from sphere_sim.viewer.replay import Replay
+    from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
+
+    run = read_run(bag, namespace)
+    for note in run.notes:
+        print(f"viewer: {note}", file=sys.stderr)
+    viewer = Viewer(Replay(run), port, live=False)
+    print(f"viewer: {viewer.url}", flush=True)
+    try:
+        while True:
+            viewer.tick()
+            time.sleep(FRAME_PERIOD)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        viewer.close()

@@ -1,0 +1,56 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A strategy that goes wrong in the ways in which a solver can, for as long as it is told to."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.strategy.plan import Plan
+
+_LATENESS = 0.4
+"""Wall time that a late plan takes longer [s]."""
+_WILD = 1e6
+"""Speed of a wild plan [rad/s]."""
+
+
+class BadStrategy:
+    """Hand on a strategy's plans, or what the word in a file makes of them.
+
+    Parameters
+    ----------
+    inner : Strategy
+        Who plans while nothing is wrong.
+    told : Path
+        A file with one word: raise, nan, wild, nothing or late; missing or empty is well.
+    """
+
+    def __init__(self, inner: Strategy, told: Path) -> None:
+        self._inner = inner
+        self._told = told
+
+    def plan(self, situation: Situation) -> Plan:
+        """Plan, well or badly."""
+        mode = self._told.read_text().strip() if self._told.exists() else ""
+        if mode == "raise":
+            raise RuntimeError("the solver was made to fail")
+        if mode == "nothing":
+            return None  # type: ignore[return-value]
+        if mode == "late":
+            time.sleep(_LATENESS)
+        plan = self._inner.plan(situation)
+        if mode == "nan":
+            return replace(plan, states=np.full_like(plan.states, np.nan))
+        if mode == "wild":
+            knots = situation.time + np.array([0.0, 1e-6, 0.1, 0.2, 5.0])
+            signs = np.array([[1.0, -1.0]] * 5) * np.array([[1, -1, 1, -1, 1]]).T
+            return replace(plan, hold=FirstOrderHold(knots, _WILD * signs))
+        return plan
+
+    def reset(self) -> None:
+        """Forget warm starts."""
+        self._inner.reset()

@@ -1,0 +1,191 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The faults of the campaign by name, and how it is chosen which of them are tried."""
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.errors import SphereNmpcError
+
+
+class UnknownFaultError(SphereNmpcError, ValueError):
+    """There is no fault of that name.
+
+    Parameters
+    ----------
+    name : str
+        What was given.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"fault: given '{name}', expected one of {', '.join(FAULTS)}")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong for a while.
+
+    Attributes
+    ----------
+    name : str
+        As on the command line and in the table.
+    group : str
+        What it concerns; the quick campaign tries one fault of each group.
+    action : str
+        What brings it about, see `sphere_sim.ros.fault_actions`.
+    options : dict
+        For the action.
+    duration : float
+        How long it lasts [s], simulated.
+    named_by : tuple of str
+        Words of which one has to appear in a log line, a diagnostic or the end of a process;
+        empty for a fault that does no harm.
+    blind : bool
+        Whether the controller sees nothing meanwhile, so that the rotors have to come to rest.
+    goal_again : bool
+        Whether the goal is lost by it and has to be sent again, as a supervisor would.
+    continuous : bool
+        Whether each command has to start from the speeds that were in force; not where the
+        sender changes or forgets what it sent, and the drives alone limit the slew.
+    quick : bool
+        Whether it stands for its group in the quick campaign.
+    """
+
+    name: str
+    group: str
+    action: str
+    options: dict[str, Any] = field(default_factory=dict)
+    duration: float = 3.0
+    named_by: tuple[str, ...] = ()
+    blind: bool = False
+    goal_again: bool = False
+    continuous: bool = True
+    quick: bool = False
+
+
+_REFUSED = ("pose refused",)
+_BLIND = ("no fresh pose",)
+_LATE = ("late poses rose",)
+_FAILED = ("solve failed",)
+_STILL = ("clock stands still", "paused")
+
+
+def _pose(name: str, disturbance: str, /, **more: Any) -> Fault:
+    options = {"disturbance": disturbance, **more.pop("options", {})}
+    return Fault(f"pose_{name}", "pose", "pose", options, **more)
+
+
+def _goal(name: str, kind: str, /, **more: Any) -> Fault:
+    return Fault(f"goal_{name}", "goal", "goals", {"kind": kind}, goal_again=True, **more)
+
+
+def _kill(node: str, **more: Any) -> Fault:
+    name = f"{node}_killed"
+    return Fault(name, "process", "kill", {"node": node}, named_by=("SIGKILL",), **more)
+
+
+def _solver(name: str, mode: str, /, **more: Any) -> Fault:
+    return Fault(f"solver_{name}", "solver", "solver", {"mode": mode}, **more)
+
+
+_ALL = (
+    _pose("dropped_10", "dropped", options={"share": 0.1}),
+    _pose("dropped_50", "dropped", options={"share": 0.5}),
+    _pose("dropped_100", "dropped", options={"share": 1.0}, named_by=_BLIND, blind=True,
+          quick=True),
+    _pose("delayed_0.2", "delayed", options={"by": 0.2}),
+    _pose("delayed_1.0", "delayed", options={"by": 1.0}, named_by=_BLIND, blind=True),
+    _pose("out_of_order", "shuffled", options={"within": 0.15}, named_by=_LATE),
+    _pose("duplicated", "duplicated", options={"times": 3}, named_by=_LATE),
+    _pose("future_0.3", "stamped", options={"ahead": 0.3}),
+    _pose("future_10", "stamped", options={"ahead": 10.0}, named_by=_REFUSED, blind=True),
+    _pose("nan", "not_finite", named_by=_REFUSED, blind=True),
+    _pose("some_nan", "not_finite", options={"share": 0.3}, named_by=_REFUSED),
+    _pose("sign", "sign_flipped"),
+    _pose("norm", "scaled", options={"by": 2.0}, named_by=_REFUSED, blind=True),
+    _pose("frame", "framed", options={"frame": "map"}, named_by=_REFUSED, blind=True),
+    _goal("burst", "burst"),
+    _goal("unreachable", "unreachable", named_by=("goal_pose refused", *_FAILED)),
+    _goal("malformed", "malformed", named_by=("goal_pose refused",), quick=True),
+    Fault("clock_paused", "clock", "pause", duration=1.5, named_by=_STILL),
+    Fault("clock_lost", "clock", "clock_lost", named_by=(*_STILL, *_REFUSED)),
+    Fault("clock_back", "clock", "clock_back", {"by": 3.0}, 1.0, ("clock jumped",),
+          continuous=False, quick=True),
+    Fault("clock_0.1x", "clock", "pace", {"factor": 0.1}, 0.5),
+    Fault("clock_20x", "clock", "pace", {"factor": 20.0}, 3.0),
+    _kill("controller", goal_again=True, continuous=False, quick=True),
+    _kill("simulator", continuous=False),
+    _kill("recorder"),
+    _solver("raises", "raise", named_by=_FAILED, quick=True),
+    _solver("not_finite", "nan", named_by=_FAILED),
+    _solver("wild", "wild"),
+    _solver("nothing", "nothing", named_by=_FAILED),
+    _solver("late", "late", named_by=("missed ticks rose", "longer than the control period")),
+    Fault("cpu_starved", "cpu", "throttle", {"share": 0.1},
+          named_by=("missed ticks rose", "longer than the control period"), quick=True),
+    Fault("cpu_shared", "cpu", "hogs", {"number": 4}),
+    Fault("disk_full", "disk", "disk_full", named_by=("recording stopped",), quick=True),
+    Fault("two_controllers", "rival", "rival", named_by=("other publisher",), continuous=False,
+          quick=True),
+    Fault("parameters_at_start", "parameters", "bad_start", duration=0.0,
+          named_by=("expected",), goal_again=True, continuous=False),
+    Fault("parameters_live", "parameters", "bad_live", duration=1.0, named_by=("refused live",),
+          quick=True),
+)
+
+FAULTS = {fault.name: fault for fault in _ALL}
+"""All faults by name, in the order in which they are tried."""
+
+
+def chosen(names: Iterable[str] = (), quick: bool = False) -> list[tuple[Fault, ...]]:
+    """Return the faults to try, each alone.
+
+    Parameters
+    ----------
+    names : iterable of str, optional
+        Those to try; all, where there are none.
+    quick : bool, optional
+        One of each group only.
+
+    Raises
+    ------
+    UnknownFaultError
+        If there is no fault of a name.
+    """
+    names = list(names)
+    for name in names:
+        if name not in FAULTS:
+            raise UnknownFaultError(name)
+    picked = [FAULTS[name] for name in names] or list(FAULTS.values())
+    return [(fault,) for fault in picked if fault.quick or names or not quick]
+
+
+def pairs(singles: list[tuple[Fault, ...]], number: int, seed: int) -> list[tuple[Fault, ...]]:
+    """Return some pairs of different actions, drawn without repetition.
+
+    Parameters
+    ----------
+    singles : list
+        As `chosen` returns them.
+    number : int
+        How many; fewer where there are not so many.
+    seed : int
+        Of the draw.
+    """
+    faults = [fault for (fault,) in singles]
+    possible = [
+        (one, other) for one, other in itertools.combinations(faults, 2)
+        # Two kinds of pose fault mix; two paces or two states of the solver do not.
+        if one.action != other.action or one.action == "pose"
+    ]
+    order = np.random.default_rng([seed, 1]).permutation(len(possible))
+    return [possible[i] for i in order[:number]]
+
+
+def name_of(faults: Iterable[Fault]) -> str:
+    """Return the name of one fault, or of several at once."""
+    return " + ".join(fault.name for fault in faults)

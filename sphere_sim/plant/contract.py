@@ -1,0 +1,62 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What every plant offers to the simulator."""
+
+from typing import Protocol
+
+from sphere_nmpc.model.state import Vector
+
+
+class Plant(Protocol):
+    """A rolling sphere whose rotors follow a speed reference that ramps over each step."""
+
+    @property
+    def state(self) -> Vector:
+        """[x, y, qw, qx, qy, qz], shape (6,): centre [m; world], orientation body to world."""
+        ...
+
+    @property
+    def body_rate(self) -> Vector:
+        """Angular velocity of the shell [rad/s; body frame], shape (3,)."""
+        ...
+
+    @property
+    def velocity(self) -> Vector:
+        """Velocity of the centre [m/s; world frame], shape (3,)."""
+        ...
+
+    @property
+    def rotor_angles(self) -> Vector:
+        """Angles of the rotors relative to the shell [rad], shape (2,)."""
+        ...
+
+    @property
+    def rotor_speeds(self) -> Vector:
+        """Speeds of the rotors relative to the shell [rad/s], shape (2,)."""
+        ...
+
+    @property
+    def rotor_torques(self) -> Vector:
+        """Motor torques over the last step [N m], shape (2,)."""
+        ...
+
+    def reset(self, state: Vector) -> None:
+        """Put the sphere at rest at `state`, shape (6,), with rotors at rest and angles zero."""
+        ...
+
+    def advance(self, speeds_end: Vector, duration: float) -> None:
+        """Move on by `duration` [s].
+
+        Parameters
+        ----------
+        speeds_end : ndarray, shape (2,)
+            Where the reference of the rotor speeds [rad/s] ramps to, straight from where it was
+            at the end of the last step (zero after a reset).
+        duration : float
+            Length of the step [s]; the plant divides it as its own integration needs.
+        """
+        ...
+
+    def displace(self, state: Vector) -> None:
+        """Put the sphere at `state`, shape (6,), without touching its rotors (process noise)."""
+        ...

@@ -1,0 +1,142 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The robot as a list of rigid bodies, from which both MJCF and URDF are written."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+
+ROTOR_NAMES = ("rotor_1", "rotor_2")
+COUNTERWEIGHT_NAMES = ("counterweight_1", "counterweight_2")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One rigid body.
+
+    Attributes
+    ----------
+    name : str
+    mass : float
+        [kg].
+    position : ndarray, shape (3,)
+        Centre of mass [m; body frame of the sphere].
+    inertia : ndarray, shape (3, 3)
+        About its own centre of mass [kg m^2; body frame of the sphere].
+    """
+
+    name: str
+    mass: float
+    position: Vector
+    inertia: Vector
+
+    def inertia_about_centre(self) -> Vector:
+        """Return the inertia about the centre of the sphere [kg m^2], shape (3, 3)."""
+        return self.inertia + _point_inertia(self.mass, self.position)
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """The shell and what it carries; rotor i turns about the body's axis i.
+
+    Attributes
+    ----------
+    shell : Body
+    rotors, counterweights : tuple of Body
+        At +d and -d on the body's x and y axes; a counterweight without mass is left out.
+    """
+
+    shell: Body
+    rotors: tuple[Body, ...]
+    counterweights: tuple[Body, ...]
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """All bodies, the shell first."""
+        return (self.shell, *self.rotors, *self.counterweights)
+
+
+def build_mechanism(robot: RobotParameters, balanced: bool = True) -> Mechanism:
+    """Place the bodies of Fig. 1.
+
+    Two liberties keep independent errors of the parameters from making another machine. A rotor
+    whose inertias are those of a body thinner than a disc, which cannot exist, gets those of a
+    disc, and the shell, to which it is rigidly joined across its axis, gives back the difference:
+    the motion is the same. And with `balanced` the shell's centre of mass is moved so that the
+    whole has its own at the centre; its inertia about the centre stays as given.
+
+    Parameters
+    ----------
+    robot : RobotParameters
+        Parameters of the robot.
+    balanced : bool, optional
+        Whether to trim the shell.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the shell is too light for what it has to make up for.
+    """
+    rotors = [
+        _disc(
+            ROTOR_NAMES[i],
+            robot.rotor_mass,
+            robot.rotor_offset * np.eye(3)[i],
+            (robot.rotor_axial_inertia, robot.rotor_transverse_inertia),
+            np.eye(3)[i],
+        )
+        for i in range(2)
+    ]
+    counterweights = [
+        _disc(
+            COUNTERWEIGHT_NAMES[i],
+            robot.counterweight_mass,
+            -robot.rotor_offset * np.eye(3)[i],
+            (robot.counterweight_axial_inertia, robot.counterweight_transverse_inertia),
+            np.eye(3)[i],
+        )
+        for i in range(2)
+    ]
+    carried = [body for body, _ in (*rotors, *counterweights)]
+    left = np.sum([excess for _, excess in (*rotors, *counterweights)], axis=0)
+    trim = np.zeros(3)
+    if balanced:
+        moments = [body.mass * body.position for body in carried]
+        trim = -np.sum(moments, axis=0) / robot.shell_mass
+    shell_inertia = robot.shell_inertia * np.eye(3) - left - _point_inertia(robot.shell_mass, trim)
+    principal = np.linalg.eigvalsh(shell_inertia)
+    if principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:
+        raise InvalidParameterError(
+            "shell_inertia",
+            robot.shell_inertia,
+            "enough for the bodies inside to be thinner than discs or out of balance "
+            f"(left: {principal.tolist()} kg m^2)",
+        )
+    shell = Body("shell", robot.shell_mass, trim, shell_inertia)
+    present = tuple(body for body, _ in counterweights if body.mass > 0.0)
+    return Mechanism(shell, tuple(body for body, _ in rotors), present)
+
+
+def _disc(
+    name: str, mass: float, position: Vector, inertias: tuple[float, float], axis: Vector
+) -> tuple[Body, Vector]:
+    """Make a body of (axial, transverse) inertias, and what it has of them too much, (3, 3)."""
+    along = np.outer(axis, axis)
+    across = np.eye(3) - along
+    axial, transverse = inertias
+    given = axial * along + transverse * across
+    if mass == 0.0:
+        # Its inertia, if any, stays with the shell.
+        return Body(name, mass, position, np.zeros((3, 3))), -given
+    possible = axial * along + max(transverse, 0.5 * axial) * across
+    return Body(name, mass, position, possible), possible - given
+
+
+def _point_inertia(mass: float, position: Vector) -> Vector:
+    """Return the inertia of a point mass about the origin [kg m^2], shape (3, 3)."""
+    inertia: Vector = mass * (position @ position * np.eye(3) - np.outer(position, position))
+    return inertia

@@ -1,0 +1,107 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the plant with contact: drives, floor, contact and integration."""
+
+import math
+from dataclasses import dataclass
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.quantity import quantity, validate
+
+
+@dataclass(frozen=True)
+class RigidBodySettings:
+    """What the ideal rolling sphere leaves out; docs/rigid_body.md says how the defaults came.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not in its range.
+    """
+
+    drive_bandwidth: float = quantity(
+        300.0,
+        "rad/s",
+        "Bandwidth of the rotors' speed servos, cut at 1 / time_step",
+        minimum=1.0,
+        maximum=1e6,
+    )
+    drive_feedforward: bool = quantity(
+        False, "-", "Let the servos feed the reference's slope forward, so that ramps do not lag"
+    )
+    torque_limit: float = quantity(
+        3.2,
+        "N m",
+        "Largest torque of a rotor drive; what the paper's controller needs at most",
+        minimum=1e-3,
+        maximum=1e6,
+    )
+    friction: float = quantity(
+        0.8,
+        "-",
+        "Coefficient of sliding friction between shell and floor",
+        minimum=1e-3,
+        maximum=10.0,
+    )
+    torsional_friction: float = quantity(
+        0.0,
+        "m",
+        "Friction torque against spinning on the spot over normal force",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    rolling_friction: float = quantity(
+        0.0, "m", "Friction torque against rolling over normal force", minimum=0.0, maximum=1.0
+    )
+    slope: float = quantity(
+        0.0,
+        "rad",
+        "Inclination of the floor; x and y are measured in the floor",
+        minimum=0.0,
+        maximum=0.5,
+    )
+    slope_direction: float = quantity(
+        0.0, "rad", "Where downhill is: angle from the x axis", minimum=-math.pi, maximum=math.pi
+    )
+    floor_roughness: float = quantity(
+        0.0,
+        "m",
+        "Standard deviation of the floor's height; 0 is a plane",
+        minimum=0.0,
+        maximum=0.05,
+    )
+    floor_wavelength: float = quantity(
+        0.5, "m", "Spacing of the bumps of a rough floor", minimum=0.05, maximum=10.0
+    )
+    floor_extent: float = quantity(
+        8.0,
+        "m",
+        "Half the side of the square that is rough, about the origin",
+        minimum=0.5,
+        maximum=50.0,
+    )
+    floor_seed: int = quantity(0, "-", "Seed of the rough floor", minimum=0, maximum=2**31 - 1)
+    balanced: bool = quantity(
+        True, "-", "Trim the shell so that the centre of mass is its centre, whatever the masses"
+    )
+    contact_time_constant: float = quantity(
+        0.004,
+        "s",
+        "Time in which the contact yields; shorter is stiffer, at least 2 time_step",
+        minimum=1e-4,
+        maximum=1.0,
+    )
+    contact_impedance: float = quantity(
+        0.999, "-", "How firmly the contact holds, 1 being rigid", minimum=0.1, maximum=0.9999
+    )
+    time_step: float = quantity(0.002, "s", "Longest integration step", minimum=1e-5, maximum=0.02)
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if self.contact_time_constant < 2.0 * self.time_step * (1.0 - 1e-9):
+            # The engine would soften the contact without a word.
+            raise InvalidParameterError(
+                "contact_time_constant",
+                self.contact_time_constant,
+                f"at least twice time_step = {self.time_step:g} s",
+            )

@@ -1,0 +1,260 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From a bag to the arrays of a `Run`, for bags of the own recorder and of ``ros2 bag record``.
+
+Messages are read by attribute as the type store of ``rosbags`` decodes them, so that a bag can be
+looked at where no ROS is installed; this is the counterpart of ``sphere_nmpc.ros.conversions``.
+"""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
+from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.run import Run, without_sign_jumps
+from sphere_sim.recording.solves import SOLVE_TOPICS, read_solves
+
+POSE = "geometry_msgs/msg/PoseStamped"
+JOINTS = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ROTORS = ("rotor_1_joint", "rotor_2_joint")
+PARAMETERS_PREFIX = "parameters:"
+"""Custom data under this prefix and a node's full name hold its parameters as JSON."""
+
+_EXPECTED = {
+    "pose": POSE,
+    "joint_states": JOINTS,
+    "rotor_trajectory": TRAJECTORY,
+    "goal_pose": POSE,
+    "active_goal": POSE,
+    **SOLVE_TOPICS,
+}
+_NANO = 1e-9
+
+
+def read_run(path: Path, namespace: str | None = None, name: str | None = None) -> Run:
+    """Read a bag.
+
+    Parameters
+    ----------
+    path : Path
+        Folder or file, see `read_messages`.
+    namespace : str, optional
+        Of the robot, as in ``/left``; may be left out where the bag has one robot only.
+    name : str, optional
+        For legends; the name of the bag by default.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    BagError
+        If there is no bag, it is empty, it holds another robot, or which robot is not clear.
+    """
+    messages = read_messages(path, _wanted)
+    robot = _namespace(path, messages, namespace)
+    poses = messages.taken.get(f"{robot}/pose", [])
+    if not poses:
+        raise BagError(path, f"is empty: no message on {robot}/pose")
+    notes = list(messages.notes)
+    stamps, states = _states(poses, notes, f"{robot}/pose")
+    if not len(states):
+        raise BagError(path, f"no message on {robot}/pose holds a pose")
+    origin = float(stamps[0])
+    joint_times, speeds, torques = _joints(path, messages, robot, origin, notes)
+    goal_times, goals = _goals(messages, robot, origin, notes)
+    solves = read_solves(messages.taken, robot, origin)
+    if not solves.times.size:
+        notes.append("nothing tells how the controller solved; no solve times")
+    parameters = _parameters(messages.custom_data, f"{robot}/controller")
+    return Run(
+        name=name or path.stem,
+        path=path,
+        origin=origin,
+        times=stamps - origin,
+        states=without_sign_jumps(states),
+        joint_times=joint_times,
+        rotor_speeds=speeds,
+        rotor_torques=torques,
+        goal_times=goal_times,
+        goals=goals,
+        plans=_plans(messages, robot, origin, notes),
+        solves=solves,
+        robot=_robot(parameters),
+        custom_data=messages.custom_data,
+        notes=tuple(notes),
+    )
+
+
+def _wanted(topic: str, msgtype: str) -> bool:
+    return _EXPECTED.get(topic.rpartition("/")[2]) == msgtype
+
+
+def _namespace(path: Path, messages: Messages, given: str | None) -> str:
+    """Return the namespace of the robot without a slash at its end."""
+    found = sorted(
+        topic.removesuffix("/pose")
+        for topic, msgtype in messages.types.items()
+        if topic.endswith("/pose") and msgtype == POSE
+    )
+    if given is not None:
+        robot = "/" + given.strip("/") if given.strip("/") else ""
+        if robot in found:
+            return robot
+        there = ", ".join(name or "/" for name in found) or "none"
+        raise BagError(path, f"no robot in namespace '{given}'; it has: {there}")
+    if not found:
+        topics = ", ".join(sorted(messages.types)) or "none"
+        raise BagError(path, f"no topic 'pose' of type {POSE}, so another robot's; has: {topics}")
+    if len(found) > 1:
+        names = ", ".join(name or "/" for name in found)
+        raise BagError(path, f"holds several robots, choose one by its namespace: {names}")
+    return found[0]
+
+
+def _stamp(entry: tuple[int, Any]) -> float:
+    """Return when a message was made [s]: its own stamp, else when it was received."""
+    return _header_time(entry[1]) or entry[0] * _NANO
+
+
+def _header_time(message: Any) -> float:
+    return float(message.header.stamp.sec + message.header.stamp.nanosec * _NANO)
+
+
+def _states(
+    entries: Sequence[tuple[int, Any]], notes: list[str], topic: str
+) -> tuple[Vector, Vector]:
+    """Return stamps [s] and states (n, 6) of poses in order of stamp, leaving out broken ones."""
+    stamps = np.array([_header_time(message) for _, message in entries])
+    states = np.array([_state(entry[1]) for entry in entries]).reshape(-1, 6)
+    norms = np.linalg.norm(states[:, QUATERNION], axis=1)
+    sound = np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE
+    sound &= np.all(np.isfinite(states), axis=1)
+    if not np.all(sound):
+        notes.append(f"{topic}: {int(np.sum(~sound))} poses are no poses and were left out")
+    states = states[sound] / np.where(np.arange(6) < 2, 1.0, norms[sound, None])
+    # While simulated time stands still, the simulator repeats the instant it stands at.
+    times, first = np.unique(stamps[sound], return_index=True)
+    return times, states[first]
+
+
+def _state(message: Any) -> list[float]:
+    place, turn = message.pose.position, message.pose.orientation
+    return [place.x, place.y, turn.w, turn.x, turn.y, turn.z]
+
+
+def _joints(
+    path: Path, messages: Messages, robot: str, origin: float, notes: list[str]
+) -> tuple[Vector, Vector, Vector]:
+    """Return times [s], rotor speeds and torques (m, 2)."""
+    topic = f"{robot}/joint_states"
+    entries = messages.taken.get(topic, [])
+    rows = []
+    for entry in entries:
+        message = entry[1]
+        names = list(message.name)
+        if not set(ROTORS) <= set(names):
+            # Grippers and other joints may share the topic.
+            continue
+        order = [names.index(name) for name in ROTORS]
+        rows.append([
+            _header_time(message) - origin,
+            *_pick(message.velocity, order),
+            *_pick(message.effort, order),
+        ])
+    if entries and not rows:
+        names = list(entries[0][1].name)
+        raise BagError(path, f"{topic} names {names}, not {list(ROTORS)}: a bag of another robot")
+    if not rows:
+        notes.append(f"{topic} is missing; no rotor speeds and torques")
+    table = np.array(rows, dtype=float).reshape(-1, 5)
+    times, first = np.unique(table[:, 0], return_index=True)
+    return times, table[first, 1:3], table[first, 3:5]
+
+
+def _pick(values: Sequence[float], order: Sequence[int]) -> list[float]:
+    return [float(values[i]) if i < len(values) else float("nan") for i in order]
+
+
+def _goals(
+    messages: Messages, robot: str, origin: float, notes: list[str]
+) -> tuple[Vector, Vector]:
+    """Return when goals came into force [s] and the goals (g, 6)."""
+    # What the controller accepted counts; what was asked for is second best.
+    accepted = next(
+        (t for t in sorted(messages.taken) if t.startswith(f"{robot}/") and
+         t.endswith("/active_goal")), None,
+    )
+    topic = accepted or f"{robot}/goal_pose"
+    entries = messages.taken.get(topic, [])
+    if not entries:
+        notes.append(f"{robot}/goal_pose and active_goal are missing; no errors can be told")
+        return np.empty(0), np.empty((0, 6))
+    if accepted is None:
+        notes.append("active_goal is missing; goal_pose is taken instead")
+    times, goals = [], []
+    for received, message in entries:
+        state = np.array(_state(message), dtype=float)
+        norm = float(np.linalg.norm(state[QUATERNION]))
+        if np.all(np.isfinite(state)) and abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
+            state[QUATERNION] /= norm
+            # Stamps of goals are what a user typed; reception is when it counted.
+            times.append(received * _NANO - origin)
+            goals.append(state)
+    return np.array(times), np.array(goals).reshape(-1, 6)
+
+
+def _plans(
+    messages: Messages, robot: str, origin: float, notes: list[str]
+) -> tuple[FirstOrderHold, ...]:
+    topic = f"{robot}/rotor_trajectory"
+    if topic not in messages.taken:
+        notes.append(f"{topic} is missing; no plans")
+    plans = []
+    for entry in messages.taken.get(topic, []):
+        message, start = entry[1], _stamp(entry) - origin
+        names = list(message.joint_names)
+        if set(names) != set(ROTORS):
+            continue
+        order = [names.index(name) for name in ROTORS]
+        after = [p.time_from_start.sec + p.time_from_start.nanosec * _NANO for p in message.points]
+        speeds = [_pick(point.velocities, order) for point in message.points]
+        try:
+            plans.append(FirstOrderHold(start + np.array(after), np.array(speeds)))
+        except InvalidInputError:
+            continue  # refused by the simulator as well
+    return tuple(plans)
+
+
+def _parameters(custom_data: dict[str, str], node: str) -> dict[str, Any]:
+    """Return the recorded parameters of a node; empty where the bag has none."""
+    try:
+        values = json.loads(custom_data.get(f"{PARAMETERS_PREFIX}{node}", "{}"))
+    except ValueError:
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def _robot(parameters: dict[str, Any]) -> RobotParameters:
+    """Return the robot as a node's parameters ``robot.*`` tell it."""
+    names = {entry.name for entry in dataclasses.fields(RobotParameters)}
+    given = {
+        key.removeprefix("robot."): value
+        for key, value in parameters.items()
+        if key.startswith("robot.")
+    }
+    try:
+        return RobotParameters(**{key: value for key, value in given.items() if key in names})
+    except InvalidParameterError:
+        return RobotParameters()

@@ -1,0 +1,216 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A rosbag2 folder (metadata.yaml of version 9 and one MCAP file), complete after every commit."""
+
+import errno
+import io
+import os
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
+
+from sphere_nmpc import __version__
+from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.mcap_file import McapFile
+
+METADATA = "metadata.yaml"
+_LIBRARY = f"sphere_nmpc {__version__}"
+_ROS_DISTRO = "jazzy"
+_LARGEST_CHUNK = 1 << 20
+"""A chunk this large is committed without waiting for the next second [bytes]."""
+
+
+def dump_yaml(value: Any) -> str:
+    """Return `value` in the block style rosbag2 writes."""
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.width = 4096
+    stream = io.StringIO()
+    yaml.dump(value, stream)
+    return stream.getvalue().strip()
+
+
+class BagWriter:
+    """Write serialised messages into a new bag.
+
+    Parameters
+    ----------
+    folder : Path
+        The bag; its parents are made, it must not exist itself.
+
+    Raises
+    ------
+    BagError
+        If the folder exists or cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.custom_data: dict[str, str] = {"sphere_nmpc_version": __version__}
+        """Stored with the bag; both keys and values are text."""
+        self._typestore = get_typestore(Stores.ROS2_JAZZY)
+        # What metadata.yaml says of each topic, as text: it never changes and is slow to dump.
+        self._topics: dict[str, str] = {}
+        self._channels: dict[str, int] = {}
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            reason = "exists already and is not overwritten; choose another folder"
+            if error.errno != errno.EEXIST:
+                reason = f"cannot be created: {error.strerror}"
+            raise BagError(folder, reason) from error
+        self._file = McapFile(folder / f"{folder.name}_0.mcap", _LIBRARY)
+        self.commit()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics so far."""
+        return tuple(self._channels)
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far, committed or not."""
+        return sum(self._file.count(channel) for channel in self._channels.values())
+
+    def knows(self, msgtype: str) -> bool:
+        """Tell whether the definition of a message type is at hand, as a bag needs it."""
+        return msgtype in self._typestore.types
+
+    def add_topic(self, name: str, msgtype: str, offered_qos: Sequence[Qos] = ()) -> None:
+        """Announce a topic; nothing happens when it is there already.
+
+        Parameters
+        ----------
+        name : str
+            Full name, with the leading slash.
+        msgtype : str
+            As in ``geometry_msgs/msg/PoseStamped``; one that `knows` knows.
+        offered_qos : sequence of rosbags.interfaces.Qos
+            What its publishers offer.
+        """
+        if name in self._channels:
+            return
+        definition, _ = self._typestore.generate_msgdef(msgtype, ros_version=2)
+        digest = self._typestore.hash_rihs01(msgtype)
+        qos = dump_qos_v9(list(offered_qos))
+        about = {
+            "name": name,
+            "type": msgtype,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": qos,
+            "type_description_hash": digest,
+        }
+        self._topics[name] = textwrap.indent(dump_yaml(about), "    ")
+        self._channels[name] = self._file.add_channel(
+            name,
+            msgtype,
+            definition,
+            {"offered_qos_profiles": dump_yaml(qos), "topic_type_hash": digest},
+        )
+
+    def write(self, topic: str, stamp: int, data: bytes) -> None:
+        """Add a message.
+
+        Parameters
+        ----------
+        topic : str
+            One that was announced.
+        stamp : int
+            Time of reception on the clock of the recording [ns].
+        data : bytes
+            The message in CDR.
+
+        Raises
+        ------
+        BagError
+            If a commit was due and the disk did not take it.
+        """
+        self._file.add_message(self._channels[topic], stamp, data)
+        if self._file.pending > _LARGEST_CHUNK:
+            self.commit()
+
+    def commit(self) -> None:
+        """Bring everything so far to the disk; call it about every second.
+
+        Raises
+        ------
+        BagError
+            If the disk does not take it; the bag then ends with the commit before.
+        """
+        information = self._information()
+        self._file.commit({"rosbag2": {"serialized_metadata": information}})
+        indented = textwrap.indent(information, "  ")
+        _replace(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
+
+    def close(self) -> None:
+        """Commit what is left and close the file.
+
+        Raises
+        ------
+        BagError
+            As `commit`; the file is closed all the same.
+        """
+        try:
+            self.commit()
+        finally:
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as the last commit left it."""
+        self._file.close()
+
+    def _information(self) -> str:
+        """Return what metadata.yaml says, in the words of rosbag2."""
+        head = dump_yaml(self._totals())
+        if not self._topics:
+            return f"{head}\ntopics_with_message_count: []"
+        entries = (
+            f"- message_count: {self._file.count(self._channels[topic])}\n"
+            f"  topic_metadata:\n{about}"
+            for topic, about in self._topics.items()
+        )
+        return "\n".join((head, "topics_with_message_count:", *entries))
+
+    def _totals(self) -> dict[str, Any]:
+        low, high = self._file.span or (0, 0)
+        start = {"nanoseconds_since_epoch": low}
+        duration = {"nanoseconds": high - low}
+        name = f"{self.folder.name}_0.mcap"
+        count = self.message_count
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [name],
+            "duration": duration,
+            "starting_time": start,
+            "message_count": count,
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [
+                {
+                    "path": name,
+                    "starting_time": dict(start),
+                    "duration": dict(duration),
+                    "message_count": count,
+                }
+            ],
+            "custom_data": dict(self.custom_data),
+            "ros_distro": _ROS_DISTRO,
+        }
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file so that a reader finds either the old text or the new."""
+    fresh = path.with_suffix(".yaml.part")
+    try:
+        fresh.write_text(text, encoding="utf-8")
+        os.replace(fresh, path)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise BagError(path.parent, f"cannot be written: {error.strerror}") from error

@@ -1,0 +1,130 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded run as arrays."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
+from sphere_sim.metrics import Metrics, measure
+
+
+@dataclass(frozen=True, eq=False)
+class Solves:
+    """What the controller said about its solves; all of length m.
+
+    Attributes
+    ----------
+    times : ndarray
+        Sample instants [s].
+    durations : ndarray
+        Solve times [s].
+    costs : ndarray
+        Value of the optimal control problem; nan where not told.
+    statuses : tuple of str
+        How the solves ended.
+    """
+
+    times: Vector
+    durations: Vector
+    costs: Vector
+    statuses: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run of one robot, times in seconds since its first pose.
+
+    Attributes
+    ----------
+    name : str
+        For legends.
+    path : Path
+        The bag.
+    origin : float
+        Time of the first pose on the clock of the recording [s].
+    times : ndarray, shape (n,)
+        Times of the poses [s].
+    states : ndarray, shape (n, 6)
+        Measured states; consecutive quaternions never jump to the other sign.
+    joint_times : ndarray, shape (m,)
+        Times of the joint states [s].
+    rotor_speeds, rotor_torques : ndarray, shape (m, 2)
+        Measured speeds [rad/s] and torques [N m]; nan where not told.
+    goal_times : ndarray, shape (g,)
+        When goals came into force [s].
+    goals : ndarray, shape (g, 6)
+        The goals.
+    plans : tuple of FirstOrderHold
+        What the controller sent, knot times in this run's time.
+    solves : Solves
+        What it said about its solves.
+    robot : RobotParameters
+        As the controller believed it, or the defaults where the bag does not tell.
+    custom_data : dict of str to str
+        What the recorder said about the run.
+    notes : tuple of str
+        What is missing or amiss, for people.
+    """
+
+    name: str
+    path: Path
+    origin: float
+    times: Vector
+    states: Vector
+    joint_times: Vector
+    rotor_speeds: Vector
+    rotor_torques: Vector
+    goal_times: Vector
+    goals: Vector
+    plans: tuple[FirstOrderHold, ...]
+    solves: Solves
+    robot: RobotParameters = field(default_factory=RobotParameters)
+    custom_data: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def goal(self) -> Vector | None:
+        """The last goal, with the quaternion sign nearer to the last state; None without one."""
+        return nearer_sign(self.goals[-1], self.states[-1]) if len(self.goals) else None
+
+    @property
+    def goals_in_force(self) -> Vector:
+        """The goal at each pose, shape (n, 6); nan before the first."""
+        if not len(self.goals):
+            return np.full_like(self.states, np.nan)
+        which = np.searchsorted(self.goal_times, self.times, side="right") - 1
+        return np.where(which[:, None] < 0, np.nan, self.goals[np.maximum(which, 0)])
+
+    def metrics(self) -> Metrics | None:
+        """Measure the run from its last goal on; None without a goal or poses after it."""
+        goal = self.goal
+        if goal is None:
+            return None
+        since = max(0.0, float(self.goal_times[-1]))
+        after = self.times >= since
+        if not np.any(after):
+            return None
+        joints = self.joint_times >= since
+        return measure(
+            self.times[after] - since,
+            self.states[after],
+            goal,
+            self.rotor_speeds[joints],
+            self.rotor_torques[joints],
+            self.solves.durations[self.solves.times >= since - 1e-9],
+        )
+
+
+def without_sign_jumps(states: Vector) -> Vector:
+    """Return the states with consecutive quaternions of the nearer sign, shape (n, 6)."""
+    smooth: NDArray[np.float64] = states.copy()
+    products = np.sum(states[1:, QUATERNION] * states[:-1, QUATERNION], axis=1)
+    signs = np.cumprod(np.where(products < 0.0, -1.0, 1.0))
+    smooth[1:, QUATERNION] *= signs[:, None]
+    return smooth

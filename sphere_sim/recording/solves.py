@@ -1,0 +1,50 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a controller's status messages tell about its solves."""
+
+from typing import Any
+
+import numpy as np
+
+from sphere_sim.recording.run import Solves
+
+SOLVE_TOPICS = {"status": "diagnostic_msgs/msg/DiagnosticStatus"}
+_NANO = 1e-9
+_CLOCKS_AGREE = 1.0
+"""Largest difference between a told sample instant and its arrival on the same clock [s]."""
+
+
+def read_solves(taken: dict[str, list[tuple[int, Any]]], robot: str, origin: float) -> Solves:
+    """Return the solves of a robot's controller.
+
+    Parameters
+    ----------
+    taken : dict of str to list of (int, Any)
+        Messages by topic with their time of reception [ns].
+    robot : str
+        Namespace of the robot, without a slash at its end.
+    origin : float
+        Time of the run's start [s].
+    """
+    rows: list[tuple[float, float, float, str]] = []
+    for topic in sorted(taken):
+        if not (topic.startswith(f"{robot}/") and topic.endswith("/status")):
+            continue
+        for received, message in taken[topic]:
+            values = {pair.key: pair.value for pair in message.values}
+            duration = _number(values.get("solve_time_s"))
+            if "plan" not in values or not duration > 0.0:
+                continue  # nothing was solved
+            # Without simulated time the controller counts from its own start.
+            told, arrived = _number(values.get("time_s")), received * _NANO
+            time = told if abs(told - arrived) < _CLOCKS_AGREE else arrived
+            rows.append((time - origin, duration, _number(values.get("cost")), values["plan"]))
+    times, durations, costs = np.array([row[:3] for row in rows], dtype=float).reshape(-1, 3).T
+    return Solves(times, durations, costs, tuple(row[3] for row in rows))
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text) if text is not None else float("nan")
+    except ValueError:
+        return float("nan")

@@ -1,0 +1,107 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One HTML page that needs nothing but itself."""
+
+import base64
+import math
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from sphere_nmpc import __version__
+from sphere_sim.metrics import Metrics
+from sphere_sim.recording.run import Run
+
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
+       max-width: 64rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; }
+table { border-collapse: collapse; } caption { text-align: left; color: #555; }
+th, td { text-align: left; padding: .3rem 1.2rem .3rem 0; border-bottom: 1px solid #ddd; }
+td { font-variant-numeric: tabular-nums; }
+figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
+figcaption, .note { color: #555; font-size: .9rem; }
+"""
+
+
+def write_page(
+    path: Path, runs: Sequence[Run], figures: Sequence[tuple[str, str, Path]]
+) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    runs : sequence of Run
+        What it is about.
+    figures : sequence of (str, str, Path)
+        Heading, words below and SVG file of each figure; a heading that repeats is left out.
+    """
+    title = "Run report: " + ", ".join(run.name for run in runs)
+    parts = [f"<h1>{escape(title)}</h1>", _table(runs), *_notes(runs)]
+    heading = ""
+    for about, words, file in figures:
+        if about != heading:
+            heading = about
+            parts.append(f"<h2>{escape(about)}</h2>")
+        parts.append(_figure(words, file))
+    parts.append(f'<p class="note">Made by sphere_nmpc {escape(__version__)}.</p>')
+    body = "\n".join(parts)
+    path.write_text(
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n"
+        f"<body>\n{body}\n</body>\n</html>\n",
+        encoding="utf-8",
+    )
+
+
+def describe(metrics: Metrics | None) -> list[tuple[str, str]]:
+    """Return name and value of each result, as words; a run without a goal has none."""
+    if metrics is None:
+        return []
+    settled = _number(metrics.settle_time_s, "s") if metrics.settled else "not settled"
+    return [
+        ("settling time (error < 1e-2)", settled),
+        ("final error", f"{metrics.final_error:.2e}"),
+        ("final distance", _number(1e3 * metrics.final_position_error_m, "mm")),
+        ("final angle", _number(math.degrees(metrics.final_orientation_error_rad), "deg")),
+        ("largest rotor speed", _number(metrics.max_rotor_speed, "rad/s")),
+        ("largest rotor torque", _number(metrics.max_rotor_torque_nm, "N m")),
+        ("solve time, median", _number(metrics.solve_ms_p50, "ms")),
+        ("solve time, p99", _number(metrics.solve_ms_p99, "ms")),
+    ]
+
+
+def _table(runs: Sequence[Run]) -> str:
+    columns = [dict(describe(run.metrics())) for run in runs]
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    head = "".join(f'<th scope="col">{escape(run.name)}</th>' for run in runs)
+    rows = [
+        f'<tr><th scope="row">{escape(name)}</th>'
+        + "".join(f"<td>{escape(column.get(name, 'no goal'))}</td>" for column in columns)
+        + "</tr>"
+        for name in names
+    ]
+    return f"<table>\n<tr><th></th>{head}</tr>\n" + "\n".join(rows) + "\n</table>"
+
+
+def _notes(runs: Sequence[Run]) -> list[str]:
+    return [
+        f'<p class="note">{escape(run.name)}: {escape(note)}</p>'
+        for run in runs
+        for note in run.notes
+    ]
+
+
+def _figure(words: str, file: Path) -> str:
+    data = base64.b64encode(file.read_bytes()).decode()
+    return (
+        f'<figure><img alt="{escape(words)}" src="data:image/svg+xml;base64,{data}">'
+        f"<figcaption>{escape(words)}</figcaption></figure>"
+    )
+
+
+def _number(value: float, unit: str) -> str:
+    return "not told" if math.isnan(value) else f"{value:.3g} {unit}"

@@ -1,0 +1,122 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The marker node: the shell with circle Gamma, the goal, the plan and the path for RViz.
+
+subscribes  pose, controller/active_goal, controller/predicted_path
+publishes   markers
+"""
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PoseStamped
+from nav_msgs.msg import Path
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.conversions import WORLD_FRAME
+from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_sim.viewer import colours
+from sphere_sim.viewer.colours import Colour
+from sphere_sim.viewer.frame import DEFAULT_RADIUS
+from sphere_sim.viewer.geometry import great_circle
+
+_PERIOD = 0.1
+"""Wall time between two messages [s]."""
+_PATH = 2000
+"""Points of the path that are kept."""
+_SPACING = 0.02
+"""Distance of two of them [m]."""
+
+
+class MarkerNode(LivingNode):
+    """Publish markers, while somebody listens to them."""
+
+    def __init__(self) -> None:
+        super().__init__("markers")
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._pose: PoseStamped | None = None
+        self._goal: PoseStamped | None = None
+        self._plan = Path()
+        self._path: deque[tuple[float, float]] = deque(maxlen=_PATH)
+        self._listens = [
+            self.create_subscription(PoseStamped, "pose", self._take_pose, newest),
+            self.create_subscription(
+                PoseStamped, "controller/active_goal", self._take_goal, latched
+            ),
+            self.create_subscription(Path, "controller/predicted_path", self._take_plan, newest),
+        ]
+        self._markers = self.create_publisher(MarkerArray, "markers", 1)
+        # Wall time: what stands still in simulated time is to be seen as well.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_PERIOD, self._publish, clock=wall)
+
+    def _take_pose(self, message: PoseStamped) -> None:
+        self._pose = message
+        place = (message.pose.position.x, message.pose.position.y)
+        if not self._path or np.hypot(*np.subtract(place, self._path[-1])) > _SPACING:
+            self._path.append(place)
+
+    def _take_goal(self, message: PoseStamped) -> None:
+        self._goal = message
+
+    def _take_plan(self, message: Path) -> None:
+        self._plan = message
+
+    def _publish(self) -> None:
+        if self._pose is None or self._markers.get_subscription_count() == 0:
+            return
+        radius = self._pose.pose.position.z or DEFAULT_RADIUS
+        markers = [
+            _shell("sphere", self._pose, radius, colours.BLUE, 0.3),
+            _line("gamma", great_circle(1.005 * radius), 0.02 * radius, colours.GAMMA),
+            _line("path", ((*place, 0.003) for place in self._path), 0.012, colours.PATH),
+            _line("plan", ((p.pose.position.x, p.pose.position.y, 0.006)
+                           for p in self._plan.poses), 0.02, colours.PLAN),
+        ]
+        # Gamma is drawn in the body frame, so it has the sphere's pose for its own.
+        markers[1].pose = self._pose.pose
+        if self._goal is not None:
+            markers.append(_shell("goal", self._goal, radius, colours.GOAL, 0.3))
+        self._markers.publish(MarkerArray(markers=markers))
+
+
+def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:
+    marker = Marker(ns=name, type=kind, action=Marker.ADD)
+    # Stamp 0 stands for the newest transform: no marker is refused for being early.
+    marker.header.frame_id, marker.header.stamp = WORLD_FRAME, Time()
+    red, green, blue = (part / 255.0 for part in colour)
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _shell(name: str, at: PoseStamped, radius: float, colour: Colour, alpha: float) -> Marker:
+    marker = _marker(name, Marker.SPHERE, colour, alpha)
+    marker.pose = at.pose
+    marker.scale.x = marker.scale.y = marker.scale.z = 2.0 * radius
+    return marker
+
+
+def _line(
+    name: str, points: Iterable[Sequence[float]] | Vector, width: float, colour: Colour
+) -> Marker:
+    marker = _marker(name, Marker.LINE_STRIP, colour, 1.0)
+    marker.scale.x = width
+    marker.points = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in points]
+    if len(marker.points) < 2:
+        # RViz complains about a line that is none.
+        marker.action, marker.points = Marker.DELETE, []
+    return marker
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
+    return run(MarkerNode, args, __doc__ or "")

@@ -1,0 +1,156 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the simulator."""
+
+from dataclasses import dataclass
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.quantity import quantity, validate
+
+PLANTS = ("rolling", "rigid_body")
+"""Plants that can be chosen by name."""
+
+
+@dataclass(frozen=True)
+class SimulatorSettings:
+    """How the world behaves and how its time passes.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not in its range.
+    """
+
+    plant: str = quantity(
+        "rolling",
+        "-",
+        "What is simulated: ideal rolling, or bodies with contact and drives",
+        choices=PLANTS,
+    )
+    initial_state: tuple[float, ...] = quantity(
+        (2.0, -3.0, 0.03, 0.454, 0.88, 0.1363),
+        "m, -",
+        "Start at rest: x, y, then the quaternion w, x, y, z",
+        minimum=-1e6,
+        maximum=1e6,
+    )
+    real_time_factor: float = quantity(
+        1.0,
+        "-",
+        "Simulated over wall time; 0 is as fast as possible",
+        minimum=0.0,
+        maximum=1000.0,
+        live=True,
+    )
+    lockstep: bool = quantity(
+        False, "-", "Hold the clock at each sample instant until its rotor command has come"
+    )
+    lockstep_timeout: float = quantity(
+        5.0,
+        "s",
+        "Wall time after which a lockstep wait is given up and reported",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    sample_period: float = quantity(
+        0.25,
+        "s",
+        "Spacing of lockstep waits; the control period of the controller",
+        minimum=1e-3,
+        maximum=10.0,
+    )
+    pose_rate: float = quantity(
+        100.0, "Hz", "Rate of pose, odometry and joint states", minimum=1.0, maximum=2000.0
+    )
+    command_timeout: float = quantity(
+        0.5,
+        "s",
+        "For how long rotor_commands without a successor are followed",
+        minimum=1e-3,
+        maximum=60.0,
+    )
+    noise_period: float = quantity(
+        0.5, "s", "Spacing of the process noise: the paper's T", minimum=1e-3, maximum=10.0
+    )
+    process_noise: float = quantity(
+        0.0,
+        "m, -",
+        "Standard deviation added to each state every noise period (Eq. 43)",
+        minimum=0.0,
+        maximum=1.0,
+        live=True,
+    )
+    position_noise: float = quantity(
+        0.0,
+        "m",
+        "Standard deviation of the published position",
+        minimum=0.0,
+        maximum=1.0,
+        live=True,
+    )
+    orientation_noise: float = quantity(
+        0.0,
+        "rad",
+        "Standard deviation of the published orientation about each axis",
+        minimum=0.0,
+        maximum=1.0,
+        live=True,
+    )
+    sensor_rate: float = quantity(
+        0.0,
+        "Hz",
+        "How often the pose sensor looks; 0 is at every published instant",
+        minimum=0.0,
+        maximum=2000.0,
+    )
+    sensor_latency: float = quantity(
+        0.0,
+        "s",
+        "How long a pose is under way; it carries the time at which it was measured",
+        minimum=0.0,
+        maximum=10.0,
+        live=True,
+    )
+    sensor_dropout: float = quantity(
+        0.0, "-", "Share of poses that are lost on the way", minimum=0.0, maximum=1.0, live=True
+    )
+    seed: int = quantity(0, "-", "Seed of all noise", minimum=0, maximum=2**31 - 1)
+    start_paused: bool = quantity(False, "-", "Wait for the pause service before time passes")
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if self.lockstep and not self.is_sensor_plain:
+            raise InvalidParameterError(
+                "lockstep", True, "false where sensor_rate, sensor_latency or sensor_dropout is "
+                "not 0: the answer to the pose of an instant would wait for ever",
+            )
+
+    @property
+    def is_sensor_plain(self) -> bool:
+        """Whether every published instant has its own pose."""
+        return not (self.sensor_rate or self.sensor_latency or self.sensor_dropout)
+
+
+@dataclass(frozen=True)
+class PushSettings:
+    """What a push is like, where the plant can be pushed.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not in its range.
+    """
+
+    push_impulse: tuple[float, ...] = quantity(
+        (0.5, 0.0),
+        "N s",
+        "Impulse of a push at the centre of the sphere: x, y in the world",
+        minimum=-1e3,
+        maximum=1e3,
+        live=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if len(self.push_impulse) != 2:
+            raise InvalidParameterError("push_impulse", self.push_impulse, "two numbers")

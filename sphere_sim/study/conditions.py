@@ -1,0 +1,118 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Everything besides the scenario that decides how a run goes."""
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantity, validate
+from sphere_sim.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.simulator_settings import SimulatorSettings
+
+_OF_THE_SCENARIO = ("initial_state", "seed")
+
+
+@dataclass(frozen=True)
+class StudyConditions:
+    """What all runs of a study share.
+
+    Attributes
+    ----------
+    controller : ControllerSettings
+        The controller, its strategy among them.
+    simulator : SimulatorSettings
+        The world; start and seed come from the scenario.
+    robot : RobotParameters
+        What the controller believes.
+    rigid_body : RigidBodySettings
+        What the plant of that name is like.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not in its range.
+    """
+
+    duration: float = quantity(30.0, "s", "Length of a run", minimum=0.01, maximum=1e5)
+    perturbation: float = quantity(
+        0.0, "%", "Largest error of each of the robot's parameters", minimum=0.0, maximum=90.0
+    )
+    latency: float = quantity(
+        0.0, "s", "Age of the newest pose at a sample instant", minimum=0.0, maximum=10.0
+    )
+    controller: ControllerSettings = field(default_factory=ControllerSettings)
+    simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
+    robot: RobotParameters = field(default_factory=RobotParameters)
+    rigid_body: RigidBodySettings = field(default_factory=RigidBodySettings)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
+        """Return conditions in which some settings have other values.
+
+        Parameters
+        ----------
+        assignments : iterable of (str, str)
+            Names and values as text. A name that only one of controller, simulator, robot and
+            rigid_body has may stand alone; ``simulator.sample_period`` is always clear.
+
+        Raises
+        ------
+        InvalidParameterError
+            If there is no such setting, the name is not clear, or the value is not in its range.
+        """
+        conditions = self
+        for name, text in assignments:
+            group, _, setting = name.rpartition(".")
+            homes = [group] if group else _homes(setting)
+            if len(homes) > 1:
+                raise InvalidParameterError(
+                    name, text, " or ".join(f"{home}.{setting}" for home in homes)
+                )
+            known = _defaults(homes[0]) if homes else {}
+            if setting not in known:
+                raise InvalidParameterError(name, text, "the name of a setting")
+            if setting in _OF_THE_SCENARIO:
+                raise InvalidParameterError(name, text, "to be left to the scenarios")
+            settings = getattr(conditions, homes[0])
+            value = _parse(name, text, known[setting])
+            changed = dataclasses.replace(settings, **{setting: value})
+            conditions = dataclasses.replace(conditions, **{homes[0]: changed})
+        return conditions
+
+
+def _homes(setting: str) -> list[str]:
+    return [group for group in _GROUPS if setting in _defaults(group)]
+
+
+def _defaults(group: str) -> dict[str, Any]:
+    settings = _GROUPS.get(group)
+    return {} if settings is None else {f.name: f.default for f in dataclasses.fields(settings)}
+
+
+_GROUPS: dict[str, Any] = {
+    "controller": ControllerSettings,
+    "simulator": SimulatorSettings,
+    "robot": RobotParameters,
+    "rigid_body": RigidBodySettings,
+}
+
+
+def _parse(name: str, text: str, default: Any) -> Any:
+    """Turn the text of a setting into the type of its default."""
+    try:
+        if isinstance(default, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if isinstance(default, tuple):
+            return tuple(float(part) for part in text.split(","))
+        return type(default)(text)
+    except (KeyError, ValueError):
+        kind = "true or false" if isinstance(default, bool) else "a number"
+        kind = "a whole number" if type(default) is int else kind
+        raise InvalidParameterError(name, text, kind) from None

@@ -1,0 +1,28 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong with a study."""
+
+from pathlib import Path
+
+from sphere_nmpc.errors import SphereNmpcError
+
+
+class StudyFolderError(SphereNmpcError):
+    """A folder cannot take the results of a study; nothing in it was changed.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    reason : str
+        Why not, in words.
+    """
+
+    def __init__(self, folder: Path, reason: str) -> None:
+        super().__init__(f"{folder}: {reason}")
+        self.folder = folder
+        self.reason = reason
+
+
+class WorkersError(SphereNmpcError):
+    """The processes that should run the scenarios cannot be reached, or died."""

@@ -1,0 +1,63 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How far a study has come, for people who wait for it."""
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from sphere_sim.study.record import RunRecord
+
+
+class StudyProgress:
+    """A bar on standard error: runs done, settled so far, time to go.
+
+    Parameters
+    ----------
+    runs : int
+        How many there will be.
+    """
+
+    def __init__(self, runs: int) -> None:
+        self._settled = 0
+        self._done = 0
+        self._progress = Progress(
+            TextColumn("runs"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[settled]}"),
+            TimeElapsedColumn(),
+            TextColumn("to go"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._task = self._progress.add_task("runs", total=runs, settled="")
+
+    def __enter__(self) -> "StudyProgress":
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def saw(self, record: RunRecord) -> None:
+        """Count a run."""
+        self._done += 1
+        self._settled += bool(record.results["settled"])
+        words = f"{self._settled} settled"
+        if self._done > self._settled:
+            words += f", {self._done - self._settled} not"
+        self._progress.update(self._task, completed=self._done, settled=words)

@@ -1,0 +1,102 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One scenario, from start to record; the same wherever it is run."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
+from sphere_sim.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.metrics import measure, settling_index, state_errors
+from sphere_sim.perturbation import perturbed
+from sphere_sim.plant.factory import make_plant
+from sphere_sim.scenarios import Scenario
+from sphere_sim.simulator import Simulator
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.followed_inputs import followed_inputs
+from sphere_sim.study.record import RunRecord, Value, finite
+from sphere_sim.study.stability import stability_of
+
+LOOSELY_SETTLED = 5e-2
+"""Error within which a run under noise can be expected to stay [mixed units]."""
+
+
+def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
+    """Build the world and the controller of a run, which does not know the world's parameters."""
+    simulation = replace(
+        conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
+    )
+    # The simulator's own streams end in 0 and 1.
+    rng = np.random.default_rng([scenario.seed, 2])
+    robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
+    plant = make_plant(simulation.plant, robot, scenario.start, conditions.rigid_body)
+    return Simulator(simulation, robot, plant), Controller(conditions.controller, conditions.robot)
+
+
+def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
+    """Run a scenario and measure it.
+
+    A run that crashes says so in its record: the others of a long study are not lost by it.
+    """
+    strategy = conditions.controller.strategy
+    try:
+        simulator, controller = prepare(conditions, scenario)
+        trajectory = run_closed_loop(
+            simulator,
+            controller,
+            scenario.goal,
+            conditions.duration,
+            conditions.controller.control_period,
+            latency=conditions.latency,
+        )
+        inputs = followed_inputs(trajectory.holds, conditions.duration)
+        results = _results(trajectory, scenario.goal, inputs)
+    except Exception as error:
+        crash = f"{type(error).__name__}: {error}"
+        return RunRecord({"strategy": strategy, "settled": False, "crash": crash})
+    results |= stability_of(trajectory.decisions, scenario.goal, conditions)
+    results = {"strategy": strategy, **results, "failures": controller.failures}
+    return RunRecord(
+        results,
+        tuple(inputs.times.tolist()),
+        tuple((float(a), float(b)) for a, b in inputs.speeds),
+    )
+
+
+def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:
+    planned = [d.plan.solve_time for d in trajectory.decisions if d.mode is Mode.TRACKING]
+    solve_times = np.array(planned)
+    speeds = np.vstack((trajectory.speeds, inputs.speeds))
+    measured = measure(
+        trajectory.times, trajectory.states, goal, speeds, trajectory.torques, solve_times
+    )
+    results = {name: finite(value) for name, value in asdict(measured).items()}
+    errors = state_errors(trajectory.states, goal)
+    index = settling_index(errors, LOOSELY_SETTLED)
+    if index is not None:
+        results["loose_settle_time_s"] = float(trajectory.times[index])
+        results["tail_error_p95"] = float(np.percentile(errors[index:], 95.0))
+    results["max_rotor_speed"] = _rounded(float(np.max(np.abs(speeds))))
+    results["max_rotor_acceleration"] = _rounded(
+        max(
+            _steepest(inputs.times, inputs.speeds), _steepest(trajectory.times, trajectory.speeds)
+        )
+    )
+    if planned:
+        results["solve_ms_max"] = 1e3 * max(planned)
+    return results
+
+
+def _steepest(times: Vector, speeds: Vector) -> float:
+    if times.size < 2:
+        return 0.0
+    slopes = np.diff(speeds, axis=0) / np.diff(times)[:, None]
+    return float(np.max(np.abs(slopes)))
+
+
+def _rounded(value: float) -> float:
+    """Return the value without the last digits, in which the difference quotients err."""
+    return float(f"{value:.9g}")

@@ -1,0 +1,71 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How steadily a run came nearer to its goal, by the Lyapunov function of its strategy."""
+
+import itertools
+import math
+
+from sphere_nmpc.control.controller import Decision, Mode
+from sphere_nmpc.control.stability import Sample, StabilityMonitor
+from sphere_nmpc.model.state import Vector
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.record import Value
+
+_ROUNDING = 1e-9
+
+
+def stability_of(
+    decisions: list[Decision], goal: Vector, conditions: StudyConditions
+) -> dict[str, Value]:
+    """Count the steps that broke the decrease that the stability argument needs.
+
+    The strategy ``paper`` has the value function of Theorem 3, which has to fall by the stage cost
+    (Eq. 42) outside the neighbourhood D. ``time_optimal`` has the time left to the arrival, which
+    has to fall by the time that passes.
+
+    Parameters
+    ----------
+    decisions : list of Decision
+        One a sample instant.
+    goal : ndarray, shape (6,)
+        Goal of the run.
+    conditions : StudyConditions
+        Weights and limits.
+
+    Returns
+    -------
+    dict
+        ``stability_steps`` that could be judged and ``stability_violations`` among them.
+    """
+    if conditions.controller.strategy == "paper":
+        return _value_decrease(decisions, goal, conditions)
+    arrivals = [d.plan.arrival for d in decisions if d.mode is Mode.TRACKING]
+    known = [a for a in arrivals if not math.isnan(a)]
+    pairs = list(itertools.pairwise(known))
+    broken = sum(b > a + _ROUNDING for a, b in pairs)
+    return {"stability_steps": len(pairs), "stability_violations": broken}
+
+
+def _value_decrease(
+    decisions: list[Decision], goal: Vector, conditions: StudyConditions
+) -> dict[str, Value]:
+    monitor = StabilityMonitor()
+    settings = conditions.controller
+    judged = broken = 0
+    for k, decision in enumerate(decisions):
+        if decision.state is None or decision.mode is not Mode.TRACKING:
+            continue
+        report = monitor.update(
+            Sample(
+                time=k * settings.control_period,
+                state=decision.state,
+                goal=goal,
+                value=decision.plan.cost,
+                next_input=decision.plan.hold.speeds[1],
+                input_weight=settings.input_weight,
+                terminal_weight=settings.terminal_weight,
+                max_speed=conditions.robot.max_rotor_speed,
+            )
+        )
+        judged, broken = report.judged, report.decrease_violations
+    return {"stability_steps": judged, "stability_violations": broken}

@@ -1,0 +1,175 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A study: many scenarios, one strategy or several, one folder of results."""
+
+import contextlib
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sphere_sim.scenarios import Scenario
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.errors import StudyFolderError
+from sphere_sim.study.figure import draw
+from sphere_sim.study.fingerprint import fingerprint
+from sphere_sim.study.journal import NAME as JOURNAL
+from sphere_sim.study.journal import Journal
+from sphere_sim.study.record import RunRecord, Value
+from sphere_sim.study.single_run import prepare
+from sphere_sim.study.summary import summarise
+from sphere_sim.study.tables import replacing, write_inputs, write_runs
+from sphere_sim.study.workers import Workers
+
+Bounds = Callable[[Sequence[Scenario]], Sequence[float]]
+"""Best known time [s] of each scenario."""
+
+Watch = Callable[[RunRecord], None]
+"""Told of each run, those recorded earlier included."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What to run and where to keep it.
+
+    Attributes
+    ----------
+    scenarios : sequence of Scenario
+        At least one.
+    conditions : StudyConditions
+        What all runs share; its strategy is the first one.
+    folder : Path
+        Where the results go; of several strategies each has a folder of its name in there.
+    strategies : tuple of str
+        Strategies to compare; empty for the one of `conditions`.
+    """
+
+    scenarios: Sequence[Scenario]
+    conditions: StudyConditions
+    folder: Path
+    strategies: tuple[str, ...] = ()
+
+    def run(
+        self, workers: Workers, bounds: Bounds | None = None, watch: Watch | None = None
+    ) -> dict[str, dict[str, Any]]:
+        """Make the runs that are not recorded yet and write all results.
+
+        Parameters
+        ----------
+        workers : Workers
+            Where the runs are made.
+        bounds : callable, optional
+            Gives the best known times.
+        watch : callable, optional
+            Is told of each run.
+
+        Returns
+        -------
+        dict of str to dict
+            The summary of each strategy.
+
+        Raises
+        ------
+        SphereNmpcError
+            If the folder cannot take the results, or the runs cannot be made.
+        """
+        names = self.strategies or (self.conditions.controller.strategy,)
+        folders = {name: self.folder / name if len(names) > 1 else self.folder for name in names}
+        if len(names) > 1:
+            self._refuse_other_results(folders.values())
+        with contextlib.ExitStack() as exits:
+            journals = {}
+            for name, folder in folders.items():
+                conditions = self._with(name)
+                # What no run could do without is missed here, not once a run.
+                prepare(conditions, self.scenarios[0])
+                journal = Journal(folder, fingerprint(conditions, self.scenarios))
+                journals[name] = exits.enter_context(journal)
+            records = {
+                name: self._records(self._with(name), journal, workers, watch)
+                for name, journal in journals.items()
+            }
+        times = None if bounds is None else bounds(self.scenarios)
+        results = {name: _compared(found, times) for name, found in records.items()}
+        summaries = {name: summarise(self.scenarios, found) for name, found in results.items()}
+        try:
+            for name, folder in folders.items():
+                write_inputs(folder / "inputs.npz", records[name])
+                self._write(folder, {name: results[name]}, {name: summaries[name]})
+            if len(names) > 1:
+                self._write(self.folder, results, summaries)
+        except OSError as error:
+            raise StudyFolderError(self.folder, f"cannot be written: {error.strerror}") from None
+        return summaries
+
+    def _with(self, strategy: str) -> StudyConditions:
+        controller = replace(self.conditions.controller, strategy=strategy)
+        return replace(self.conditions, controller=controller)
+
+    def _records(
+        self,
+        conditions: StudyConditions,
+        journal: Journal,
+        workers: Workers,
+        watch: Watch | None,
+    ) -> list[RunRecord]:
+        if watch is not None:
+            for record in journal.records.values():
+                watch(record)
+        tasks = [task for task in enumerate(self.scenarios) if task[0] not in journal.records]
+        for index, record in workers.run(conditions, tasks):
+            journal.append(index, record)
+            if watch is not None:
+                watch(record)
+        return [journal.records[i] for i in range(len(self.scenarios))]
+
+    def _refuse_other_results(self, folders: Iterable[Path]) -> None:
+        ours = any((folder / JOURNAL).exists() for folder in folders)
+        alone = (self.folder / JOURNAL).exists()
+        if alone or (not ours and (self.folder / "runs.csv").exists()):
+            raise StudyFolderError(
+                self.folder, "holds results of something else; choose another folder"
+            )
+
+    def _write(
+        self,
+        folder: Path,
+        results: Mapping[str, Sequence[dict[str, Value]]],
+        summaries: Mapping[str, dict[str, Any]],
+    ) -> None:
+        write_runs(folder / "runs.csv", self.scenarios, results.values())
+        alone = len(summaries) == 1
+        content = next(iter(summaries.values())) if alone else {"strategies": summaries}
+        with replacing(folder / "summary.json") as fresh:
+            fresh.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+        draw(folder, results, summaries, describe(self.conditions, len(self.scenarios)))
+
+
+def describe(conditions: StudyConditions, runs: int) -> str:
+    """Return in words what a study was made under."""
+    simulator = conditions.simulator
+    return (
+        f"{runs} scenarios of {conditions.duration:g} s, plant {simulator.plant}, parameters "
+        f"+-{conditions.perturbation:g} %, process noise {simulator.process_noise:g} a sample,\n"
+        f"pose noise {simulator.position_noise:g} m and {simulator.orientation_noise:g} rad, "
+        f"latency {conditions.latency:g} s"
+    )
+
+
+def _compared(
+    records: Sequence[RunRecord], times: Sequence[float] | None
+) -> list[dict[str, Value]]:
+    """Return the results with the bound and the ratio to it, where they are known."""
+    compared = []
+    for i, record in enumerate(records):
+        results = dict(record.results)
+        bound = None if times is None else float(times[i])
+        # A bound that is nan is not known; at a goal that is the start there is none.
+        if bound is not None and bound > 0.0:
+            settling = results.get("settle_time_s")
+            results["bound_s"] = bound
+            if isinstance(settling, float):
+                results["ratio"] = settling / bound
+        compared.append(results)
+    return compared

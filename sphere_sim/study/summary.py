@@ -1,0 +1,101 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a study comes down to."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.model.state import Vector
+from sphere_sim.metrics import SETTLED_ERROR
+from sphere_sim.scenarios import Scenario
+from sphere_sim.study.record import Value
+
+Results = Sequence[dict[str, Value]]
+"""For each run what it came to, by names of `RESULT_COLUMNS`."""
+
+_DISTRIBUTIONS = (
+    "settle_time_s",
+    "ratio",
+    "final_error",
+    "final_position_error_m",
+    "final_orientation_error_rad",
+    "loose_settle_time_s",
+    "tail_error_p95",
+)
+_PEAKS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque_nm")
+
+
+def column(results: Results, name: str) -> Vector:
+    """Return the numbers of a column, in order of the runs, without those that are missing."""
+    values = (found.get(name) for found in results)
+    return np.array([value for value in values if isinstance(value, (int, float))], dtype=float)
+
+
+def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]:
+    """Return the figures of a study as JSON content.
+
+    Distributions are over the runs that have the figure; ``failures`` lists each run that did not
+    settle, ``timing`` is all that depends on the machine.
+    """
+    return {
+        "strategy": results[0]["strategy"],
+        "runs": len(results),
+        "settled": int(sum(bool(found["settled"]) for found in results)),
+        "settled_error": SETTLED_ERROR,
+        **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
+        **{name: _largest(column(results, name)) for name in _PEAKS},
+        "failed_solves": int(np.sum(column(results, "failures"))),
+        "crashed": sum(found.get("crash") is not None for found in results),
+        "failures": [
+            {
+                "run": i,
+                "seed": scenario.seed,
+                "final_error": found.get("final_error"),
+                "crash": found.get("crash"),
+            }
+            for i, (scenario, found) in enumerate(zip(scenarios, results, strict=True))
+            if not found["settled"]
+        ],
+        "timing": {
+            "solve_ms_p50": _distribution(column(results, "solve_ms_p50"))["median"],
+            "solve_ms_p99": _largest(column(results, "solve_ms_p99")),
+            "solve_ms_max": _largest(column(results, "solve_ms_max")),
+        },
+    }
+
+
+def headline(summary: dict[str, Any]) -> str:
+    """Return the line that tells a study to people."""
+    parts = [f"{summary['strategy']}: {summary['settled']} of {summary['runs']} settled"]
+    settling, ratio = summary["settle_time_s"], summary["ratio"]
+    if settling["count"]:
+        parts.append(
+            f"in {settling['median']:.2f} s median (p99 {settling['p99']:.2f}, "
+            f"worst {settling['max']:.2f})"
+        )
+    if ratio["count"]:
+        parts.append(f"{ratio['median']:.2f} x best known time (p99 {ratio['p99']:.2f})")
+    if summary["final_error"]["count"]:
+        parts.append(f"final error {summary['final_error']['median']:.1e}")
+    if summary["crashed"]:
+        parts.append(f"{summary['crashed']} CRASHED")
+    return ", ".join(parts)
+
+
+def _distribution(values: Vector) -> dict[str, Any]:
+    if not values.size:
+        return {"count": 0, "median": None, "p90": None, "p99": None, "max": None}
+    median, p90, p99 = np.percentile(values, [50.0, 90.0, 99.0]).tolist()
+    return {
+        "count": int(values.size),
+        "median": median,
+        "p90": p90,
+        "p99": p99,
+        "max": float(np.max(values)),
+    }
+
+
+def _largest(values: Vector) -> float | None:
+    return float(np.max(values)) if values.size else None

@@ -1,0 +1,183 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Where runs are made: in this process, on its cores, or on a Dask cluster."""
+
+import contextlib
+import logging
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import Any
+
+from sphere_sim.scenarios import Scenario
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.errors import WorkersError
+from sphere_sim.study.fingerprint import code_digest
+from sphere_sim.study.record import RunRecord
+from sphere_sim.study.single_run import run_scenario
+
+_CONNECT_TIMEOUT = 15.0
+"""Patience with an existing scheduler [s]."""
+
+_AHEAD = 4
+"""Runs handed out for each thread of the cluster, so that none waits for work."""
+
+Task = tuple[int, Scenario]
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Workers:
+    """Make runs; a context manager, as a cluster has to be closed at the end.
+
+    Results do not depend on where they are made. A cluster is started or joined when the first
+    run is asked for.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes on this machine; 1 is this very process.
+    scheduler : str, optional
+        Address of an existing Dask scheduler to use instead.
+    """
+
+    def __init__(self, jobs: int = 1, scheduler: str | None = None) -> None:
+        self._jobs = jobs
+        self._address = scheduler
+        self._exits = contextlib.ExitStack()
+        self._client: Any = None
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._client = None
+        self._exits.close()
+
+    def run(
+        self, conditions: StudyConditions, tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, RunRecord]]:
+        """Yield number and record of each run as it is made, in any order.
+
+        Raises
+        ------
+        WorkersError
+            If the scheduler cannot be reached, its workers run other code, or a worker dies over
+            a run again and again.
+        """
+        if self._address is None and min(self._jobs, len(tasks)) <= 1:
+            for index, scenario in tasks:
+                yield index, run_scenario(conditions, scenario)
+        elif tasks:
+            yield from self._run_on(self._cluster(len(tasks)), conditions, iter(tasks))
+
+    def _cluster(self, tasks: int) -> Any:
+        if self._client is None:
+            if self._address is not None:
+                cluster = _existing_cluster(self._address)
+            else:
+                cluster = _local_cluster(min(self._jobs, tasks))
+            self._client = self._exits.enter_context(cluster)
+        return self._client
+
+    def _run_on(
+        self, client: Any, conditions: StudyConditions, tasks: Iterator[Task]
+    ) -> Iterator[tuple[int, RunRecord]]:
+        from distributed import as_completed
+
+        numbers: dict[str, int] = {}
+
+        def hand_out() -> Any:
+            task = next(tasks, None)
+            if task is None:
+                return None
+            future = client.submit(run_scenario, conditions, task[1], pure=False)
+            numbers[future.key] = task[0]
+            return future
+
+        threads = sum(client.nthreads().values())
+        first = [hand_out() for _ in range(max(1, _AHEAD * threads))]
+        under_way = as_completed(
+            [future for future in first if future is not None], loop=client.loop
+        )
+        for done in under_way:
+            index = numbers.pop(done.key)
+            if done.status != "finished":
+                raise WorkersError(f"run {index} could not be made: {done.exception()}")
+            record = done.result()
+            following = hand_out()
+            if following is not None:
+                under_way.add(following)
+            yield index, record
+
+
+@contextlib.contextmanager
+def _local_cluster(jobs: int) -> Iterator[Any]:
+    from distributed import Client, LocalCluster
+
+    with _deaf_to_interrupts():
+        # Dask's nannies set the variables that keep numerical libraries to one thread each.
+        cluster = LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            worker_dashboard_address=None,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster, Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let processes started meanwhile ignore Ctrl-C, which is for their parent to answer."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python hears of signals in its main thread only
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _existing_cluster(address: str) -> Iterator[Any]:
+    from distributed import Client
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
+        client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = str(error) or type(error).__name__
+        raise WorkersError(f"scheduler {address}: cannot be reached ({reason})") from None
+    with client:
+        try:
+            digests = client.run(code_digest)
+        except Exception as error:  # whatever happens in a worker is raised here
+            raise WorkersError(f"scheduler {address}: its workers fail ({error})") from None
+        if not digests:
+            raise WorkersError(f"scheduler {address}: has no workers")
+        for worker, digest in digests.items():
+            if not _same_code(digest):
+                raise WorkersError(f"worker {worker}: runs another version of sphere_nmpc")
+        yield client
+
+
+def _same_code(digest: str) -> bool:
+    return digest == code_digest()

@@ -1,0 +1,123 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The sphere as nodes of the scene: marked shell, circle Gamma, rotors and counterweights."""
+
+import math
+
+import numpy as np
+import viser
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_sim.viewer import colours
+from sphere_sim.viewer.colours import Colour
+from sphere_sim.viewer.geometry import Mesh, cap, great_circle, octants, sector, segments
+
+SLOWED = 10.0
+"""Rotors are drawn turning slower than they do, or no screen could show which way they turn."""
+_PROPORTIONS = RobotParameters()
+_THIN = 0.1
+"""Thickness of a rotor as drawn, in its radii; by its inertias it is flat."""
+
+
+def add_shell(
+    scene: viser.SceneApi, name: str, radius: float, panels: Colour, opacity: float
+) -> None:
+    """Draw a shell by whose marks its orientation can be told, under a node of the scene.
+
+    Parameters
+    ----------
+    scene : viser.SceneApi
+        The scene.
+    name : str
+        The node that is its body frame.
+    radius : float
+        [m].
+    panels : tuple of int
+        Colour of every other octant.
+    opacity : float
+        Of these; the rest is clearer.
+    """
+    for even, colour, share in ((True, panels, 1.0), (False, colours.WHITE, 0.45)):
+        mesh = octants(radius, even)
+        _add(scene, f"{name}/panels_{int(even)}", mesh, colour, opacity * share)
+    # Where body x and y, the axes of the rotors, and body z come out.
+    for axis, colour in enumerate((*colours.ROTORS, colours.INK)):
+        _add(scene, f"{name}/pole_{axis}", cap(1.004 * radius, axis, 0.17), colour, None)
+
+
+class Ball:
+    """The robot; made once for its radius, then moved.
+
+    Parameters
+    ----------
+    scene : viser.SceneApi
+        The scene.
+    radius : float
+        Of the shell [m]; the inside is drawn in the proportions of the default robot.
+    """
+
+    def __init__(self, scene: viser.SceneApi, radius: float) -> None:
+        self.radius = radius
+        self._frame = scene.add_frame("/sphere", show_axes=False)
+        add_shell(scene, "/sphere/shell", radius, colours.BLUE, 0.42)
+        scene.add_line_segments(
+            "/sphere/gamma", segments(great_circle(1.006 * radius)),
+            colours.as_light(colours.GAMMA),
+            thickness=0.026 * radius,
+        )
+        self._shadow = scene.add_frame("/shadow", show_axes=False)
+        # What a lamp above would leave on the floor; real shadows cost too much without a
+        # graphics card.
+        for i, (size, darkness) in enumerate(((0.55, 0.16), (0.8, 0.12), (1.0, 0.08))):
+            spot = sector(size * radius, 1e-4, 2)
+            scene.add_mesh_simple(
+                f"/shadow/{i}", spot.vertices, spot.faces, color=colours.INK, opacity=darkness,
+                position=(0.0, 0.0, 1e-3 * (i + 1)), cast_shadow=False, receive_shadow=False,
+            )
+        scale = radius / _PROPORTIONS.shell_radius
+        self._offset = scale * _PROPORTIONS.rotor_offset
+        disc = scale * math.sqrt(
+            2.0 * _PROPORTIONS.rotor_axial_inertia / _PROPORTIONS.rotor_mass
+        )
+        self._rotors = [self._add_rotor(scene, axis, disc) for axis in range(2)]
+        self._angles = np.zeros(2)
+        self._time: float | None = None
+
+    def place(self, state: Vector, speeds: Vector, time: float) -> None:
+        """Show a state, shape (6,), and turn the rotors by their speeds [rad/s] up to `time`."""
+        self._frame.position = (float(state[0]), float(state[1]), self.radius)
+        self._frame.wxyz = state[2:]
+        self._shadow.position = (float(state[0]), float(state[1]), 0.0)
+        elapsed = 0.0 if self._time is None else min(max(0.0, time - self._time), 1.0)
+        self._time = time
+        self._angles += np.nan_to_num(speeds) * elapsed / SLOWED
+        for axis, rotor in enumerate(self._rotors):
+            half = 0.5 * float(self._angles[axis])
+            rotor.wxyz = (math.cos(half), *(math.sin(half) * np.eye(3)[axis]))
+
+    def _add_rotor(self, scene: viser.SceneApi, axis: int, disc: float) -> viser.FrameHandle:
+        name = f"/sphere/rotor_{axis + 1}"
+        place = self._offset * np.eye(3)[axis]
+        frame = scene.add_frame(name, show_axes=False, position=place)
+        _add(scene, f"{name}/disc", sector(disc, _THIN * disc, axis), colours.ROTORS[axis], None)
+        for part in range(2):
+            start = math.pi * part
+            slice_ = sector(0.92 * disc, 1.3 * _THIN * disc, axis, start, start + 0.5 * math.pi)
+            _add(scene, f"{name}/mark_{part}", slice_, colours.INK, None)
+        scene.add_icosphere(
+            f"/sphere/counterweight_{axis + 1}", 0.25 * disc, (120, 125, 130),
+            position=-place, cast_shadow=False,
+        )
+        return frame
+
+
+def _add(
+    scene: viser.SceneApi, name: str, mesh: Mesh, colour: Colour, opacity: float | None
+) -> None:
+    scene.add_mesh_simple(
+        name, mesh.vertices, mesh.faces, color=colour, opacity=opacity,
+        side="front" if opacity is None else "double", receive_shadow=False,
+        # The shadow of a clear shell is that of what is opaque in it, and of its panels.
+        cast_shadow=False,
+    )

@@ -1,0 +1,35 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Colours of the scene and the plots: those of Okabe and Ito, as in the project's figures."""
+
+Colour = tuple[int, int, int]
+
+BLUE: Colour = (0, 114, 178)
+SKY: Colour = (86, 180, 233)
+VERMILION: Colour = (213, 94, 0)
+GREEN: Colour = (0, 158, 115)
+PURPLE: Colour = (204, 121, 167)
+ORANGE: Colour = (230, 159, 0)
+INK: Colour = (38, 50, 62)
+WHITE: Colour = (255, 255, 255)
+
+ROTORS = (ORANGE, GREEN)
+PATH = BLUE
+PLAN = SKY
+GOAL = PURPLE
+GAMMA = VERMILION
+TRACE = INK
+
+
+def as_light(colour: Colour) -> Colour:
+    """Return what a line has to be given to look like `colour`: its share of light.
+
+    The page takes the colours of lines for linear ones, and brightens them for the screen.
+    """
+    red, green, blue = (round(255.0 * (part / 255.0) ** 2.2) for part in colour)
+    return red, green, blue
+
+
+def css(colour: Colour) -> str:
+    """Return a colour as style sheets write it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -1,0 +1,68 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The last seconds of a run as series for the plots."""
+
+from collections import deque
+
+import numpy as np
+
+from sphere_nmpc.model.state import Vector, angle_error, position_error
+from sphere_sim.viewer.frame import Frame
+
+NAMES = (
+    "time", "distance", "angle", "speed_1", "speed_2", "torque_1", "torque_2", "cost", "solve_ms"
+)
+
+
+class History:
+    """Collects frames, at most `limit` of them, and none closer together than that asks for.
+
+    Parameters
+    ----------
+    window : float, optional
+        How far back it reaches [s].
+    limit : int, optional
+        Most points of a series.
+    """
+
+    def __init__(self, window: float = 30.0, limit: int = 400) -> None:
+        self._window = window
+        self._spacing = window / limit
+        self._rows: deque[tuple[float, ...]] = deque()
+
+    def add(self, frame: Frame) -> None:
+        """Take in a frame; one that is fresh begins a new history."""
+        if frame.fresh:
+            self._rows.clear()
+        if frame.state is None or (
+            self._rows and frame.time < self._rows[-1][0] + self._spacing
+        ):
+            return
+        goal = frame.goal
+        self._rows.append((
+            frame.time,
+            np.nan if goal is None else position_error(frame.state, goal),
+            np.nan if goal is None else angle_error(frame.state, goal),
+            *map(float, frame.rotor_speeds), *map(float, frame.rotor_torques),
+            frame.cost, 1e3 * frame.solve_time,
+        ))
+        while self._rows[0][0] < frame.time - self._window:
+            self._rows.popleft()
+
+    def series(self) -> dict[str, Vector]:
+        """Return the series by name, all of one length; nan where nothing was known."""
+        table = np.array(self._rows, dtype=float).reshape(-1, len(NAMES))
+        return dict(zip(NAMES, table.T, strict=True))
+
+
+def filled(values: Vector) -> Vector:
+    """Return a series in which the last known value stands for those that are not; it may be nan.
+
+    Charts take a number that is none for the end of their range.
+    """
+    known = np.isfinite(values)
+    if not np.any(known):
+        return np.full_like(values, np.nan)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
+    first = values[np.argmax(known)]
+    return np.where(known[last], values[last], first)

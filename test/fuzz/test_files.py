@@ -1,0 +1,108 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever is in a file, it is read or refused in one line that names the file."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.bag_writer import BagWriter
+from sphere_sim.recording.errors import BagError
+from sphere_sim.scenario_file import STATE_COLUMNS, ScenarioFileError, read_rows
+
+HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()
+ROW = b"2,-3,1,0,0,0,0,0,0,1,0,0,7"
+CELLS = st.sampled_from(
+    [b"", b"0", b"1", b"nan", b"-inf", b"1e400", b"1_0", b"0x1", b'"', b'"1', b"\xff", b"\x00",
+     "٣".encode(), b"1;2", b" 1 ", b"-0", b"\r", b"'", b"1e6", b"99999999999999999999"]
+)
+SAME_FILE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def read_or_refuse(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    try:
+        rows = read_rows(path)
+    except ScenarioFileError as error:
+        assert str(path) in str(error) and "given" in str(error) and "\n" not in str(error)
+        return
+    for row in rows:
+        assert np.all(np.isfinite(row.start)) and np.all(np.isfinite(row.goal))
+        assert np.linalg.norm(row.goal[2:]) == pytest.approx(1.0)
+
+
+@SAME_FILE
+@given(data=st.binary(max_size=300))
+def test_any_bytes_are_no_scenarios(tmp_path, data) -> None:
+    read_or_refuse(tmp_path / "any.csv", data)
+
+
+@SAME_FILE
+@given(rows=st.lists(st.lists(CELLS, min_size=11, max_size=14), max_size=3))
+def test_any_cells_are_read_or_refused(tmp_path, rows) -> None:
+    lines = [HEADER, ROW, *(b",".join(row) for row in rows)]
+    read_or_refuse(tmp_path / "cells.csv", b"\n".join(lines))
+
+
+@SAME_FILE
+@given(st.integers(0, len(HEADER) + len(ROW)), st.binary(min_size=1, max_size=4))
+def test_any_damage_to_scenarios_is_read_or_refused(tmp_path, place, damage) -> None:
+    whole = HEADER + b"\n" + ROW
+    read_or_refuse(tmp_path / "damaged.csv", whole[:place] + damage + whole[place + 1 :])
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fuzz") / "bag"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = store.types
+    writer = BagWriter(folder)
+    writer.add_topic("/pose", "geometry_msgs/msg/PoseStamped")
+    for i in range(50):
+        time = kind["builtin_interfaces/msg/Time"](sec=i, nanosec=5)
+        pose = kind["geometry_msgs/msg/PoseStamped"](
+            header=kind["std_msgs/msg/Header"](stamp=time, frame_id="world"),
+            pose=kind["geometry_msgs/msg/Pose"](
+                position=kind["geometry_msgs/msg/Point"](x=float(i), y=0.0, z=0.3),
+                orientation=kind["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+            ),
+        )
+        data = store.serialize_cdr(pose, "geometry_msgs/msg/PoseStamped")
+        writer.write("/pose", i * 10**9 + 5, bytes(data))
+        if i % 10 == 0:
+            writer.commit()
+    writer.close()
+    return folder
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "bag_0.mcap"])
+@pytest.mark.parametrize("seed", range(40))
+def test_any_damage_to_a_bag_is_read_or_refused(bag, tmp_path, name, seed) -> None:
+    rng = random.Random(seed)
+    copy = tmp_path / "bag"
+    copy.mkdir()
+    for file in bag.iterdir():
+        data = bytearray(file.read_bytes())
+        if file.name == name:
+            kind = seed % 4
+            if kind == 0:
+                del data[rng.randrange(len(data)) :]
+            elif kind == 1:
+                place = rng.randrange(len(data))
+                data[place : place + rng.randrange(1, 50)] = rng.randbytes(rng.randrange(50))
+            else:
+                for _ in range(1 if kind == 2 else 30):
+                    data[rng.randrange(len(data))] = rng.randrange(256)
+        (copy / file.name).write_bytes(data)
+    try:
+        run = read_run(copy)
+    except BagError as error:
+        assert str(copy) in str(error)
+        return
+    assert len(run.times) == len(run.states) > 0

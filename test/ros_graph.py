@@ -1,0 +1,80 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes under test beside a probe, all in this process and spun by hand."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from sphere_nmpc.ros.lifetime import LivingNode
+
+PATIENCE = 20.0
+"""How long a busy machine may take to deliver a message [s]; nothing waits that long otherwise."""
+
+
+class Graph:
+    """A probe that listens and speaks, and the nodes it talks to."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.probe = Node("probe")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.probe)
+        self._nodes: list[Node] = [self.probe]
+        self._busy: list[LivingNode] = []
+
+    def close(self) -> None:
+        for node in self._nodes:
+            node.destroy_node()
+        self._executor.shutdown()
+        rclpy.try_shutdown()
+
+    def add(self, node: LivingNode) -> None:
+        """Spin `node` too; one with work of its own (the simulator) is given its turns."""
+        self._executor.add_node(node)
+        self._nodes.append(node)
+        if type(node).work is not LivingNode.work:
+            self._busy.append(node)
+
+    def hear(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
+        """Return a list that fills with what is published on `topic`."""
+        heard: list[Any] = []
+        self.probe.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def speaker(self, kind: type, topic: str) -> Any:
+        """Return a publisher that somebody listens to."""
+        publisher = self.probe.create_publisher(kind, topic, 10)
+        self.until(lambda: publisher.get_subscription_count() > 0)
+        return publisher
+
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        """Return the answer of a service."""
+        client = self.probe.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> None:
+        """Spin until `condition` holds; fail when it takes too long."""
+        end = time.monotonic() + patience
+        while not condition():
+            assert time.monotonic() < end, "waited in vain"
+            self.spin()
+
+    def spin_for(self, duration: float) -> None:
+        """Spin for some wall time, to see that something does not happen."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            self.spin()
+
+    def spin(self) -> None:
+        for node in self._busy:
+            node.work(self._executor)
+        self._executor.spin_once(timeout_sec=0.0 if self._busy else 0.01)

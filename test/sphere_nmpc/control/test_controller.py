@@ -1,0 +1,390 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The control loop on good days and bad ones."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+
+ROBOT = RobotParameters()
+SETTINGS = ControllerSettings(strategy="paper")
+ORIGIN = as_state([0, 0, 1, 0, 0, 0])
+START = as_state([2.0, -3.0, 0.03, 0.454, 0.88, 0.1363])
+PERIOD = SETTINGS.period
+EPOCH = 1.7e9
+
+
+class Scripted:
+    """Plans whatever the test wants; counts resets and keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.knots = np.array([[60.0, -40.0], [20.0, 30.0], [-50.0, 10.0], [30.0, 30.0]])
+        self.error: Exception | None = None
+        self.states: Vector | None = None
+        self.resets = 0
+        self.asked: list[Situation] = []
+
+    def plan(self, situation: Situation) -> Plan:
+        self.asked.append(situation)
+        if self.error is not None:
+            raise self.error
+        times = situation.time + PERIOD * np.arange(len(self.knots) + 1)
+        hold = FirstOrderHold(times, np.vstack((situation.input_in_force, self.knots)))
+        states = np.tile(situation.state, (times.size, 1)) if self.states is None else self.states
+        return Plan(PlanStatus.SOLVED, hold, states)
+
+    def reset(self) -> None:
+        self.resets += 1
+
+
+@pytest.fixture
+def strategy() -> Scripted:
+    return Scripted()
+
+
+@pytest.fixture
+def controller(strategy: Scripted) -> Controller:
+    made = Controller(SETTINGS, ROBOT, strategy)
+    made.set_goal(ORIGIN)
+    return made
+
+
+def sample(controller: Controller, time: float, delay: float = 0.0) -> Mode:
+    decision = controller.decide(time)
+    controller.commit(decision, time + delay)
+    return decision.mode
+
+
+def track(controller: Controller, time: float = 0.0) -> None:
+    """Bring the controller to the middle of an interval with the rotors turning."""
+    controller.observe(time, START)
+    assert sample(controller, time) is Mode.TRACKING
+
+
+def ramp_is_safe(hold: FirstOrderHold) -> None:
+    slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
+    assert np.all(slopes <= ROBOT.max_rotor_acceleration + 1e-6)
+    np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
+
+
+def test_without_pose_nothing_is_sent(controller: Controller) -> None:
+    decision = controller.decide(0.0)
+    assert decision.mode is Mode.NO_POSE
+    assert decision.plan.status is PlanStatus.RAMP_TO_REST
+    assert controller.commit(decision, 0.0) is None
+    assert np.isnan(decision.error)
+
+
+def test_without_goal_nothing_is_sent_but_the_state_is_known() -> None:
+    controller = Controller(SETTINGS, ROBOT, Scripted())
+    controller.observe(0.0, START)
+    decision = controller.decide(0.1)
+    assert decision.mode is Mode.NO_GOAL
+    np.testing.assert_array_equal(decision.state, START)
+    assert controller.commit(decision, 0.1) is None
+
+
+def test_plan_is_sent_from_the_speed_in_force_and_ends_at_rest(controller: Controller) -> None:
+    controller.observe(0.0, START)
+    decision = controller.decide(0.0)
+    hold = controller.commit(decision, 0.0)
+    assert hold is not None
+    np.testing.assert_array_equal(hold.speeds[0], [0.0, 0.0])
+    np.testing.assert_allclose(hold.at(PERIOD), [60.0, -40.0])
+    ramp_is_safe(hold)
+    # The plan ends at 30 rad/s: the ramp behind it takes 30 / 400 s.
+    assert hold.end == pytest.approx(4 * PERIOD + 30.0 / 400.0)
+
+
+def test_state_is_predicted_to_the_sample_instant_with_what_was_sent(
+    controller: Controller, strategy: Scripted
+) -> None:
+    track(controller)
+    controller.decide(PERIOD - 0.1)
+    moved = strategy.asked[-1]
+    assert np.linalg.norm(moved.state - START) > 1e-2
+    np.testing.assert_allclose(moved.input_in_force, 0.8 * np.array([60.0, -40.0]))
+
+
+def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit(controller: Controller) -> None:
+    track(controller)
+    late = SETTINGS.pose_timeout + 0.01
+    in_force = controller.speeds_at(late)
+    decision = controller.decide(late)
+    assert decision.mode is Mode.BLIND
+    assert decision.state is None
+    assert decision.pose_age == pytest.approx(late)
+    hold = controller.commit(decision, late)
+    assert hold is not None
+    ramp_is_safe(hold)
+    assert hold.end - late == pytest.approx(np.max(np.abs(in_force)) / 400.0)
+    # At rest and still blind, there is nothing more to say.
+    assert controller.commit(controller.decide(late + 1.0), late + 1.0) is None
+
+
+def test_pose_back_after_blindness_goes_on_from_there(controller: Controller) -> None:
+    track(controller)
+    assert sample(controller, 2.0) is Mode.BLIND
+    assert controller.observe(2.4, START)
+    assert sample(controller, 2.5) is Mode.TRACKING
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        np.full(6, np.nan),
+        np.array([0, 0, 1, 0, 0, np.nan]),
+        np.array([np.inf, 0, 1, 0, 0, 0]),
+        np.array([0, 0, 0.5, 0, 0, 0]),
+        np.zeros(6),
+        np.zeros(3),
+    ],
+)
+def test_pose_that_is_none_is_refused_and_the_last_one_stays(
+    controller: Controller, bad: Vector
+) -> None:
+    controller.observe(0.0, START)
+    with pytest.raises(InvalidStateError):
+        controller.observe(0.1, bad)
+    np.testing.assert_array_equal(controller.decide(0.0).state, START)
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])
+def test_pose_without_a_time_is_refused(controller: Controller, time: float) -> None:
+    with pytest.raises(InvalidStateError, match="finite number"):
+        controller.observe(time, START)
+    assert controller.decide(0.0).mode is Mode.NO_POSE
+
+
+@pytest.mark.parametrize("bad", [np.full(6, np.nan), np.zeros(6), np.zeros(7)])
+def test_goal_that_is_none_is_refused_and_the_old_one_stays(
+    controller: Controller, bad: Vector
+) -> None:
+    with pytest.raises(InvalidStateError):
+        controller.set_goal(bad)
+    np.testing.assert_array_equal(controller.goal, ORIGIN)
+
+
+def test_pose_out_of_order_is_dropped_and_counted(controller: Controller) -> None:
+    assert controller.observe(1.0, START)
+    assert not controller.observe(0.9, ORIGIN)
+    assert not controller.observe(1.0, ORIGIN)
+    assert controller.late_poses == 2
+    np.testing.assert_array_equal(controller.decide(1.0).state, START)
+
+
+def test_pose_from_the_future_is_dropped_and_does_not_shut_out_true_ones(
+    controller: Controller,
+) -> None:
+    controller.observe(1e6, START)
+    assert sample(controller, 0.0) is Mode.BLIND
+    assert controller.observe(0.4, START)
+    assert sample(controller, 0.5) is Mode.TRACKING
+
+
+def test_pose_a_little_ahead_of_the_sample_is_used_as_it_is(controller: Controller) -> None:
+    controller.observe(0.01, START)
+    decision = controller.decide(0.0)
+    assert decision.mode is Mode.TRACKING
+    np.testing.assert_array_equal(decision.state, START)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("no"), ArithmeticError("nan"), KeyError("k")])
+def test_strategy_that_raises_leaves_the_plan_in_force_which_ends_at_rest(
+    controller: Controller, strategy: Scripted, error: Exception
+) -> None:
+    track(controller)
+    expected = [controller.speeds_at(t).copy() for t in np.arange(PERIOD, 4.0, 0.05)]
+    strategy.error = error
+    time = PERIOD
+    while time < 3.0:
+        controller.observe(time, START)
+        decision = controller.decide(time)
+        assert decision.mode is Mode.FALLBACK
+        assert decision.plan.status is PlanStatus.FALLBACK
+        assert type(error).__name__ in decision.plan.message
+        hold = controller.commit(decision, time)
+        assert hold is not None
+        ramp_is_safe(FirstOrderHold(
+            np.append(hold.times, hold.end + 1.0), np.vstack((hold.speeds, np.zeros(2)))
+        ))
+        time += PERIOD
+    found = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
+    np.testing.assert_array_equal(found[-1], [0.0, 0.0])
+    # What was sent five times over is what is left of the plan in force; rounding of 60 rad/s.
+    np.testing.assert_allclose(found, expected, atol=1e-11)
+    assert controller.failures == 5
+
+
+def test_strategy_that_fails_at_the_first_sample_leaves_the_rotors_at_rest(
+    controller: Controller, strategy: Scripted
+) -> None:
+    strategy.error = RuntimeError("cold")
+    controller.observe(0.0, START)
+    decision = controller.decide(0.0)
+    assert decision.mode is Mode.FALLBACK
+    hold = controller.commit(decision, 0.0)
+    assert hold is not None
+    assert not np.any(hold.speeds)
+
+
+def test_strategy_that_predicts_nan_counts_as_failed(
+    controller: Controller, strategy: Scripted
+) -> None:
+    track(controller)
+    strategy.states = np.full((5, 6), np.nan)
+    controller.observe(PERIOD, START)
+    decision = controller.decide(PERIOD)
+    assert decision.mode is Mode.FALLBACK
+    assert "finite" in decision.plan.message
+    assert strategy.resets >= 2  # at the goal and now: nothing bad is kept as a warm start
+
+
+def test_strategy_that_returns_nothing_counts_as_failed(controller: Controller) -> None:
+    class Silent(Scripted):
+        def plan(self, situation: Situation) -> Plan:
+            return None  # type: ignore[return-value]
+
+    silent = Controller(SETTINGS, ROBOT, Silent())
+    silent.set_goal(ORIGIN)
+    silent.observe(0.0, START)
+    assert sample(silent, 0.0) is Mode.FALLBACK
+
+
+def test_failure_is_over_when_the_strategy_answers_again(
+    controller: Controller, strategy: Scripted
+) -> None:
+    track(controller)
+    strategy.error = RuntimeError("once")
+    controller.observe(PERIOD, START)
+    assert sample(controller, PERIOD) is Mode.FALLBACK
+    strategy.error = None
+    controller.observe(2 * PERIOD, START)
+    assert sample(controller, 2 * PERIOD) is Mode.TRACKING
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.3, 0.49, 0.7, 5.0])
+def test_late_answer_never_bends_the_past_and_keeps_the_limits(
+    controller: Controller, strategy: Scripted, delay: float
+) -> None:
+    track(controller)
+    controller.observe(PERIOD, START)
+    strategy.knots = np.array([[-100.0, 100.0], [100.0, -100.0], [0.0, 0.0]])
+    decision = controller.decide(PERIOD)
+    now = PERIOD + delay
+    past = np.arange(0.0, now, 0.01)
+    before = [controller.speeds_at(t).copy() for t in past]
+    in_force = controller.speeds_at(now)
+    hold = controller.commit(decision, now)
+    assert hold is not None
+    np.testing.assert_array_equal([controller.speeds_at(t) for t in past], before)
+    assert hold.start == now
+    np.testing.assert_array_equal(hold.speeds[0], in_force)
+    ramp_is_safe(FirstOrderHold(
+        np.append(hold.times, hold.end + 1.0), np.vstack((hold.speeds, np.zeros(2)))
+    ))
+
+
+def test_plan_beyond_the_limits_is_sent_within_them(
+    controller: Controller, strategy: Scripted
+) -> None:
+    strategy.knots = np.array([[900.0, -900.0], [-900.0, 900.0]])
+    controller.observe(0.0, START)
+    hold = controller.commit(controller.decide(0.0), 0.0)
+    assert hold is not None
+    assert np.max(np.abs(hold.speeds)) == ROBOT.max_rotor_speed
+    ramp_is_safe(hold)
+
+
+def test_goal_changed_in_flight_is_aimed_at_from_the_next_sample_without_a_jump(
+    controller: Controller, strategy: Scripted
+) -> None:
+    track(controller)
+    goal = as_state([1, 1, 0, 0, 0, 1])
+    resets = strategy.resets
+    controller.set_goal(goal)
+    assert strategy.resets == resets + 1
+    before = controller.speeds_at(0.25)
+    controller.observe(0.25, START)
+    hold = controller.commit(controller.decide(0.25), 0.25)
+    np.testing.assert_array_equal(strategy.asked[-1].goal, goal)
+    assert hold is not None
+    np.testing.assert_array_equal(hold.speeds[0], before)
+
+
+def test_goal_given_away_cannot_be_changed_from_outside(controller: Controller) -> None:
+    goal = controller.goal
+    assert goal is not None
+    goal[0] = 99.0
+    np.testing.assert_array_equal(controller.goal, ORIGIN)
+
+
+def test_disabled_controller_ramps_to_rest_and_goes_on_when_enabled(
+    controller: Controller,
+) -> None:
+    track(controller)
+    controller.enabled = False
+    controller.observe(0.4, START)
+    decision = controller.decide(0.4)
+    assert decision.mode is Mode.DISABLED
+    hold = controller.commit(decision, 0.4)
+    assert hold is not None
+    ramp_is_safe(hold)
+    assert controller.commit(controller.decide(0.8), 0.8) is None
+    controller.enabled = True
+    controller.observe(0.9, START)
+    assert sample(controller, 1.0) is Mode.TRACKING
+
+
+def test_disabled_before_the_plan_moved_anything_stops_the_plan(controller: Controller) -> None:
+    track(controller)
+    controller.enabled = False
+    decision = controller.decide(0.0)
+    hold = controller.commit(decision, 0.0)
+    assert hold is not None
+    np.testing.assert_array_equal(controller.speeds_at(PERIOD), [0.0, 0.0])
+
+
+def test_forgetting_keeps_the_goal_and_nothing_else(controller: Controller) -> None:
+    track(controller, 100.0)
+    controller.forget()
+    assert controller.decide(100.2).mode is Mode.NO_POSE
+    assert controller.observe(0.0, START)  # the clock jumped back
+    assert sample(controller, 0.0) is Mode.TRACKING
+    np.testing.assert_array_equal(controller.goal, ORIGIN)
+
+
+def test_missed_samples_are_not_caught_up(controller: Controller, strategy: Scripted) -> None:
+    track(controller)
+    controller.observe(3.2 * PERIOD, START)
+    asked = len(strategy.asked)
+    assert sample(controller, 3.3 * PERIOD) is Mode.TRACKING
+    assert len(strategy.asked) == asked + 1
+
+
+@pytest.mark.parametrize("speed", [1e-12, 1e-7, 1e-5, 1e-4])
+def test_plan_that_ends_next_to_rest_on_a_wall_clock_is_sent(
+    controller: Controller, strategy: Scripted, speed: float
+) -> None:
+    strategy.knots = np.full((4, 2), speed)
+    controller.observe(EPOCH, START)
+    hold = controller.commit(controller.decide(EPOCH), EPOCH)
+    assert hold is not None
+    assert np.max(np.abs(hold.at(hold.end))) <= speed
+
+
+def test_live_change_of_settings_is_used_at_the_next_sample(strategy: Scripted) -> None:
+    controller = Controller(ControllerSettings(strategy="paper"), ROBOT)
+    controller.set_goal(ORIGIN)
+    controller.observe(0.0, START)
+    heavy = controller.decide(0.0).plan.cost
+    controller.change(ControllerSettings(strategy="paper", terminal_weight=1e6))
+    assert controller.decide(0.0).plan.cost < 0.1 * heavy

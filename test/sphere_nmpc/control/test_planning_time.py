@@ -1,0 +1,81 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The wall time of a plan follows the pace of control time."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.planning_time import PLANNING_SHARE, PlanningTime
+
+
+def after(pace: float, duration: float, start: float = 0.0) -> PlanningTime:
+    planning = PlanningTime(0.25, simulated=True)
+    for wall in np.arange(0.0, duration, 0.004):
+        planning.read(start + pace * wall, 100.0 + wall)
+    return planning
+
+
+@pytest.mark.parametrize("pace", [0.2, 1.0, 5.0, 50.0])
+def test_budget_is_a_share_of_the_period_on_the_wall_clock(pace: float) -> None:
+    planning = after(pace, 2.0)
+    assert planning.pace == pytest.approx(pace)
+    assert planning.budget(7.0, 7.0) == pytest.approx(PLANNING_SHARE * 0.25 / pace)
+
+
+def test_late_tick_plans_for_less_but_never_for_nothing() -> None:
+    planning = PlanningTime(0.25, simulated=False)
+    assert planning.pace == 1.0
+    assert planning.budget(7.0, 7.1) == pytest.approx(PLANNING_SHARE * 0.25 - 0.1)
+    assert planning.budget(7.0, 8.0) == pytest.approx(0.025)
+
+
+def test_pace_is_unknown_until_some_of_it_was_seen() -> None:
+    assert PlanningTime(0.25, simulated=True).pace is None
+    assert after(5.0, 0.009).pace is None
+    assert after(5.0, 0.03).pace == pytest.approx(5.0)
+
+
+def test_new_pace_is_known_half_a_second_later() -> None:
+    planning = after(1.0, 2.0)
+    for wall in np.arange(0.0, 0.6, 0.004):
+        planning.read(2.0 + 4.0 * wall, 102.0 + wall)
+    assert planning.pace == pytest.approx(4.0, rel=0.01)
+
+
+def test_pause_and_a_jump_back_are_no_pace() -> None:
+    planning = after(5.0, 1.0)
+    for wall in (101.2, 101.4, 101.6):
+        planning.read(5.0, wall)
+    assert planning.pace is None
+    planning.read(5.1, 101.62)
+    assert planning.pace == pytest.approx(5.0)
+    planning.read(0.0, 101.7)
+    assert planning.pace is None
+
+
+def test_second_reading_of_the_same_instant_counts_for_nothing() -> None:
+    planning = after(1.0, 1.0)
+    pace = planning.pace
+    planning.read(0.996, 101.05)
+    assert planning.pace == pace
+
+
+def test_plans_are_made_for_when_they_will_be_there() -> None:
+    planning = PlanningTime(0.25, simulated=False)
+    assert planning.lead == 0.0
+    planning.expect_all()
+    assert planning.lead == PLANNING_SHARE * 0.25
+    for _ in range(8):
+        planning.took(0.02)
+    assert planning.lead == pytest.approx(0.025)
+    for _ in range(8):
+        planning.took(0.001)
+    assert planning.lead == 0.0, "as good as at once"
+
+
+def test_lead_is_in_control_time_and_never_more_than_the_share() -> None:
+    planning = after(5.0, 1.0)
+    planning.took(0.01)
+    assert planning.lead == pytest.approx(0.0625)
+    planning.took(1.0)
+    assert planning.lead == PLANNING_SHARE * 0.25

@@ -1,0 +1,144 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The monitor of Theorem 3, on numbers worked out by hand and on a closed loop of the paper."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.control.stability import Sample, StabilityMonitor, neighbourhood_radius
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.closed_loop import run_closed_loop
+from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.simulator import Simulator
+from sphere_sim.simulator_settings import SimulatorSettings
+
+GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def sample(time: float, x: float, value: float, speeds: tuple[float, float]) -> Sample:
+    state = GOAL + np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return Sample(time, state, GOAL, value, np.array(speeds), 0.5, 1e8, 100.0)
+
+
+def test_first_sample_is_not_judged() -> None:
+    report = StabilityMonitor().update(sample(0.0, 2.0, 9.0, (1, 2)))
+    assert report.decreases is None
+    assert report.approaches is None
+    assert np.isnan(report.value_change)
+    assert np.isnan(report.beta_bound)
+    assert (report.value, report.judged, report.inside) == (9.0, 0, False)
+
+
+def test_step_that_meets_every_condition_agrees_with_hand_calculation() -> None:
+    monitor = StabilityMonitor()
+    monitor.update(sample(0.0, 2.0, 1000.0, (30.0, -40.0)))
+    report = monitor.update(sample(0.5, 1.0, -300.0, (0.0, 0.0)))
+    assert report.allowed_change == pytest.approx(-(4.0 + 0.5 * 2500.0))
+    assert report.value_change == pytest.approx(-1300.0)
+    assert report.decreases
+    assert report.delta == pytest.approx(1.0 - 4.0)
+    assert report.approaches
+    assert report.beta_bound == pytest.approx((4.0 + 1e4) / 3.0)
+    counts = (report.decrease_violations, report.approach_violations, report.beta_violations)
+    assert (report.judged, *counts) == (1, 0, 0, 0)
+
+
+def test_step_that_breaks_every_condition_is_counted() -> None:
+    monitor = StabilityMonitor()
+    monitor.update(sample(0.0, 1.0, 1000.0, (0.0, 0.0)))
+    report = monitor.update(sample(0.5, 2.0, 999.5, (0.0, 0.0)))
+    assert not report.decreases
+    assert not report.approaches
+    assert report.beta_bound == np.inf
+    counts = (report.decrease_violations, report.approach_violations, report.beta_violations)
+    assert (report.judged, *counts) == (1, 1, 1, 1)
+
+
+def test_neighbourhood_of_the_paper_is_one_hundredth_and_not_judged() -> None:
+    assert neighbourhood_radius(0.5, 1e8, 100.0) == pytest.approx(1e-2, rel=1e-7)
+    assert neighbourhood_radius(0.5, 1.0, 100.0) == np.inf
+    monitor = StabilityMonitor()
+    assert monitor.update(sample(0.0, 0.009, 5.0, (0, 0))).inside
+    report = monitor.update(sample(0.5, 0.011, 6.0, (0, 0)))
+    assert not report.inside
+    assert report.decreases is False
+    assert (report.judged, report.decrease_violations) == (0, 0)
+
+
+def test_inside_the_neighbourhood_not_even_a_jump_to_the_goal_satisfies_eq_36() -> None:
+    for x, holds in ((0.0099, False), (0.0101, True)):
+        monitor = StabilityMonitor()
+        monitor.update(sample(0.0, x, 5.0, (0, 0)))
+        report = monitor.update(sample(0.5, 0.0, 0.0, (0, 0)))
+        assert (report.beta_bound <= 1e8) is holds
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"goal": -GOAL},
+        {"input_weight": 1.0},
+        {"terminal_weight": 1e6},
+        {"max_speed": 50.0},
+        {"time": 0.0},
+    ],
+)
+def test_transition_to_another_value_function_or_back_in_time_is_not_judged(
+    change: dict[str, object],
+) -> None:
+    monitor = StabilityMonitor()
+    monitor.update(sample(0.0, 1.0, 10.0, (0, 0)))
+    report = monitor.update(replace(sample(0.5, 2.0, 99.0, (0, 0)), **change))
+    assert report.decreases is None
+    assert report.judged == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"value": np.nan},
+        {"state": np.full(6, np.nan)},
+        {"state": np.zeros(3)},
+        {"next_input": np.array([np.inf, 0.0])},
+    ],
+)
+def test_sample_without_usable_numbers_is_passed_over_without_an_error(
+    change: dict[str, object],
+) -> None:
+    monitor = StabilityMonitor()
+    monitor.update(sample(0.0, 1.0, 10.0, (0, 0)))
+    assert monitor.update(replace(sample(0.5, 1.0, 10.0, (0, 0)), **change)).decreases is None
+    assert monitor.update(sample(1.0, 0.9, 9.0, (0, 0))).decreases is None
+    assert monitor.update(sample(1.5, 0.8, 7.0, (0, 0))).decreases is True
+
+
+def test_reset_forgets_counts_and_the_last_sample() -> None:
+    monitor = StabilityMonitor()
+    monitor.update(sample(0.0, 1.0, 1.0, (0, 0)))
+    monitor.update(sample(0.5, 2.0, 2.0, (0, 0)))
+    monitor.reset()
+    report = monitor.update(sample(1.0, 1.0, 1.0, (0, 0)))
+    assert (report.decreases, report.judged) == (None, 0)
+
+
+def test_value_function_of_case_1_falls_as_theorem_3_needs_though_the_error_does_not() -> None:
+    scenario, robot = PAPER_CASES[1], RobotParameters()
+    settings = ControllerSettings(strategy="paper")
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(scenario.start)), robot)
+    run = run_closed_loop(simulator, Controller(settings, robot), scenario.goal, 16.0, 0.5, 0.5)
+    monitor = StabilityMonitor()
+    for k, (decision, state) in enumerate(zip(run.decisions, run.states, strict=False)):
+        report = monitor.update(Sample(
+            0.5 * k, state, scenario.goal, decision.plan.cost, decision.plan.hold.speeds[1],
+            settings.input_weight, settings.terminal_weight, robot.max_rotor_speed,
+        ))
+    # It enters D after 12.5 s, 25 samples; another solver may take another path there.
+    assert 15 <= report.judged <= 31
+    assert report.inside
+    assert report.decrease_violations == 0
+    # Assumption 3 asks only that a nearer state can be reached; the loop may go another way.
+    assert 0 < report.approach_violations < 5

@@ -1,0 +1,96 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The plant's constants and noise, learnt from the motion of a plant of another make."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation.plant_estimator import JUMP, PlantEstimator
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_sim.perturbation import perturbed
+from sphere_sim.plant.rolling_plant import RollingPlant
+
+NOMINAL = RobotParameters()
+PERIOD = 0.25
+
+
+def drive(
+    estimator: PlantEstimator, robot: RobotParameters, samples: int, seed: int, noise: float = 0.0
+) -> None:
+    """Roll a plant with random ramps and show each transition to the estimator."""
+    rng = np.random.default_rng(seed)
+    plant = RollingPlant(robot, np.array([0, 0, 1.0, 0, 0, 0]))
+    speeds: Vector = np.zeros(2)
+    for _ in range(samples):
+        before, after = plant.state, rng.uniform(-100.0, 100.0, 2)
+        plant.advance(after, PERIOD)
+        seen = plant.state + noise * rng.normal(size=6)
+        seen[2:] /= np.linalg.norm(seen[2:])
+        plant.displace(seen)
+        estimator.observe(before, seen, np.array([PERIOD]), np.vstack((speeds, after)))
+        speeds = after
+
+
+def relative_error(estimator: PlantEstimator, robot: RobotParameters) -> float:
+    return float(np.max(np.abs(estimator.constants.as_array() / robot.lumped.as_array() - 1.0)))
+
+
+@pytest.mark.parametrize("percent", [3, 10, 20])
+def test_wrong_parameters_are_corrected_within_a_second(percent: int) -> None:
+    for seed in range(5):
+        robot = perturbed(NOMINAL, percent / 100.0, np.random.default_rng(seed))
+        estimator = PlantEstimator(NOMINAL.lumped)
+        drive(estimator, robot, 4, seed)
+        # The prediction's own error over a sample is 1e-5 of about 0.1 m; four samples of one path
+        # tell the two ratios apart ten times worse than that.
+        assert relative_error(estimator, robot) < 3e-3
+
+
+def test_right_parameters_stay_right_and_uncertainty_falls() -> None:
+    estimator = PlantEstimator(NOMINAL.lumped)
+    before = estimator.standard_deviation
+    drive(estimator, NOMINAL, 8, 1)
+    assert relative_error(estimator, NOMINAL) < 2e-4
+    assert np.all(estimator.standard_deviation < 0.05 * before)
+
+
+def test_nothing_is_learnt_at_rest() -> None:
+    estimator = PlantEstimator(NOMINAL.lumped)
+    state = np.array([0, 0, 1.0, 0, 0, 0])
+    for _ in range(20):
+        estimator.observe(state, state, np.array([PERIOD]), np.zeros((2, 2)))
+    assert relative_error(estimator, NOMINAL) == 0.0
+    np.testing.assert_allclose(
+        estimator.standard_deviation, 0.1 * NOMINAL.lumped.as_array(), rtol=1e-12
+    )
+
+
+def test_noise_is_told_from_wrong_constants() -> None:
+    robot = perturbed(NOMINAL, 0.03, np.random.default_rng(3))
+    estimator = PlantEstimator(NOMINAL.lumped)
+    drive(estimator, robot, 40, 3, noise=1e-3)
+    # 20 residuals of 5 components: the deviation of a deviation is 7 %; four of these.
+    assert estimator.noise == pytest.approx(1e-3, rel=0.3)
+    errors = estimator.constants.as_array() - robot.lumped.as_array()
+    assert np.all(np.abs(errors) < 4.0 * estimator.standard_deviation)
+
+
+def test_a_robot_that_is_picked_up_teaches_nothing() -> None:
+    estimator = PlantEstimator(NOMINAL.lumped)
+    start = np.array([0, 0, 1.0, 0, 0, 0])
+    moved = start + np.array([2.0 * JUMP, 0, 0, 0, 0, 0])
+    estimator.observe(start, moved, np.array([PERIOD]), np.full((2, 2), 50.0))
+    assert estimator.jumps == 1
+    assert relative_error(estimator, NOMINAL) == 0.0
+
+
+def test_constants_stay_physical_whatever_is_seen() -> None:
+    estimator = PlantEstimator(NOMINAL.lumped)
+    far = dataclasses.replace(NOMINAL, rotor_axial_inertia=0.05, shell_radius=0.6)
+    drive(estimator, far, 10, 2)
+    learnt = estimator.constants
+    assert learnt.transverse_ratio < 1.0 and learnt.axial_ratio < 1.0
+    assert np.all(learnt.as_array() > 0.0)

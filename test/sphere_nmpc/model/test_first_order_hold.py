@@ -1,0 +1,174 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Rotor speeds as piecewise linear functions of time."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
+
+MAX_SPEED = 100.0
+MAX_ACCELERATION = 400.0
+EPOCH = 1.7e9
+"""Seconds since 1970 on a wall clock; a float resolves 2.4e-7 s there."""
+
+speed_pairs = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0)).map(np.array)
+
+
+@st.composite
+def holds(draw: st.DrawFn) -> FirstOrderHold:
+    gaps = draw(st.lists(st.floats(1e-3, 2.0), min_size=1, max_size=6))
+    start = draw(st.sampled_from([0.0, -3.5, 1e4, EPOCH]))
+    speeds = [draw(speed_pairs) for _ in gaps]
+    return FirstOrderHold(start + np.cumsum(gaps), np.array(speeds))
+
+
+def simple() -> FirstOrderHold:
+    return FirstOrderHold(np.array([1.0, 2.0, 4.0]), np.array([[0, 10], [20, -10], [0, 0.0]]))
+
+
+def largest_slope(hold: FirstOrderHold) -> float:
+    if hold.times.size == 1:
+        return 0.0
+    return float(np.max(np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]))
+
+
+@pytest.mark.parametrize(
+    ("time", "speeds", "slope"),
+    [
+        (0.0, [0, 10], [0, 0]),
+        (1.0, [0, 10], [20, -20]),
+        (1.25, [5, 5], [20, -20]),
+        (2.0, [20, -10], [-10, 5]),
+        (3.0, [10, -5], [-10, 5]),
+        (4.0, [0, 0], [0, 0]),
+        (9.0, [0, 0], [0, 0]),
+    ],
+)
+def test_speeds_and_slopes_follow_eqs_21_and_22_and_hold_outside(
+    time: float, speeds: list[float], slope: list[float]
+) -> None:
+    np.testing.assert_allclose(simple().at(time), speeds, atol=1e-13)
+    np.testing.assert_allclose(simple().slope_at(time), slope, atol=1e-13)
+
+
+@given(hold=holds(), place=st.floats(-0.5, 1.5))
+def test_hold_is_continuous_and_its_slope_is_its_derivative(
+    hold: FirstOrderHold, place: float
+) -> None:
+    time = hold.start + place * (hold.end - hold.start)
+    # A step that the clock resolves at any of the start times.
+    step = 1e-5
+    change = hold.at(time + step) - hold.at(time)
+    assert np.all(np.abs(change) <= 1.1 * step * largest_slope(hold) + 1e-9)
+    if not np.any((hold.times > time) & (hold.times <= time + step)):
+        elapsed = (time + step) - time
+        np.testing.assert_allclose(change, elapsed * hold.slope_at(time), atol=1e-3)
+
+
+def test_arrays_are_copies_that_cannot_be_written() -> None:
+    times = np.array([0.0, 1.0])
+    hold = FirstOrderHold(times, np.zeros((2, 2)))
+    times[1] = -1.0
+    assert hold.end == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        hold.speeds[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("times", "speeds", "words"),
+    [
+        ([], np.zeros((0, 2)), "K >= 1"),
+        ([0.0, 1.0], np.zeros((3, 2)), r"\(2,\).*\(3, 2\)"),
+        ([0.0, 1.0], np.zeros((2, 3)), r"\(2, 3\)"),
+        ([0.0, 0.0], np.zeros((2, 2)), "strictly rising"),
+        ([1.0, 0.0], np.zeros((2, 2)), "strictly rising"),
+        ([0.0, np.nan], np.zeros((2, 2)), "finite"),
+        ([0.0, np.inf], np.zeros((2, 2)), "finite"),
+        ([0.0, 1.0], np.array([[0, 0], [0, np.nan]]), "finite"),
+    ],
+)
+def test_knots_that_make_no_sense_are_refused(
+    times: list[float], speeds: Vector, words: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=words):
+        FirstOrderHold(np.array(times), speeds)
+
+
+def test_start_in_the_middle_keeps_the_next_knots_and_drops_the_past() -> None:
+    hold = simple().starting_at(1.5, np.array([3.0, 4.0]))
+    np.testing.assert_array_equal(hold.times, [1.5, 2.0, 4.0])
+    np.testing.assert_array_equal(hold.speeds, [[3, 4], [20, -10], [0, 0]])
+
+
+def test_start_at_a_knot_replaces_it_and_start_after_the_end_stays() -> None:
+    assert simple().starting_at(2.0, np.ones(2)).times.tolist() == [2.0, 4.0]
+    assert simple().starting_at(7.0, np.ones(2)).times.tolist() == [7.0]
+
+
+@given(hold=holds(), place=st.floats(-0.5, 1.5), in_force=speed_pairs)
+def test_start_anywhere_leaves_the_speed_in_force_and_joins_later_knots(
+    hold: FirstOrderHold, place: float, in_force: Vector
+) -> None:
+    time = hold.start + place * (hold.end - hold.start)
+    joined = hold.starting_at(time, in_force)
+    assert joined.start == time
+    np.testing.assert_array_equal(joined.at(time), in_force)
+    for knot in hold.times[hold.times > time + 1e-9]:
+        np.testing.assert_allclose(joined.at(knot), hold.at(knot), atol=1e-9)
+
+
+@given(hold=holds())
+def test_limited_hold_keeps_both_limits_whatever_was_asked(hold: FirstOrderHold) -> None:
+    started = hold.starting_at(hold.start, np.clip(hold.speeds[0], -MAX_SPEED, MAX_SPEED))
+    limited = started.limited(MAX_SPEED, MAX_ACCELERATION)
+    assert np.max(np.abs(limited.speeds)) <= MAX_SPEED
+    # Rounding of a difference of speeds of up to 100 rad/s over 1e-3 s at least.
+    assert largest_slope(limited) <= MAX_ACCELERATION + 1e-9
+    np.testing.assert_array_equal(limited.times, hold.times)
+    again = limited.limited(MAX_SPEED, MAX_ACCELERATION)
+    np.testing.assert_allclose(again.speeds, limited.speeds, atol=1e-9)
+
+
+@given(hold=holds())
+def test_hold_within_the_limits_is_left_alone(hold: FirstOrderHold) -> None:
+    same = hold.limited(300.0, 1.01 * largest_slope(hold) + 1.0)
+    np.testing.assert_array_equal(same.speeds, hold.speeds)
+
+
+@given(speeds=speed_pairs, time=st.sampled_from([0.0, 12.5, EPOCH]))
+def test_ramp_to_rest_ends_at_rest_within_the_limit_of_acceleration(
+    speeds: Vector, time: float
+) -> None:
+    ramp = FirstOrderHold.ramp_to_rest(time, speeds, MAX_ACCELERATION)
+    np.testing.assert_array_equal(ramp.at(ramp.end), [0.0, 0.0])
+    assert ramp.start == time
+    assert largest_slope(ramp) <= MAX_ACCELERATION * (1.0 + 1e-15)
+    # The end is rounded up to what the clock resolves, by two steps at most.
+    shortest = np.max(np.abs(speeds)) / MAX_ACCELERATION
+    assert ramp.end - ramp.start == pytest.approx(shortest, abs=2 * np.spacing(time) + 1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e-12, 1e-7, 1e-5, 1e-3])
+def test_ramp_from_next_to_nothing_on_a_wall_clock_is_a_hold_and_no_error(speed: float) -> None:
+    ramp = FirstOrderHold.ramp_to_rest(EPOCH, np.array([speed, 0.0]), MAX_ACCELERATION)
+    np.testing.assert_array_equal(ramp.at(EPOCH + 1.0), [0.0, 0.0])
+
+
+def test_delayed_hold_is_the_same_later() -> None:
+    late = simple().delayed(0.25)
+    for time in np.linspace(0.0, 5.0, 21):
+        np.testing.assert_allclose(late.at(time + 0.25), simple().at(time), atol=1e-12)
+
+
+def test_constant_hold_is_the_same_for_ever() -> None:
+    hold = FirstOrderHold.constant(3.0, np.array([1.0, -2.0]))
+    for time, other in itertools.pairwise((0.0, 3.0, 99.0)):
+        np.testing.assert_array_equal(hold.at(time), hold.at(other))
+    assert (hold.start, hold.end) == (3.0, 3.0)

@@ -1,0 +1,91 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Table 1 of the paper, what follows from it, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantities
+
+NUMBERS = quantities(RobotParameters)
+
+
+def test_defaults_are_table_1() -> None:
+    robot = RobotParameters()
+    assert (robot.shell_mass, robot.shell_radius, robot.shell_inertia) == (1.0, 0.3, 0.06)
+    assert (robot.rotor_offset, robot.counterweight_mass, robot.rotor_mass) == (0.15, 0.7, 0.7)
+    assert robot.rotor_axial_inertia == robot.counterweight_axial_inertia == 0.008
+    assert robot.rotor_transverse_inertia == robot.counterweight_transverse_inertia == 0.004
+    assert robot.max_rotor_speed == 100.0
+
+
+def test_inertias_and_lumped_constants_of_table_1_agree_with_hand_calculation() -> None:
+    robot = RobotParameters()
+    assert robot.total_mass == pytest.approx(3.8)  # 1 + 2 * 0.7 + 2 * 0.7 kg
+    # 0.008 + 0.008 + 2 * (0.004 + 0.7 * 0.0225) + 0.06 kg m^2
+    assert robot.transverse_inertia == pytest.approx(0.1155)
+    assert robot.axial_inertia == pytest.approx(0.139)  # 4 * (0.004 + 0.01575) + 0.06
+    assert robot.rolling_inertia == pytest.approx(0.342)  # 3.8 * 0.09
+    lumped = robot.lumped
+    np.testing.assert_allclose(
+        lumped.as_array(), [0.3, 0.008 / 0.4575, 0.342 / 0.4575, 0.342 / 0.481], rtol=1e-14
+    )
+
+
+@given(
+    name=st.sampled_from(sorted(NUMBERS)),
+    bad=st.one_of(
+        st.sampled_from([math.nan, math.inf, -math.inf, None, "1", True, [1.0]]),
+        st.floats(max_value=-1e-12),
+    ),
+)
+def test_what_is_not_a_number_or_negative_is_refused_by_name(name: str, bad: object) -> None:
+    with pytest.raises(InvalidParameterError) as caught:
+        RobotParameters(**{name: bad})
+    message = str(caught.value)
+    assert caught.value.name == name
+    assert message.startswith(f"{name}: given {bad!r}, expected ")
+    assert NUMBERS[name].unit in message
+
+
+@given(name=st.sampled_from(sorted(NUMBERS)), factor=st.floats(1.001, 1e6))
+def test_value_above_its_maximum_is_refused_with_the_range(name: str, factor: float) -> None:
+    about = NUMBERS[name]
+    assert about.maximum is not None
+    with pytest.raises(InvalidParameterError, match=f"to {about.maximum:g}".replace("+", r"\+")):
+        RobotParameters(**{name: about.maximum * factor})
+
+
+def test_rotors_outside_the_shell_are_refused() -> None:
+    with pytest.raises(InvalidParameterError, match=r"rotor_offset.*less than shell_radius"):
+        RobotParameters(rotor_offset=0.3)
+
+
+def ranges() -> dict[str, st.SearchStrategy[float]]:
+    return {
+        name: st.floats(about.minimum, about.maximum)
+        for name, about in NUMBERS.items()
+        if name not in ("rotor_offset", "shell_radius")
+    }
+
+
+@given(
+    radius=st.floats(0.01, 10.0),
+    depth=st.floats(0.0, 0.999),
+    rest=st.fixed_dictionaries(ranges()),
+)
+def test_lumped_constants_of_any_robot_are_those_of_a_physical_one(
+    radius: float, depth: float, rest: dict[str, float]
+) -> None:
+    robot = RobotParameters(shell_radius=radius, rotor_offset=depth * radius, **rest)
+    lumped = robot.lumped
+    assert 0.0 < lumped.input_gain < 1.0
+    # 1 is reached in rounding where the inertia about the centre is negligible.
+    assert 0.0 < lumped.transverse_ratio <= 1.0
+    assert 0.0 < lumped.axial_ratio <= 1.0

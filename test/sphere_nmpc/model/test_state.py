@@ -1,0 +1,98 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The layout of the state, what is refused, and the distances to a goal."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model.state import (
+    angle_error,
+    as_state,
+    flipped_sign,
+    make_state,
+    nearer_sign,
+    position_error,
+    state_error,
+)
+
+HALF_TURN = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+
+
+def test_quaternion_printed_with_three_digits_is_normalised() -> None:
+    state = as_state([2.0, -3.0, 0.03, 0.454, 0.88, 0.1363])
+    assert np.linalg.norm(state[2:6]) == pytest.approx(1.0, abs=1e-15)
+    np.testing.assert_array_equal(state[:2], [2.0, -3.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([0.0] * 5, r"\(5,\)"),
+        ([0.0] * 7, r"\(7,\)"),
+        ([0.0] * 6, "norm 0"),
+        ([0, 0, 2, 0, 0, 0], "norm 2, expected norm 1"),
+        ([0, 0, 0.98, 0, 0, 0], "norm 0.98"),
+        ([np.nan, 0, 1, 0, 0, 0], "finite"),
+        ([0, np.inf, 1, 0, 0, 0], "finite"),
+        ([0, 0, 1, 0, np.nan, 0], "finite"),
+    ],
+)
+def test_state_that_is_none_is_refused_with_what_was_given(
+    values: list[float], words: str
+) -> None:
+    with pytest.raises(InvalidStateError, match=words):
+        as_state(values)
+
+
+def test_parts_of_wrong_length_are_refused() -> None:
+    with pytest.raises(InvalidStateError, match=r"\(3,\) and \(4,\)"):
+        make_state([0, 0, 0], [1, 0, 0, 0])
+
+
+@given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
+def test_any_six_numbers_become_a_state_or_are_refused(values: list[float]) -> None:
+    try:
+        state = as_state(values)
+    except InvalidStateError:
+        return
+    assert abs(np.linalg.norm(state[2:6]) - 1.0) < 1e-14
+
+
+def test_distances_do_not_depend_on_the_sign_of_either_quaternion() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        a, b = (
+            as_state(np.concatenate((rng.normal(size=2), q / np.linalg.norm(q))))
+            for q in rng.normal(size=(2, 4))
+        )
+        for distance in (state_error, angle_error, position_error):
+            assert distance(a, b) == pytest.approx(distance(flipped_sign(a), b), abs=1e-15)
+            assert distance(a, b) == pytest.approx(distance(a, flipped_sign(b)), abs=1e-15)
+        assert nearer_sign(b, a)[2:6] @ a[2:6] >= 0.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.1, 1.0, 3.0, np.pi - 1e-9, np.pi])
+def test_angle_error_is_the_angle_of_the_rotation_even_where_it_is_tiny(angle: float) -> None:
+    turn = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_quat()[[3, 0, 1, 2]]
+    state = np.concatenate((np.zeros(2), turn))
+    # 1e-7 near pi, where the sine has no slope; relative rounding elsewhere.
+    expected = pytest.approx(angle, rel=1e-7, abs=1e-15)
+    assert angle_error(state, np.array(ORIGIN)) == expected
+
+
+def test_errors_of_a_half_turn_two_metres_away_agree_with_hand_calculation() -> None:
+    state, goal = np.array([0.0, 2.0, *HALF_TURN[2:]]), np.array(ORIGIN)
+    assert position_error(state, goal) == 2.0
+    assert angle_error(state, goal) == pytest.approx(np.pi)
+    assert state_error(state, goal) == pytest.approx(np.sqrt(6.0))
+
+
+@pytest.mark.parametrize("place", [(2e6, 0.0), (0.0, -1e300)])
+def test_position_beyond_all_sense_is_refused(place) -> None:
+    with pytest.raises(InvalidStateError, match=r"position: given .* expected at most 1e\+06 m"):
+        make_state(place, (1.0, 0.0, 0.0, 0.0))

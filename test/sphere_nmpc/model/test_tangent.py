@@ -1,0 +1,68 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Deviations on the plane and SO(3), and how the motion carries them."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.integrator import integrate
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, angle_error, as_state
+from sphere_nmpc.model.tangent import carried, deviated, deviation_between, state_rates
+
+CONSTANTS = RobotParameters().lumped.as_array()
+DIFFERENCE = 1e-6
+SPEEDS = (np.array([80.0, -30.0]), np.array([20.0, 90.0]))
+
+
+def draw(rng: np.random.Generator) -> Vector:
+    quaternion = rng.normal(size=4)
+    return as_state([*rng.normal(size=2), *quaternion / np.linalg.norm(quaternion)])
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-9, 1e-3, 0.5, 3.0])
+def test_deviation_leads_there_and_back(size: float) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        state, deviation = draw(rng), rng.normal(size=5)
+        deviation *= size / np.linalg.norm(deviation)
+        there = deviated(state, deviation)
+        assert np.linalg.norm(there[2:]) == pytest.approx(1.0, abs=1e-14)
+        np.testing.assert_allclose(deviation_between(state, there), deviation, atol=1e-12)
+        assert angle_error(state, there) == pytest.approx(np.linalg.norm(deviation[2:]), abs=1e-9)
+
+
+def test_both_signs_of_a_quaternion_are_the_same_deviation() -> None:
+    rng = np.random.default_rng(2)
+    state, other = draw(rng), draw(rng)
+    flipped = np.concatenate((other[:2], -other[2:]))
+    np.testing.assert_array_equal(
+        deviation_between(state, other), deviation_between(state, flipped)
+    )
+
+
+def test_carried_state_is_that_of_the_integrator() -> None:
+    state = draw(np.random.default_rng(3))
+    end, _, _ = carried(state, SPEEDS, 0.25, CONSTANTS)
+    np.testing.assert_allclose(end, integrate(state, *SPEEDS, 0.25, CONSTANTS), atol=1e-14)
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    state = draw(np.random.default_rng(4))
+    end, by_state, by_constants = carried(state, SPEEDS, 0.25, CONSTANTS)
+    for i in range(5):
+        start = deviated(state, DIFFERENCE * np.eye(5)[i])
+        moved, _, _ = carried(start, SPEEDS, 0.25, CONSTANTS)
+        seen = deviation_between(end, moved) / DIFFERENCE
+        np.testing.assert_allclose(by_state[:, i], seen, atol=1e-4)
+    for i in range(4):
+        moved, _, _ = carried(state, SPEEDS, 0.25, CONSTANTS + DIFFERENCE * np.eye(4)[i])
+        seen = deviation_between(end, moved) / DIFFERENCE
+        np.testing.assert_allclose(by_constants[:, i], seen, atol=1e-3)
+
+
+def test_rates_are_those_of_a_short_step() -> None:
+    state = draw(np.random.default_rng(5))
+    end = integrate(state, SPEEDS[0], SPEEDS[0], DIFFERENCE, CONSTANTS)
+    seen = deviation_between(state, end) / DIFFERENCE
+    np.testing.assert_allclose(state_rates(state, SPEEDS[0], CONSTANTS), seen, atol=1e-5)

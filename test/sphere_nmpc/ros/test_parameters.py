@@ -1,0 +1,106 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes declare, what may change while they run, and what is refused."""
+
+import pytest
+from rclpy.parameter import Parameter
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantities
+from sphere_nmpc.ros.controller_node import ControllerNode
+from sphere_sim.cli.parameter_tables import NODES, PARTS
+from sphere_sim.ros.simulator_node import SimulatorNode
+
+CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
+
+
+@pytest.fixture
+def controller(graph) -> ControllerNode:
+    node = ControllerNode()
+    graph.add(node)
+    return node
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_node_declares_each_quantity_with_unit_range_and_description(graph, name) -> None:
+    node = CLASSES[name]()
+    graph.add(node)
+    expected = dict(quantities(NODES[name]))
+    expected |= {f"robot.{key}": about for key, about in quantities(RobotParameters()).items()}
+    for prefix, _, settings in PARTS[name]:
+        expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(settings).items()}
+    declared = set(node.list_parameters([], depth=0).names)
+    assert declared - expected.keys() <= {"use_sim_time", "start_type_description_service"}
+    for key, about in expected.items():
+        descriptor = node.describe_parameter(key)
+        assert about.description in descriptor.description
+        assert descriptor.read_only is not about.live
+        if about.unit != "-":
+            assert f"[{about.unit}]" in descriptor.description
+        if about.minimum is not None:
+            (bounds,) = descriptor.floating_point_range or descriptor.integer_range
+            assert (bounds.from_value, bounds.to_value) == (about.minimum, about.maximum)
+        for choice in about.choices:
+            assert choice in descriptor.additional_constraints
+
+
+def test_live_change_reaches_the_controller(controller, monkeypatch) -> None:
+    taken = []
+    monkeypatch.setattr(controller.controller, "change", taken.append)
+    results = controller.set_parameters([Parameter("input_weight", value=2)])
+    assert results[0].successful, "a whole number will do"
+    assert controller.get_parameter("input_weight").value == 2.0
+    assert taken[0].input_weight == 2.0
+    assert taken[0].terminal_weight == 1e8
+
+
+@pytest.mark.parametrize(
+    "name, value, told",
+    [
+        ("horizon", 8, "read-only"),
+        ("robot.shell_mass", 2.0, "read-only"),
+        ("input_weight", -1.0, "0"),
+        ("input_weight", "much", "type"),
+        ("max_iterations", 1.5, "type"),
+        ("pose_timeout", float("nan"), "pose_timeout"),
+    ],
+)
+def test_wrong_change_is_refused_with_the_reason(controller, name, value, told) -> None:
+    before = controller.get_parameter(name).value
+    result = controller.set_parameters([Parameter(name, value=value)])[0]
+    assert not result.successful
+    assert told in result.reason
+    assert controller.get_parameter(name).value == before
+
+
+def test_change_of_several_is_all_or_nothing(controller) -> None:
+    both = [Parameter("pose_timeout", value=0.7), Parameter("input_weight", value=-1.0)]
+    assert not controller.set_parameters_atomically(both).successful
+    assert controller.get_parameter("pose_timeout").value == 0.5
+
+
+def test_settings_follow_what_was_given(graph) -> None:
+    given = {"initial_state": [1, 2, 1, 0, 0, 0], "seed": 7, "robot.shell_mass": 2}
+    node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
+    graph.add(node)
+    assert node.simulator.plant.state.tolist() == [1.0, 2.0, 1.0, 0.0, 0.0, 0.0]
+    assert node.get_parameter("seed").value == 7
+    assert node.get_parameter("robot.shell_mass").value == 2.0
+
+
+@pytest.mark.parametrize(
+    "name, value", [("seed", -1), ("plant", "cube"), ("initial_state", [1.0, 2.0]), ("seed", 1.5)]
+)
+def test_wrong_value_at_the_start_is_named(graph, name, value) -> None:
+    with pytest.raises(InvalidParameterError, match=f"{name}: given .*, expected"):
+        SimulatorNode([Parameter(name, value=value)])
+
+
+def test_unknown_names_are_told_in_one_warning(graph, capfd) -> None:
+    given = {"sed": 1, "robot.mass": 2.0}
+    node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
+    graph.add(node)
+    told = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
+    assert len(told) == 1 and "robot.mass, sed" in told[0]
+    assert not node.has_parameter("sed")

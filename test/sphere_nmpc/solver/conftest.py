@@ -1,0 +1,58 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import as_state
+from sphere_nmpc.solver.problem import HoldProblem
+
+U_MAX = 100.0  # rad/s
+
+KINDS: dict[str, dict[str, Any]] = {
+    "paper": {"intervals": 4, "stage_weight": 1e-8, "input_weight": 5e-5},
+    "terminal": {"intervals": 5, "input_weight": 1e-6},
+    "slew": {"intervals": 9, "input_weight": 1e-8, "slew_weight": 10.0, "max_acceleration": 150.0},
+    "stages and slew": {
+        "intervals": 4,
+        "stage_weight": 0.3,
+        "input_weight": 1e-4,
+        "slew_weight": 1.0,
+        "max_acceleration": 150.0,
+    },
+    "stages alone": {"intervals": 3, "stage_weight": 1.0, "terminal_weight": 0.0},
+    "one interval": {"intervals": 1, "input_weight": 1e-6},
+}
+
+
+@pytest.fixture
+def make_problem() -> Callable[..., HoldProblem]:
+    def make(
+        kind: str = "paper", seed: int = 0, unequal: bool = True, **changes: Any
+    ) -> HoldProblem:
+        rng = np.random.default_rng(seed)
+        settings = {**KINDS[kind], **changes}
+        n = settings.pop("intervals")
+        turn = rng.normal(size=(2, 4))
+        turn /= np.linalg.norm(turn, axis=1)[:, None]
+        defaults: dict[str, Any] = {
+            "state": as_state([*rng.uniform(-1.0, 1.0, 2), *turn[0]]),
+            "goal": as_state([0.0, 0.0, *turn[1]]),
+            "input_in_force": rng.uniform(-50.0, 50.0, 2),
+            "durations": rng.uniform(0.05, 0.5, n) if unequal else np.full(n, 0.5),
+            "constants": RobotParameters().lumped.as_array(),
+            "lower": np.full((n, 2), -U_MAX),
+            "upper": np.full((n, 2), U_MAX),
+            "input_scale": U_MAX,
+        }
+        return HoldProblem(**{**defaults, **settings})
+
+    return make
+
+
+@pytest.fixture(params=list(KINDS))
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)

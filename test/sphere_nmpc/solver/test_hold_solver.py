@@ -1,0 +1,219 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.levenberg_marquardt import rest_start
+from sphere_nmpc.solver.objective import cost, expand
+from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
+
+BACKENDS = ("compiled", "vm")
+
+
+def random_start(problem, seed=1):
+    return np.random.default_rng(seed).uniform(-100.0, 100.0, (problem.intervals, 2))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_both_backends_take_the_same_steps(make_problem, kind, seed):
+    problem = make_problem(kind, seed)
+    # Few steps: rounding grows along the way where the problem is flat.
+    settings = SolverSettings(max_iterations=8)
+    ours, reference = (
+        HoldSolver(settings, backend).solve(problem, random_start(problem)) for backend in BACKENDS
+    )
+    assert ours.iterations == reference.iterations
+    assert ours.status is reference.status
+    assert ours.cost == pytest.approx(reference.cost, rel=1e-9)
+    assert np.max(np.abs(ours.inputs - reference.inputs)) < 1e-6
+    assert ours.kkt_residual == pytest.approx(reference.kkt_residual, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_solution_states_its_own_cost_states_and_residual(make_problem, kind, backend):
+    problem = make_problem(kind)
+    solution = HoldSolver(SolverSettings(max_iterations=15), backend).solve(
+        problem, random_start(problem)
+    )
+    v = solution.inputs[1:].ravel() / problem.input_scale
+    value, states = cost(problem, v)
+    gradient = expand(problem, v).gradient
+    low, high = (b.ravel() / problem.input_scale for b in (problem.lower, problem.upper))
+    residual = np.max(np.abs(np.clip(v - gradient, low, high) - v))
+    assert solution.cost == pytest.approx(value, rel=1e-9)
+    assert np.allclose(solution.states, states, atol=1e-9)
+    assert solution.kkt_residual == pytest.approx(residual, rel=1e-4, abs=1e-9)
+    assert np.array_equal(solution.inputs[0], problem.input_in_force)
+    assert solution.solve_time > 0.0
+
+
+def test_converged_point_is_stationary_and_no_random_neighbour_is_better(make_problem):
+    problem = make_problem("paper", unequal=False)
+    solver = HoldSolver(SolverSettings(max_iterations=500, decrease_tolerance=0.0))
+    solution = solver.solve(problem, rest_start(problem))
+    assert solution.status is SolveStatus.CONVERGED
+    assert solution.kkt_residual < 1e-6
+    rng = np.random.default_rng(0)
+    v = solution.inputs[1:].ravel() / problem.input_scale
+    for _ in range(50):
+        near = np.clip(v + 1e-3 * rng.normal(size=v.size), -1.0, 1.0)
+        assert cost(problem, near)[0] > solution.cost - 1e-9
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("scale", (100.0, 30.0, 7.0))
+def test_bounds_hold_exactly(make_problem, kind, backend, scale):
+    n = make_problem(kind).intervals
+    bound = np.random.default_rng(2).uniform(1.0, 20.0, (n, 2)) / 3.0
+    problem = make_problem(kind, lower=-bound, upper=2.0 * bound, input_scale=scale)
+    solution = HoldSolver(SolverSettings(max_iterations=10), backend).solve(
+        problem, random_start(problem)
+    )
+    assert np.all(solution.inputs[1:] >= problem.lower)
+    assert np.all(solution.inputs[1:] <= problem.upper)
+    pressed = (solution.inputs[1:] == problem.lower) | (solution.inputs[1:] == problem.upper)
+    assert np.any(pressed), "the bounds are meant to be narrow enough to matter"
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_fixed_knots_stay_where_they_are(make_problem, kind, backend):
+    problem = make_problem(kind)
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    lower[-1] = upper[-1] = 0.0
+    lower[0, 1] = upper[0, 1] = 12.5
+    problem = replace(problem, lower=lower, upper=upper)
+    solution = HoldSolver(SolverSettings(max_iterations=10), backend).solve(
+        problem, random_start(problem)
+    )
+    assert solution.inputs[1, 1] == 12.5
+    if problem.intervals > 1:
+        assert np.array_equal(solution.inputs[-1], [0.0, 0.0])
+        assert solution.iterations > 0
+
+
+def test_all_knots_fixed_is_no_problem(make_problem, kind):
+    problem = make_problem(kind)
+    problem = replace(problem, lower=np.zeros_like(problem.lower), upper=0.0 * problem.upper)
+    for backend in BACKENDS:
+        solution = HoldSolver(backend=backend).solve(problem, random_start(problem))
+        assert solution.status is SolveStatus.CONVERGED
+        assert solution.kkt_residual == 0.0
+        assert not np.any(solution.inputs[1:])
+
+
+def test_slew_hinge_limits_the_knot_differences(make_problem):
+    problem = make_problem("slew", slew_weight=1e3, max_acceleration=60.0, unequal=False)
+    free = HoldSolver().solve(replace(problem, slew_weight=0.0), random_start(problem))
+    held = HoldSolver(SolverSettings(max_iterations=300)).solve(problem, random_start(problem))
+    reach = problem.max_acceleration * problem.durations[:, None]
+    beyond = [np.max(np.abs(np.diff(s.inputs, axis=0)) - reach) for s in (free, held)]
+    assert beyond[0] > 10.0, "without the hinge the limit is meant to be broken"
+    assert beyond[1] < 0.5
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+class TestStatus:
+    def test_cap(self, make_problem, backend):
+        problem = make_problem("paper")
+        solution = HoldSolver(SolverSettings(max_iterations=2), backend).solve(
+            problem, rest_start(problem)
+        )
+        assert solution.status is SolveStatus.CAPPED
+        assert solution.iterations == 2
+
+    def test_no_time(self, make_problem, backend):
+        problem = make_problem("paper")
+        solution = HoldSolver(SolverSettings(time_budget=0.0), backend).solve(
+            problem, rest_start(problem)
+        )
+        assert solution.status is SolveStatus.BUDGET
+        assert solution.iterations == 0
+        assert np.isfinite(solution.cost)
+
+    def test_not_finite(self, make_problem, backend):
+        problem = make_problem("paper", state=np.full(6, np.nan))
+        start = np.full((4, 2), 500.0)
+        solution = HoldSolver(backend=backend).solve(problem, start)
+        assert solution.status is SolveStatus.NOT_FINITE
+        assert np.all(solution.inputs[1:] == 100.0), "the bounds hold whatever the status"
+
+    def test_start_that_is_not_a_number(self, make_problem, backend):
+        problem = make_problem("paper")
+        solution = HoldSolver(backend=backend).solve(problem, np.full((4, 2), np.nan))
+        assert solution.status is SolveStatus.NOT_FINITE
+
+    def test_target_reached_at_the_start(self, make_problem, backend):
+        problem = make_problem("terminal")
+        solution = HoldSolver(SolverSettings(target_cost=1e6), backend).solve(
+            problem, rest_start(problem)
+        )
+        assert solution.status is SolveStatus.CONVERGED
+        assert solution.iterations == 0
+
+    def test_already_at_the_goal(self, make_problem, backend):
+        problem = make_problem("paper", input_in_force=np.zeros(2))
+        problem = replace(problem, goal=problem.state)
+        solution = HoldSolver(backend=backend).solve(problem, rest_start(problem))
+        assert solution.status is SolveStatus.CONVERGED
+        assert solution.cost == 0.0
+
+    def test_decrease_floor_stops_early(self, make_problem, backend):
+        problem = make_problem("paper")
+        early, late = (
+            HoldSolver(SolverSettings(decrease_floor=floor), backend).solve(
+                problem, rest_start(problem)
+            )
+            for floor in (1e-2, 0.0)
+        )
+        assert early.status is SolveStatus.CONVERGED
+        assert early.iterations < late.iterations
+        assert early.cost >= late.cost
+
+
+def test_singular_model_without_input_weight_is_solved(make_problem):
+    # 18 inputs, 6 residuals and nothing that holds the inputs: only the damping makes it definite.
+    problem = make_problem("slew", input_weight=0.0, slew_weight=0.0)
+    for backend in BACKENDS:
+        solution = HoldSolver(SolverSettings(max_iterations=40), backend).solve(
+            problem, random_start(problem)
+        )
+        assert np.isfinite(solution.cost)
+
+
+def test_one_solver_serves_many_threads(make_problem):
+    solver = HoldSolver(SolverSettings(max_iterations=20))
+    problems = [make_problem("paper", seed) for seed in range(16)]
+    alone = [solver.solve(problem, rest_start(problem)) for problem in problems]
+    together = [None] * len(problems)
+
+    def work(i):
+        for _ in range(20):
+            together[i] = solver.solve(problems[i], rest_start(problems[i]))
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(problems))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for one, other in zip(alone, together, strict=True):
+        assert np.array_equal(one.inputs, other.inputs)
+
+
+def test_answers_of_earlier_solves_are_left_alone(make_problem):
+    solver = HoldSolver()
+    problem = make_problem("paper", 1)
+    first = solver.solve(problem, rest_start(problem))
+    kept = first.inputs.copy()
+    other = make_problem("paper", 2)
+    solver.solve(other, rest_start(other))
+    assert np.array_equal(first.inputs, kept)
+
+
+def test_unknown_backend_is_refused():
+    with pytest.raises(InvalidParameterError, match="backend: given 'gpu'"):
+        HoldSolver(backend="gpu")

@@ -1,0 +1,88 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
+from sphere_nmpc.solver.objective import cost, expand
+from sphere_nmpc.solver.shooting import roll_out, roll_out_with_sensitivity
+
+STEP = 1e-6  # of a scaled input; a central difference is then good to about 1e-9
+DIFFERENCE_TOLERANCE = 1e-7
+ROUNDING = 1e-12
+
+
+@pytest.fixture
+def point(make_problem, kind):
+    problem = make_problem(kind)
+    return problem, np.random.default_rng(1).uniform(-90.0, 90.0, (problem.intervals, 2))
+
+
+def test_sensitivities_agree_with_finite_differences(point):
+    problem, knots = point
+    inputs = np.vstack((problem.input_in_force, knots))
+    _, sensitivities = roll_out_with_sensitivity(problem, inputs)
+    for i in range(knots.size):
+        change = np.zeros(knots.size)
+        change[i] = STEP * problem.input_scale
+        bend = np.vstack((np.zeros(2), change.reshape(-1, 2)))
+        ahead, behind = roll_out(problem, inputs + bend), roll_out(problem, inputs - bend)
+        found = (ahead - behind) / (2.0 * change[i])
+        assert np.allclose(found, sensitivities[:, :, i], atol=DIFFERENCE_TOLERANCE)
+
+
+def test_gradient_agrees_with_finite_differences(point):
+    problem, knots = point
+    v = knots.ravel() / problem.input_scale
+    gradient = expand(problem, v).gradient
+    for i in range(v.size):
+        change = np.zeros(v.size)
+        change[i] = STEP
+        found = (cost(problem, v + change)[0] - cost(problem, v - change)[0]) / (2.0 * STEP)
+        assert found == pytest.approx(gradient[i], abs=1e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_compiled_expansion_agrees_with_the_virtual_machine(make_problem, kind, seed):
+    problem = make_problem(kind, seed)
+    knots = np.random.default_rng(seed).uniform(-100.0, 100.0, (problem.intervals, 2))
+    v = knots.ravel() / problem.input_scale
+    inputs = np.vstack((problem.input_in_force, knots))
+    value, states = cost(problem, v)
+    _, sensitivities = roll_out_with_sensitivity(problem, inputs)
+    picture, found = expand(problem, v), expand_compiled(problem, knots)
+    scale = np.max(np.abs(picture.hessian))
+    assert found["cost"] == pytest.approx(value, rel=ROUNDING)
+    assert np.max(np.abs(found["states"] - states)) < ROUNDING
+    assert np.max(np.abs(found["sensitivities"] - sensitivities)) < ROUNDING
+    assert np.max(np.abs(found["gradient"] - picture.gradient)) < ROUNDING * max(scale, 1.0)
+    assert np.max(np.abs(found["hessian"] - picture.hessian)) < ROUNDING * max(scale, 1.0)
+
+
+def test_compiled_roll_out_agrees_with_the_virtual_machine(point):
+    problem, knots = point
+    inputs = np.vstack((problem.input_in_force, knots))
+    found = HoldSolver(backend="compiled").roll_out(problem, inputs)
+    assert np.max(np.abs(found - roll_out(problem, inputs))) < ROUNDING
+
+
+def test_quaternion_keeps_its_norm_over_many_intervals(make_problem):
+    problem = make_problem("terminal", intervals=80)
+    inputs = np.random.default_rng(3).uniform(-100.0, 100.0, (81, 2))
+    states = HoldSolver(backend="compiled").roll_out(problem, inputs)
+    assert np.allclose(np.linalg.norm(states[:, 2:], axis=1), 1.0, atol=1e-13)
+
+
+def test_halving_the_step_gains_four_orders(make_problem):
+    problem = make_problem("paper", unequal=False)
+    inputs = np.random.default_rng(3).uniform(-100.0, 100.0, (5, 2))
+    solver = HoldSolver(backend="compiled")
+    truth = solver.roll_out(replace(problem, max_step=0.5 / 128), inputs)
+    coarse, fine = (
+        np.max(np.abs(solver.roll_out(replace(problem, max_step=h), inputs) - truth))
+        for h in (0.5 / 8, 0.5 / 16)
+    )
+    # Order four: a factor of 16; between 8 and 32 the order is beyond doubt.
+    assert 8.0 < coarse / fine < 32.0

@@ -1,0 +1,209 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Arrivals, the search for early ones, and the strategy in closed loop."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, flipped_sign, state_error
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import PlanStatus
+from sphere_nmpc.strategy.time_optimal.grid import knot_durations
+from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
+from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
+from sphere_sim.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.perturbation import perturbed
+from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.scenarios import PAPER_CASES, Scenario
+from sphere_sim.simulator import Simulator
+from sphere_sim.simulator_settings import SimulatorSettings
+
+ROBOT = RobotParameters()
+SETTINGS = ControllerSettings(strategy="time_optimal")
+PERIOD = SETTINGS.period
+AT_ORIGIN = np.array([0, 0, 1.0, 0, 0, 0])
+
+
+def situation(scenario: Scenario) -> Situation:
+    return Situation(0.0, scenario.start, scenario.goal, np.zeros(2), ROBOT.lumped)
+
+
+def run(
+    scenario: Scenario,
+    duration: float,
+    robot: RobotParameters = ROBOT,
+    settings: ControllerSettings = SETTINGS,
+    **world: float,
+) -> Trajectory:
+    simulator = Simulator(
+        SimulatorSettings(initial_state=tuple(scenario.start), **world),  # type: ignore[arg-type]
+        robot,
+    )
+    controller = Controller(settings, ROBOT)
+    return run_closed_loop(simulator, controller, scenario.goal, duration, PERIOD)
+
+
+def errors(found: Trajectory, goal: Vector) -> Vector:
+    return np.array([state_error(state, goal) for state in found.states])
+
+
+def settling_time(found: Trajectory, goal: Vector, within: float = 1e-2) -> float:
+    outside = np.flatnonzero(errors(found, goal) > within)
+    return float(found.times[outside[-1] + 1]) if outside.size else 0.0
+
+
+@pytest.mark.parametrize("duration", [0.3, 1.0, 4.99, 12.0, 80.0])
+@pytest.mark.parametrize("to_next_tick", [0.25, 0.13, 0.01])
+def test_knots_lie_on_ticks_and_end_at_the_arrival(duration: float, to_next_tick: float) -> None:
+    durations = knot_durations(duration, PERIOD, to_next_tick)
+    assert np.sum(durations) == pytest.approx(duration, abs=1e-12)
+    assert np.all(durations > 0.0) and durations.size < 50
+    knots = np.cumsum(durations)[:-1]
+    phases = np.mod(knots - to_next_tick + 0.5 * PERIOD, PERIOD) - 0.5 * PERIOD
+    np.testing.assert_allclose(phases, 0.0, atol=1e-9)
+
+
+def test_cruise_speed_is_what_the_plant_does() -> None:
+    # The contact axis e3 and both rotors at the limit: steady rolling in a straight line.
+    plant = RollingPlant(ROBOT, AT_ORIGIN)
+    plant.advance(np.array([100.0, 100.0]), 1e-6)
+    plant.displace(AT_ORIGIN)
+    plant.advance(np.array([100.0, 100.0]), 2.0)
+    distance = float(np.linalg.norm(plant.state[:2]))
+    assert distance == pytest.approx(2.0 * cruise_speed(ROBOT.lumped, 100.0), rel=1e-6)
+
+
+def test_an_arrival_keeps_every_limit_and_arrives_on_the_plant() -> None:
+    scenario = PAPER_CASES[2]
+    search = ArrivalSearch(ROBOT, PERIOD, situation(scenario), PERIOD, seed=0)
+    found = search.improve(60_000)
+    assert found is not None and found.miss <= ARRIVED
+    hold = found.hold
+    np.testing.assert_array_equal(hold.speeds[[0, -1]], np.zeros((2, 2)))
+    assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
+    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+    assert np.max(np.abs(slopes)) <= ROBOT.max_rotor_acceleration
+    plant = RollingPlant(ROBOT, scenario.start)
+    for speeds, duration in zip(hold.speeds[1:], np.diff(hold.times), strict=True):
+        plant.advance(speeds, float(duration))
+    # The search integrates coarsely: steps of 0.25 s err by some 1e-2 each at full speed ...
+    assert state_error(plant.state, scenario.goal) < 1.0
+    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
+    plan = strategy.plan(situation(scenario))
+    plant.reset(scenario.start)
+    for speeds, duration in zip(plan.hold.speeds[1:], np.diff(plan.hold.times), strict=True):
+        plant.advance(speeds, float(duration))
+    # ... and the strategy solves it again in steps of 0.05 s: 3e-6 each, amplified on the way.
+    assert state_error(plant.state, scenario.goal) < 1e-3
+
+
+def test_search_goes_on_where_it_stopped_and_never_gets_worse() -> None:
+    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, seed=3)
+    durations = []
+    for _ in range(6):
+        found = search.improve(20_000)
+        durations.append(np.inf if found is None else found.duration)
+    assert durations == sorted(durations, reverse=True)
+    assert durations[-1] < 7.5
+
+
+def test_search_repeats_itself_and_minds_the_deadline() -> None:
+    first, second = (
+        ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[4]), PERIOD, seed=5).improve(20_000)
+        for _ in range(2)
+    )
+    assert first is not None and second is not None
+    np.testing.assert_array_equal(first.hold.speeds, second.hold.speeds)
+    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, seed=5)
+    began = time.perf_counter()
+    search.improve(100_000_000, deadline=began + 0.05)
+    # One solve may overrun; a loaded machine may add much to it.
+    assert time.perf_counter() - began < 1.0
+
+
+@pytest.mark.parametrize(("case", "limit"), [(1, 6.5), (2, 4.5), (3, 1.75), (4, 2.0)])
+def test_case_of_the_paper_settles_near_the_time_limit(case: int, limit: float) -> None:
+    scenario = PAPER_CASES[case]
+    found = run(scenario, limit + 3.0)
+    assert settling_time(found, scenario.goal) <= limit
+    assert errors(found, scenario.goal)[-1] < 1e-4
+    assert np.max(np.abs(found.speeds)) <= ROBOT.max_rotor_speed + 1e-9
+    slopes = np.diff(found.speeds, axis=0) / np.diff(found.times)[:, None]
+    assert np.max(np.abs(slopes)) <= ROBOT.max_rotor_acceleration + 1e-6
+
+
+@pytest.mark.parametrize("percent", [3, 10])
+def test_wrong_parameters_are_learnt_on_the_way(percent: int) -> None:
+    scenario = PAPER_CASES[2]
+    robot = perturbed(ROBOT, percent / 100.0, np.random.default_rng(percent))
+    found = run(scenario, 9.0, robot)
+    assert settling_time(found, scenario.goal) < 6.0
+    assert errors(found, scenario.goal)[-1] < 1e-4
+
+
+def test_noise_is_borne_without_a_new_manoeuvre() -> None:
+    scenario = PAPER_CASES[3]
+    found = run(scenario, 15.0, process_noise=1e-3, seed=4)
+    assert settling_time(found, scenario.goal, within=5e-2) < 2.5
+
+
+def test_time_left_falls_sample_by_sample() -> None:
+    found = run(PAPER_CASES[1], 6.0)
+    arrivals = np.array([d.plan.arrival for d in found.decisions])
+    arrivals = arrivals[np.isfinite(arrivals)]
+    assert arrivals.size > 15 and np.all(np.diff(arrivals) <= 1e-9)
+
+
+def test_goal_far_away_is_reached_with_a_problem_of_bounded_size() -> None:
+    goal = np.array([14.0, -9.0, *PAPER_CASES[1].start[2:]])
+    found = run(Scenario(AT_ORIGIN, goal), 32.0)
+    assert errors(found, goal)[-1] < 1e-4
+    assert max(d.plan.states.shape[0] for d in found.decisions) < 50
+
+
+def test_present_state_as_goal_needs_no_motion_with_either_sign() -> None:
+    state = PAPER_CASES[1].start
+    for goal in (state, flipped_sign(state)):
+        found = run(Scenario(state, goal), 2.0)
+        np.testing.assert_array_equal(found.speeds, 0.0)
+        assert found.decisions[-1].plan.status is PlanStatus.HOLDING
+
+
+def test_goal_that_changes_every_second_never_breaks_a_limit() -> None:
+    rng = np.random.default_rng(8)
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(AT_ORIGIN)), ROBOT)
+    light = dataclasses.replace(SETTINGS, planning_effort=20_000)
+    controller = Controller(light, ROBOT)
+    before = np.zeros(2)
+    for k in range(24):
+        if k % 4 == 0:
+            turn = rng.normal(size=4)
+            turn /= np.linalg.norm(turn)
+            goal = np.concatenate((rng.uniform(-1.0, 1.0, 2), turn))
+            controller.set_goal(goal)
+        controller.observe(simulator.time, simulator.measured_state())
+        hold = controller.commit(controller.decide(simulator.time), simulator.time)
+        if hold is not None:
+            simulator.follower.follow_trajectory(hold)
+        for _ in range(25):
+            simulator.advance_to(simulator.now + 10_000_000)
+            after = simulator.plant.rotor_speeds
+            assert np.max(np.abs(after)) <= ROBOT.max_rotor_speed + 1e-9
+            assert np.max(np.abs(after - before)) <= 0.01 * ROBOT.max_rotor_acceleration + 1e-9
+            before = after
+    assert controller.failures == 0
+
+
+def test_out_of_time_before_any_arrival_is_found_it_keeps_still() -> None:
+    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
+    plan = strategy.plan(dataclasses.replace(situation(PAPER_CASES[1]), time_budget=0.0))
+    assert plan.status is PlanStatus.RAMP_TO_REST
+    assert isinstance(plan.hold, FirstOrderHold) and not np.any(plan.hold.speeds)

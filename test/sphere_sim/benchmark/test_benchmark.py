@@ -1,0 +1,137 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rich")
+pytest.importorskip("matplotlib")
+
+from sphere_nmpc.solver.objective import cost
+from sphere_sim.benchmark import numpy_peer
+from sphere_sim.benchmark.contender import Answer, paper_problem
+from sphere_sim.benchmark.nlp_peers import Slsqp, ipopt, nonlinear_program
+from sphere_sim.benchmark.ours import AlgorithmOne, BothSigns
+from sphere_sim.benchmark.race import race, set_up
+from sphere_sim.benchmark.random_problems import Comparison, compare
+from sphere_sim.benchmark.report import as_numbers
+from sphere_sim.cli.benchmark import main
+from sphere_sim.scenarios import PAPER_CASES, draw_scenarios
+
+
+class Idle:
+    """Keeps the rotors at rest; may fail."""
+
+    def __init__(self, raises=False):
+        self._raises = raises
+
+    def start(self, goal):
+        pass
+
+    def solve(self, state, input_in_force):
+        if self._raises:
+            raise ArithmeticError("as told")
+        return Answer(np.zeros(2), True)
+
+
+def settling_times(maker, cases, duration=15.0):
+    contenders, records, _ = set_up({"one": maker}, lambda name: None)
+    scenarios = [PAPER_CASES[case] for case in cases]
+    for _ in race(contenders, records, scenarios, round(duration / 0.5), 1, 60.0):
+        pass
+    return records["one"].settle
+
+
+def test_everybody_is_given_the_same_cost():
+    import casadi as ca
+
+    program = nonlinear_program()
+    theirs = ca.Function("cost", [program["x"], program["p"]], [program["f"]])
+    rng = np.random.default_rng(0)
+    for scenario in draw_scenarios(5, 0):
+        v, u = rng.uniform(-1.0, 1.0, 8), rng.uniform(-100.0, 100.0, 2)
+        ours, _ = cost(paper_problem(scenario.start, scenario.goal, u), v)
+        assert float(theirs(v, np.concatenate((scenario.start, scenario.goal, u)))) == (
+            pytest.approx(ours, rel=1e-12)
+        )
+        in_numpy = numpy_peer.costs_at(v[None, :], scenario.start, scenario.goal, u)[0]
+        assert in_numpy == pytest.approx(ours, rel=1e-12)
+
+
+def test_all_of_the_papers_cases_settle_in_time():
+    # Bounds: the best peer measured on each case, for Algorithm 1 what the paper's figures show.
+    for settle, bound in zip(
+        settling_times(BothSigns, (1, 2, 3, 4)), (10.5, 11.0, 4.5, 6.0), strict=True
+    ):
+        assert settle is not None and settle <= bound
+    for settle in settling_times(AlgorithmOne, (1, 3, 4)):
+        assert settle is not None
+
+
+def test_a_peer_settles_in_the_same_loop():
+    (settle,) = settling_times(lambda: Slsqp(exact_gradient=True), (3,))
+    assert settle is not None and settle < 10.0
+
+
+def test_who_cannot_be_set_up_is_reported():
+    def absent():
+        raise ModuleNotFoundError("No module named 'nobody'", name="nobody")
+
+    def broken():
+        raise OSError("no disc")
+
+    _, records, missing = set_up({"a": absent, "b": broken, "c": Idle}, lambda name: None)
+    assert missing == {"a": "not installed (nobody)", "b": "could not be set up: no disc"}
+    assert list(records) == ["c"]
+
+
+def test_failures_are_counted_and_never_settling_is_none():
+    makers = {"idle": Idle, "raising": lambda: Idle(raises=True)}
+    contenders, records, _ = set_up(makers, lambda name: None)
+    for _ in race(contenders, records, [PAPER_CASES[2]], 3, 1, 60.0):
+        pass
+    report = as_numbers(records, {})
+    assert records["idle"].failures == 0 and records["raising"].failures == 3
+    assert report["solvers"]["idle"]["settle_s"] == [None]
+    assert report["solvers"]["raising"]["solves"] == 3
+
+
+def test_who_has_no_time_left_is_taken_out():
+    contenders, records, _ = set_up({"idle": Idle}, lambda name: None)
+    for _ in race(contenders, records, [PAPER_CASES[1], PAPER_CASES[2]], 5, 1, 0.0):
+        pass
+    assert records["idle"].stopped
+    assert len(records["idle"].wall) == 1
+    assert records["idle"].settle == [None, None]
+
+
+@pytest.mark.slow
+def test_many_starts_are_not_worse_than_ipopt():
+    comparison = Comparison()
+    for _ in compare(ipopt(), 20, 0, comparison):
+        pass
+    summary = comparison.summary()
+    assert summary["problems"] == 20
+    assert summary["8_starts_not_worse"] >= 0.95
+
+
+@pytest.mark.slow
+def test_command_writes_what_the_design_promises(tmp_path, capsys):
+    path = tmp_path / "deep" / "benchmark.json"
+    quick = ["--quick", "--cases", "3", "--duration", "10", "--budget", "3"]
+    assert main(["--json", str(path), *quick]) == 0
+    report = json.loads(path.read_text())
+    ours = report["solvers"]["sphere_nmpc"]
+    assert {"median_ms", "p99_ms", "settle_s", "failures"} <= set(ours)
+    assert ours["failures"] == 0 and len(ours["settle_s"]) == 1
+    assert report["floor_us"]["iteration"] > 0.0
+    assert path.with_suffix(".png").stat().st_size > 1000
+    assert "Closed loops on the paper's problem" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong", (["--rounds", "0"], ["--random", "-1"], ["--duration", "nan"]))
+def test_senseless_arguments_are_refused(wrong, tmp_path):
+    with pytest.raises(SystemExit) as stopped:
+        main(["--json", str(tmp_path / "x.json"), *wrong])
+    assert stopped.value.code == 2

@@ -1,0 +1,85 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from sphere_sim.cli import main as cli
+
+
+@pytest.fixture
+def install_verb(monkeypatch, tmp_path):
+    """Return a function that makes a verb out of the source of its module."""
+
+    def install(source: str, verb: str = "roll") -> None:
+        (tmp_path / f"module_of_{verb}.py").write_text(source)
+        monkeypatch.setitem(cli.VERBS, verb, (f"module_of_{verb}", "roll the sphere"))
+
+    monkeypatch.syspath_prepend(tmp_path)
+    yield install
+    for name in [name for name in sys.modules if name.startswith("module_of_")]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("argv", [[], ["-h"], ["--help"]])
+def test_help_lists_installed_verbs_only(argv, install_verb, monkeypatch, capsys) -> None:
+    install_verb("")
+    monkeypatch.setitem(cli.VERBS, "fly", ("sphere_sim.no_such_room.fly", "leave the plane"))
+    assert cli.main(argv) == 0
+    usage = capsys.readouterr().out
+    assert "roll the sphere" in usage
+    assert "fly" not in usage
+
+
+def test_version_is_that_of_the_package(capsys) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"sphere_nmpc {metadata.version('sphere_nmpc')}\n"
+
+
+def test_unknown_verb_is_named_and_the_verbs_are_listed(install_verb, capsys) -> None:
+    install_verb("")
+    assert cli.main(["fly"]) == 2
+    message = capsys.readouterr().err
+    assert "'fly'" in message
+    assert "roll the sphere" in message
+
+
+def test_verb_gets_the_rest_and_its_code_is_returned(install_verb, capsys) -> None:
+    install_verb("def main(argv):\n    print(argv)\n    return 7\n")
+    assert cli.main(["roll", "--case", "2"]) == 7
+    assert capsys.readouterr().out == "['--case', '2']\n"
+
+
+@pytest.mark.parametrize(
+    ("absent", "extra"),
+    [("rclpy.node", "ros"), ("geometry_msgs.msg", "ros"), ("viser", "viewer"), ("other", "all")],
+)
+def test_missing_package_names_the_extra(absent, extra, install_verb, monkeypatch, capsys) -> None:
+    install_verb(f"import {absent}\n")
+    package = absent.partition(".")[0]
+    for name in (package, absent):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert cli.main(["roll"]) == 1
+    message = capsys.readouterr().err
+    assert f"'{package}'" in message
+    assert f"'sphere_nmpc[{extra}]'" in message
+    assert message.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["sphere_sim.no_such_module", "scipy.no_such_module"])
+def test_wrong_import_is_not_taken_for_a_missing_package(name, install_verb) -> None:
+    install_verb(f"def main(argv):\n    import {name}\n")
+    with pytest.raises(ModuleNotFoundError, match="no_such_module"):
+        cli.main(["roll"])
+
+
+def test_extras_of_the_advice_exist() -> None:
+    assert {*cli._EXTRAS, "all"} <= set(metadata.metadata("sphere_nmpc").get_all("Provides-Extra"))
+
+
+def test_installed_command_exits_with_the_code() -> None:
+    command = Path(sys.executable).with_name("sphere_nmpc")
+    assert subprocess.run([command, "no-such-verb"], capture_output=True).returncode == 2

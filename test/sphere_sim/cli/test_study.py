@@ -1,0 +1,125 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The verb ``study``: what it says and the exit code it leaves."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sphere_sim.cli.study import main
+from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.scenario_file import STATE_COLUMNS
+
+BRIEF = ["--duration", "1", "--jobs", "1", "--no-bound"]
+
+
+@pytest.fixture(autouse=True)
+def no_figure(monkeypatch) -> None:
+    monkeypatch.setattr("sphere_sim.study.study.draw", lambda *arguments: None)
+
+
+@pytest.fixture(autouse=True)
+def same_environment() -> Iterator[None]:
+    """The verb pins the threads of numerical libraries for its process."""
+    before = dict(os.environ)
+    yield
+    os.environ.clear()
+    os.environ.update(before)
+
+
+def test_study_tells_the_figure_that_matters_and_exits_0(tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    assert main(["--draw", "2", "--seed", "1", "--out", str(out), *BRIEF]) == 0
+    assert "of 2 settled" in capsys.readouterr().out.splitlines()[0]
+    assert (out / "runs.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--scenarios", "none.csv"], "none.csv: given no such file"),
+        (["--draw", "2", "--perturb", "-1"], "perturbation: given -1.0"),
+        (["--draw", "2", "--set", "horizon=0"], "horizon: given 0"),
+        (["--draw", "2", "--set", "nothing=0"], "nothing: given '0'"),
+        (["--draw", "2", "--process-noise", "nan"], "process_noise: given nan"),
+    ],
+)
+def test_what_cannot_be_run_exits_2_and_leaves_no_folder(
+    tmp_path, capsys, arguments, words
+) -> None:
+    out = tmp_path / "out"
+    assert main([*arguments, "--out", str(out), *BRIEF[2:]]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["--draw", "0"],
+        ["--draw", "many"],
+        ["--draw", "1", "--scenarios", "a.csv"],
+        ["--draw", "1", "--strategy", "none"],
+        ["--draw", "1", "--jobs", "1", "--scheduler", "tcp://127.0.0.1:1"],
+        ["--draw", "1", "--set", "horizon"],
+    ],
+)
+def test_arguments_that_make_no_sense_exit_2(tmp_path, arguments) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([*arguments, "--out", str(tmp_path / "out")])
+    assert caught.value.code == 2
+
+
+def test_bad_scenario_is_named_by_line_and_column(tmp_path, capsys) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_text(",".join(STATE_COLUMNS) + "\n0,0,1,0,0,0,0,nan,1,0,0,0\n")
+    assert main(["--scenarios", str(file), "--out", str(tmp_path / "out"), *BRIEF]) == 2
+    error = capsys.readouterr().err
+    assert f"{file}, line 2, column goal_y: given 'nan', expected a finite number" in error
+
+
+def test_folder_that_cannot_be_written_exits_2(tmp_path, capsys) -> None:
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "out"
+    assert main(["--draw", "1", "--out", str(out), *BRIEF]) == 2
+    assert f"{out}: cannot be written" in capsys.readouterr().err
+
+
+def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:
+    def fail(self: object, end: object, duration: float) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr(RollingPlant, "advance", fail)
+    assert main(["--draw", "1", "--out", str(tmp_path), *BRIEF]) == 1
+    assert "1 CRASHED" in capsys.readouterr().out
+
+
+def test_interrupt_leaves_a_folder_that_goes_on(tmp_path) -> None:
+    runs = 500
+    command = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())"]
+    study = ["study", "--draw", str(runs), "--seed", "2", "--out", str(tmp_path), "--jobs", "2"]
+    process = subprocess.Popen(
+        [*command, *study, "--no-bound"], start_new_session=True, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )
+    journal: Path = tmp_path / "journal.jsonl"
+    try:
+        while process.poll() is None:
+            if journal.exists() and journal.read_bytes().count(b"\n") > 2:
+                # As a terminal does: to the workers too.
+                os.killpg(process.pid, signal.SIGINT)
+                break
+            time.sleep(0.1)
+        _, error = process.communicate(timeout=150.0)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "interrupted" in error and "Traceback" not in error
+    assert 2 < journal.read_bytes().count(b"\n") < runs

@@ -1,0 +1,153 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Any bag of the robot becomes the same arrays; anything else becomes one clear sentence."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.errors import BagError
+
+
+def without(entries, *names):
+    return (entry for entry in entries if not entry[0].endswith(names))
+
+
+@pytest.mark.parametrize("kind", ["own", "mcap", "sqlite3"])
+def test_run_is_read_from_every_kind_of_bag(make_bag, messages, kind) -> None:
+    run = read_run(make_bag(messages(), kind))
+    assert run.notes == ()
+    assert run.origin == 5.0
+    np.testing.assert_allclose(run.times, np.arange(301) * 0.01, atol=1e-9)
+    np.testing.assert_allclose(run.states[0], [2, -1, np.cos(0.5), 0, 0, np.sin(0.5)])
+    np.testing.assert_allclose(run.rotor_speeds[0], [100.0, -50.0])
+    np.testing.assert_allclose(run.rotor_torques[0], [1.0, -0.5])
+    np.testing.assert_allclose(run.goal, [0, 0, 1, 0, 0, 0])
+    assert run.goal_times.tolist() == [0.0]
+    assert len(run.plans) == 7
+    np.testing.assert_allclose(run.plans[1].times, [0.5, 1.0])
+    np.testing.assert_allclose(run.plans[1].speeds, [[1, 2], [3, 4]])
+    np.testing.assert_allclose(run.solves.times, np.arange(7) * 0.5, atol=1e-9)
+    np.testing.assert_allclose(run.solves.durations[:2], [1e-3, 51e-3])
+    assert set(run.solves.statuses) == {"solved"}
+
+
+def test_quaternions_do_not_jump_to_the_other_sign(make_bag, messages) -> None:
+    run = read_run(make_bag(messages()))
+    assert np.max(np.abs(np.diff(run.states, axis=0))) < 0.1
+
+
+def test_metrics_are_those_of_the_recorded_motion(make_bag, messages) -> None:
+    metrics = read_run(make_bag(messages())).metrics()
+    assert metrics is not None and metrics.settled
+    # |x - x_d| = decay * |(2, -1, 1/2)| for small angles.
+    expected = 3.01 * np.log(100.0 * np.sqrt(5.25)) / 10.0
+    assert metrics.settle_time_s == pytest.approx(expected, abs=0.02)
+    assert metrics.max_rotor_speed == 100.0
+    assert metrics.max_rotor_torque_nm == pytest.approx(1.0)
+
+
+def test_single_file_and_folder_without_metadata_are_read(make_bag, messages) -> None:
+    folder = make_bag(messages())
+    (folder / "metadata.yaml").unlink()
+    run = read_run(folder)
+    assert len(run.times) == 301 and "metadata.yaml is missing" in run.notes[0]
+    assert len(read_run(next(folder.glob("*.mcap"))).times) == 301
+
+
+@pytest.mark.parametrize("share", [0.9, 0.5])
+def test_truncated_mcap_is_read_as_far_as_it_goes(make_bag, messages, share) -> None:
+    folder = make_bag(list(messages()) * 30, "mcap")  # several chunks
+    file = next(folder.glob("*.mcap"))
+    data = file.read_bytes()
+    file.write_bytes(data[: int(share * len(data))])
+    run = read_run(folder)
+    assert len(run.times) > 100
+    assert any("breaks off" in note for note in run.notes)
+
+
+def test_missing_topics_are_told_and_the_rest_is_read(make_bag, messages) -> None:
+    names = ("joint_states", "rotor_trajectory", "active_goal", "goal_pose", "status")
+    run = read_run(make_bag(without(messages(), *names)))
+    assert len(run.times) == 301
+    assert run.goal is None and run.metrics() is None
+    told = " ".join(run.notes)
+    for name in ("joint_states", "rotor_trajectory", "active_goal", "solved"):
+        assert name in told
+
+
+def test_goal_pose_stands_in_for_active_goal(make_bag, messages) -> None:
+    run = read_run(make_bag(without(messages(), "active_goal")))
+    assert run.goal is not None and any("goal_pose is taken" in note for note in run.notes)
+
+
+def test_broken_poses_are_left_out(make_bag, messages) -> None:
+    entries = list(messages())
+    poses = [i for i, entry in enumerate(entries) if entry[0] == "/pose"]
+    place = entries[poses[5]][3].pose
+    entries[poses[5]] = (
+        *entries[poses[5]][:3],
+        dataclasses.replace(
+            entries[poses[5]][3],
+            pose=dataclasses.replace(
+                place, position=dataclasses.replace(place.position, x=float("nan"))
+            ),
+        ),
+    )
+    run = read_run(make_bag(entries))
+    assert len(run.times) == 300 and np.all(np.isfinite(run.states))
+    assert "1 poses are no poses" in run.notes[0]
+
+
+def test_robots_are_told_apart_by_namespace(make_bag, messages) -> None:
+    bag = make_bag([*messages("/left"), *messages("/right")])
+    with pytest.raises(BagError, match=r"several robots.*/left, /right"):
+        read_run(bag)
+    assert read_run(bag, "left").notes == ()
+    with pytest.raises(BagError, match="no robot in namespace 'up'"):
+        read_run(bag, "up")
+
+
+def test_bag_of_another_robot_is_refused(make_bag, messages) -> None:
+    with pytest.raises(BagError, match="another robot's; has: /rotor_trajectory"):
+        read_run(make_bag(e for e in messages() if e[0] == "/rotor_trajectory"))
+
+
+def test_bag_with_other_joints_is_refused(make_bag, messages) -> None:
+    entries = [
+        (*entry[:3], dataclasses.replace(entry[3], name=["hip", "knee"]))
+        if entry[0] == "/joint_states" else entry
+        for entry in messages()
+    ]
+    with pytest.raises(BagError, match=r"names \['hip', 'knee'\].*another robot"):
+        read_run(make_bag(entries))
+
+
+def test_empty_bag_is_told(make_bag) -> None:
+    with pytest.raises(BagError, match=r"no topic 'pose'.*has: none"):
+        read_run(make_bag([]))
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda path: None, "no such file or folder"),
+        (lambda path: path.mkdir(), "holds no .mcap or .db3 file"),
+        (lambda path: path.write_text("x"), "expected a folder, a .mcap or a .db3 file"),
+    ],
+)
+def test_what_is_no_bag_is_told(tmp_path, make, reason) -> None:
+    path = tmp_path / "thing"
+    make(path)
+    with pytest.raises(BagError, match=reason):
+        read_run(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"rubbish" * 100])
+def test_file_without_messages_is_told(tmp_path, content) -> None:
+    path = tmp_path / "thing.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match="empty or broken"):
+        read_run(path)

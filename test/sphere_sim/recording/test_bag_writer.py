@@ -1,0 +1,134 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag opens in independent readers at every moment, whatever ended its writer."""
+
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from sphere_sim.recording.bag_writer import BagWriter
+from sphere_sim.recording.errors import BagError
+
+TOPIC, KIND = "/flag", "std_msgs/msg/Bool"
+TRUE = b"\x00\x01\x00\x00\x01"
+
+WRITE_UNTIL_KILLED = """
+import sys
+from pathlib import Path
+from sphere_sim.recording.bag_writer import BagWriter
+writer = BagWriter(Path(sys.argv[1]))
+writer.add_topic("/flag", "std_msgs/msg/Bool")
+for i in range(1, 10**9):
+    writer.write("/flag", i, b"\\0\\1\\0\\0\\1")
+    if i % 100 == 0:
+        writer.commit()
+        print(i, flush=True)
+"""
+
+
+def counts(folder: Path) -> tuple[int, int]:
+    """Return how many messages two independent readers decode, checksums included."""
+    with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        of_rosbags = sum(
+            reader.deserialize(raw, connection.msgtype).data
+            for connection, _, raw in reader.messages()
+        )
+    with next(folder.glob("*.mcap")).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        of_mcap = sum(message.data for *_, message in reader.iter_decoded_messages())
+    return of_rosbags, of_mcap
+
+
+def test_bag_is_complete_after_every_commit(tmp_path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    assert counts(tmp_path / "bag") == (0, 0)
+    writer.add_topic(TOPIC, KIND)
+    for i in range(1, 6):
+        writer.write(TOPIC, i, TRUE)
+        writer.commit()
+        assert counts(tmp_path / "bag") == (i, i)
+    writer.close()
+    assert counts(tmp_path / "bag") == (5, 5)
+
+
+@pytest.mark.slow
+def test_bag_survives_kill_with_all_that_was_committed(tmp_path) -> None:
+    for attempt in range(5):
+        folder = tmp_path / f"bag{attempt}"
+        command = [sys.executable, "-c", WRITE_UNTIL_KILLED, str(folder)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            told = [int(process.stdout.readline()) for _ in range(3 + attempt)]
+            process.send_signal(signal.SIGKILL)
+        of_rosbags, of_mcap = counts(folder)
+        assert of_rosbags == of_mcap >= told[-1]
+
+
+def test_metadata_tells_topics_and_custom_data(tmp_path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(TOPIC, KIND)
+    writer.add_topic("/silent", KIND)
+    writer.custom_data["seed"] = "7"
+    writer.write(TOPIC, 3_000_000_000, TRUE)
+    writer.write(TOPIC, 5_000_000_000, TRUE)
+    writer.close()
+    with Reader(tmp_path / "bag") as reader:
+        assert {c.topic: c.msgcount for c in reader.connections} == {TOPIC: 2, "/silent": 0}
+        assert reader.connections[0].digest.startswith("RIHS01_")
+        assert reader.duration == 2_000_000_001 and reader.start_time == 3_000_000_000
+        assert reader.ros_distro == "jazzy"
+        assert reader.storage.metadata.custom["seed"] == "7"
+        assert "sphere_nmpc_version" in reader.storage.metadata.custom
+
+
+def test_existing_folder_is_not_overwritten(tmp_path) -> None:
+    BagWriter(tmp_path / "bag").close()
+    with pytest.raises(BagError, match="exists already and is not overwritten"):
+        BagWriter(tmp_path / "bag")
+
+
+def test_folder_that_cannot_be_made_is_told(tmp_path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BagError, match="cannot be created: Not a directory"):
+        BagWriter(tmp_path / "file" / "bag")
+
+
+def test_full_disk_leaves_what_was_recorded(tmp_path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(TOPIC, KIND)
+    writer.write(TOPIC, 1, TRUE)
+    writer.commit()
+    size = next((tmp_path / "bag").glob("*.mcap")).stat().st_size
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # A limit on the size of files does what a full disk does: it cuts a write short.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 300, before[1]))
+    try:
+        for i in range(2, 5000):
+            writer.write(TOPIC, i * i * 7919, TRUE)
+        with pytest.raises(BagError, match="cannot be written: File too large"):
+            writer.commit()
+        writer.abandon()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert counts(tmp_path / "bag") == (1, 1)
+
+
+def test_long_recording_commits_as_fast_as_a_short_one(tmp_path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(TOPIC, KIND)
+    for i in range(1, 301):
+        writer.write(TOPIC, i, TRUE)
+        writer.commit()
+    # Index and footer are rewritten each time; they must not grow the file quadratically.
+    assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 300 * 400
+    writer.close()
+    assert counts(tmp_path / "bag") == (300, 300)

@@ -1,0 +1,134 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator and controller as processes: they reach the goal, and lockstep repeats itself."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import state_error
+from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros, stamp_from_ros
+from sphere_sim.closed_loop import run_closed_loop
+from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.simulator import Simulator
+from sphere_sim.simulator_settings import SimulatorSettings
+
+CASE = PAPER_CASES[1]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+NODES = {
+    "simulator": "sphere_sim.ros.simulator_node",
+    "controller": "sphere_nmpc.ros.controller_node",
+}
+
+
+@contextmanager
+def processes(**parameters: dict[str, object]) -> Iterator[None]:
+    """Run both nodes; they must end cleanly."""
+    started = []
+    for name, module in NODES.items():
+        code = f"import sys; from {module} import main; sys.exit(main())"
+        given = [f"{key}:={str(value).lower()}" for key, value in parameters[name].items()]
+        options = [part for item in given for part in ("-p", item)]
+        started.append(subprocess.Popen([sys.executable, "-c", code, "--ros-args", *options]))
+    try:
+        yield
+        for process in started:
+            process.send_signal(signal.SIGINT)
+        assert [process.wait(timeout=10) for process in started] == [0, 0]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def run(
+    graph, until: float, strategy: str, **simulator: object
+) -> tuple[dict[int, list], dict[int, list]]:
+    """Run case 1 and return poses by stamp [ns], and velocities of each trajectory by stamp."""
+    lockstep = simulator.get("lockstep", False)
+    sample = round(SAMPLE_PERIODS[strategy] * 1e9)
+    settings = {"start_paused": True, "sample_period": sample / 1e9, **simulator}
+    controller = {"use_sim_time": True, "lockstep": lockstep, "strategy": strategy}
+    with processes(simulator=settings, controller=controller):
+        poses = graph.hear(PoseStamped, "pose")
+        trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
+        goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+        sender = graph.speaker(PoseStamped, "goal_pose")
+        graph.until(lambda: poses)
+        sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
+        graph.until(lambda: goals)
+        graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
+        graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) >= until * 1e9, patience=60.0)
+        end = stamp_from_ros(poses[-1].header.stamp) // sample * sample
+    seen = {stamp_from_ros(p.header.stamp): pose_from_ros(p).tolist() for p in poses}
+    sent = {
+        stamp_from_ros(message.header.stamp): [list(point.velocities) for point in message.points]
+        for message in trajectories
+    }
+    return (
+        {stamp: state for stamp, state in seen.items() if stamp <= end and stamp % sample == 0},
+        {stamp: hold for stamp, hold in sent.items() if stamp < end},
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", SAMPLE_PERIODS)
+def test_lockstep_repeats_itself_and_the_run_without_ros(graph, strategy) -> None:
+    noisy = {"process_noise": 1e-3, "seed": 5}
+    sample = round(SAMPLE_PERIODS[strategy] * 1e9)
+    settings = {"lockstep": True, "real_time_factor": 0.0, "pose_rate": 20.0, **noisy}
+    first, again = (run(graph, 6.0, strategy, **settings) for _ in range(2))
+    shared = first[0].keys() & again[0].keys()
+    assert set(range(sample, 6_000_000_001, sample)) <= shared
+    assert all(first[0][stamp] == again[0][stamp] for stamp in shared), "bit for bit"
+    shared = first[1].keys() & again[1].keys()
+    assert len(shared) >= 6_000_000_000 // sample
+    assert all(first[1][stamp] == again[1][stamp] for stamp in shared), "bit for bit"
+
+    robot, believed = RobotParameters(), ControllerSettings(strategy=strategy)
+    alone = run_closed_loop(
+        Simulator(SimulatorSettings(**noisy), robot), Controller(believed, robot),
+        CASE.goal, 6.0, believed.control_period, output_period=believed.control_period,
+    )
+    for time, state in zip(alone.times, alone.states, strict=True):
+        np.testing.assert_allclose(first[0][round(time * 1e9)], state, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy, factor", [("time_optimal", 2.0), ("paper", 5.0)])
+def test_case_one_reaches_its_goal_in_real_time_and_faster(graph, strategy, factor) -> None:
+    # Long enough for a machine so busy that commands come late.
+    poses, _ = run(graph, 24.0, strategy, real_time_factor=factor)
+    errors = {stamp: state_error(np.array(state), CASE.goal) for stamp, state in poses.items()}
+    assert errors[max(errors)] < 1e-2
+    assert errors[5_000_000_000] > 1e-2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", SAMPLE_PERIODS)
+def test_pace_of_time_does_not_matter(graph, strategy) -> None:
+    if os.getloadavg()[0] > 0.7 * (os.cpu_count() or 1):
+        pytest.skip("the machine is busy: at five times real time commands would come late")
+    duration = 20.0 if strategy == "paper" else 9.0
+    settled = []
+    for pace in (1.0, 5.0):
+        poses, _ = run(graph, duration, strategy, real_time_factor=pace)
+        outside = [
+            stamp for stamp, state in poses.items()
+            if state_error(np.array(state), CASE.goal) > 1e-2
+        ]
+        settled.append(max(outside) / 1e9)
+    assert settled[1] == pytest.approx(settled[0], abs=1.01 * SAMPLE_PERIODS[strategy])

@@ -1,0 +1,132 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A run and what is recorded of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import state_error
+from sphere_sim.closed_loop import run_closed_loop
+from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.followed_inputs import followed_inputs
+from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
+from sphere_sim.study.single_run import prepare, run_scenario
+
+SCENARIO = draw_scenarios(1, 5)[0]
+SHORT = StudyConditions(duration=4.0)
+
+SPEEDS_AGREE = 1e-6
+"""[rad/s]: knots may lie half a nanosecond beside the clock at which the drives saw them."""
+
+STATES_AGREE = 1e-8
+"""Of the integration anew, in steps of other lengths [mixed units]."""
+
+
+@pytest.mark.parametrize("rate", [0.0, 7.0])
+def test_recorded_inputs_reproduce_speeds_and_states(rate) -> None:
+    conditions = SHORT.with_settings([("control_rate", str(rate))])
+    simulator, controller = prepare(conditions, SCENARIO)
+    period = conditions.controller.control_period
+    trajectory = run_closed_loop(simulator, controller, SCENARIO.goal, 4.0, period)
+    inputs = followed_inputs(trajectory.holds, 4.0)
+    assert (inputs.start, inputs.end) == (0.0, 4.0)
+    for i in range(2):
+        speeds = np.interp(trajectory.times, inputs.times, inputs.speeds[:, i])
+        np.testing.assert_allclose(speeds, trajectory.speeds[:, i], rtol=0, atol=SPEEDS_AGREE)
+
+    plant = RollingPlant(RobotParameters(), SCENARIO.start)
+    for duration, end in zip(np.diff(inputs.times), inputs.speeds[1:], strict=True):
+        plant.advance(end, float(duration))
+    np.testing.assert_allclose(plant.state, trajectory.states[-1], rtol=0, atol=STATES_AGREE)
+
+
+def test_inputs_before_the_first_and_after_the_last_command_are_rest() -> None:
+    ramp = FirstOrderHold(np.array([1.0, 1.5, 2.0]), np.array([[0, 0], [10, -10], [0, 0]]))
+    inputs = followed_inputs([ramp], 3.0)
+    np.testing.assert_array_equal(inputs.times, [0.0, 1.0, 1.5, 2.0, 3.0])
+    np.testing.assert_array_equal(inputs.speeds[[0, 1, 3, 4]], np.zeros((4, 2)))
+    np.testing.assert_array_equal(followed_inputs([], 3.0).speeds, np.zeros((2, 2)))
+
+
+def test_a_command_replaces_what_is_left_of_the_one_before() -> None:
+    first = FirstOrderHold(np.array([0.0, 1.0, 2.0]), np.array([[0, 0], [10, 10], [20, 20]]))
+    second = FirstOrderHold(np.array([0.5, 1.5]), np.array([[5, 5], [0, 0]]))
+    inputs = followed_inputs([first, second], 1.0)
+    np.testing.assert_array_equal(inputs.times, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(inputs.speeds[:, 0], [0.0, 5.0, 2.5])
+
+
+def test_results_agree_with_the_run() -> None:
+    record = run_scenario(replace(SHORT, duration=20.0), SCENARIO)
+    results = record.results
+    plant = RollingPlant(RobotParameters(), SCENARIO.start)
+    for duration, end in zip(np.diff(record.times), record.speeds[1:], strict=True):
+        plant.advance(np.array(end), float(duration))
+    assert results["settled"] and 0.0 < results["settle_time_s"] < 20.0
+    error = state_error(plant.state, SCENARIO.goal)
+    assert results["final_error"] == pytest.approx(error, abs=1e-7)
+    assert 0.0 < results["max_rotor_speed"] <= 100.0
+    assert 0.0 < results["max_rotor_acceleration"] <= 400.0
+    assert set(results) <= set(RESULT_COLUMNS)
+
+
+def test_record_survives_its_line_to_the_bit() -> None:
+    record = run_scenario(SHORT, SCENARIO)
+    assert RunRecord.from_json(record.as_json(3)) == (3, record)
+
+
+@pytest.mark.parametrize("line", ["", "{}", "[]", "1", '{"run": 1, "results": {}, "t": [0], "u"'])
+def test_line_cut_short_is_told(line) -> None:
+    with pytest.raises(ValueError):
+        RunRecord.from_json(line)
+
+
+def test_a_run_that_crashes_says_so(monkeypatch) -> None:
+    def fail(self: object, end: object, duration: float) -> None:
+        raise ArithmeticError("no longer finite")
+
+    monkeypatch.setattr(RollingPlant, "advance", fail)
+    record = run_scenario(SHORT, SCENARIO)
+    assert record.results["crash"] == "ArithmeticError: no longer finite"
+    assert record.results["settled"] is False
+
+
+def test_perturbed_world_is_not_what_the_controller_believes() -> None:
+    nominal = run_scenario(SHORT, SCENARIO)
+    perturbed = replace(SHORT, perturbation=3.0)
+    assert run_scenario(perturbed, SCENARIO) != nominal
+    _, controller = prepare(perturbed, SCENARIO)
+    assert controller.constants == RobotParameters().lumped
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("horizon", "many"),
+        ("horizon", "0"),
+        ("sample_period", "0.25"),
+        ("nothing", "1"),
+        ("robot.nothing", "1"),
+        ("nobody.horizon", "1"),
+        ("simulator.seed", "1"),
+    ],
+)
+def test_setting_that_cannot_be_is_refused(name, value) -> None:
+    with pytest.raises(InvalidParameterError):
+        SHORT.with_settings([(name, value)])
+
+
+def test_settings_find_their_home() -> None:
+    changed = SHORT.with_settings(
+        [("horizon", "6"), ("simulator.sample_period", "0.1"), ("shell_mass", "2.5")]
+    )
+    assert changed.controller.horizon == 6
+    assert (changed.simulator.sample_period, changed.controller.sample_period) == (0.1, 0.0)
+    assert changed.robot.shell_mass == 2.5

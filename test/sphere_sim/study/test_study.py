@@ -1,0 +1,197 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A folder of results: its formats, going on after a stop, and what it refuses."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sphere_sim.scenario_file import STATE_COLUMNS
+from sphere_sim.scenarios import Scenario, draw_scenarios, read_scenarios
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.errors import StudyFolderError
+from sphere_sim.study.figure import FIGURES
+from sphere_sim.study.record import RESULT_COLUMNS, TIMING_COLUMNS, RunRecord
+from sphere_sim.study.study import Study
+from sphere_sim.study.workers import Workers
+
+SCENARIOS = draw_scenarios(3, 1)
+SHORT = StudyConditions(duration=2.0).with_settings([("controller.strategy", "paper")])
+
+
+def make(folder: Path, **changes: Any) -> dict[str, dict[str, Any]]:
+    study = Study(SCENARIOS, SHORT, folder)
+    with Workers() as workers:
+        return replace(study, **changes).run(workers)
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "runs.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def repeatable(row: dict[str, str]) -> dict[str, str]:
+    return {name: cell for name, cell in row.items() if name not in TIMING_COLUMNS}
+
+
+def stop_after(runs: int):
+    seen = []
+
+    def watch(record: RunRecord) -> None:
+        seen.append(record)
+        if len(seen) == runs:
+            raise KeyboardInterrupt
+
+    return watch
+
+
+@pytest.fixture(autouse=True)
+def no_figure(monkeypatch) -> None:
+    """Only the study of `done` is drawn: it takes longer than all the runs."""
+    monkeypatch.setattr("sphere_sim.study.study.draw", lambda *arguments: None)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("study") / "nested" / "folder"
+    make(folder)
+    return folder
+
+
+def test_table_has_a_row_a_run_in_order(done) -> None:
+    found = rows(done)
+    assert list(found[0]) == [*STATE_COLUMNS, "seed", *RESULT_COLUMNS]
+    for row, scenario in zip(found, SCENARIOS, strict=True):
+        values = [float(row[name]) for name in STATE_COLUMNS]
+        np.testing.assert_array_equal(values, [*scenario.start, *scenario.goal])
+        assert int(row["seed"]) == scenario.seed
+        assert row["settled"] in ("True", "False")
+        assert (row["settle_time_s"] != "") == (row["settled"] == "True")
+        assert float(row["final_error"]) > 0.0
+        assert row["bound_s"] == row["ratio"] == row["crash"] == ""
+
+
+def test_inputs_are_knots_of_each_run(done) -> None:
+    with np.load(done / "inputs.npz", allow_pickle=False) as inputs:
+        assert sorted(inputs) == ["t_0", "t_1", "t_2", "u_0", "u_1", "u_2"]
+        for i in range(3):
+            times, speeds = inputs[f"t_{i}"], inputs[f"u_{i}"]
+            assert speeds.shape == (times.size, 2)
+            assert (times[0], times[-1]) == (0.0, 2.0) and np.all(np.diff(times) > 0.0)
+
+
+def test_summary_counts_what_the_table_holds(done) -> None:
+    summary = json.loads((done / "summary.json").read_text())
+    settled = [row["settled"] == "True" for row in rows(done)]
+    assert (summary["runs"], summary["settled"]) == (3, sum(settled))
+    assert [f["seed"] for f in summary["failures"]] == [
+        s.seed for s, ok in zip(SCENARIOS, settled, strict=True) if not ok
+    ]
+
+
+def test_figure_is_written_to_print_and_to_look_at(done) -> None:
+    assert [(done / name).read_bytes()[:4] for name in FIGURES] == [b"%PDF", b"\x89PNG"]
+
+
+def test_scenario_columns_are_carried_through_as_given(tmp_path) -> None:
+    file = tmp_path / "scenarios.csv"
+    file.write_text(",".join(STATE_COLUMNS) + ",who\n0,0,0.65,0.11,0.11,0.74,0,0,1.00,0,0,0,Ann\n")
+    make(tmp_path / "out", scenarios=read_scenarios(file))
+    (row,) = rows(tmp_path / "out")
+    assert (row["qw"], row["goal_qw"], row["seed"], row["who"]) == ("0.65", "1.00", "0", "Ann")
+
+
+def test_table_of_results_can_be_run_again(done, tmp_path) -> None:
+    make(tmp_path / "again", scenarios=read_scenarios(done / "runs.csv"))
+    again = rows(tmp_path / "again")
+    assert list(again[0]) == list(rows(done)[0])
+    for row, before in zip(again, rows(done), strict=True):
+        assert float(row["final_error"]) == pytest.approx(float(before["final_error"]), rel=1e-6)
+
+
+def test_stopped_study_goes_on_and_ends_the_same(done, tmp_path) -> None:
+    with pytest.raises(KeyboardInterrupt), Workers() as workers:
+        Study(SCENARIOS, SHORT, tmp_path).run(workers, watch=stop_after(2))
+    assert not (tmp_path / "runs.csv").exists()
+    journal = tmp_path / "journal.jsonl"
+    assert len(journal.read_bytes().splitlines()) == 3
+    # The second run was being written when everything stopped.
+    journal.write_bytes(journal.read_bytes()[:-40])
+    seen = []
+    with Workers() as workers:
+        Study(SCENARIOS, SHORT, tmp_path).run(workers, watch=seen.append)
+    assert len(seen) == 3
+    assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
+    assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
+
+
+def test_finished_study_is_not_made_again(done, monkeypatch) -> None:
+    monkeypatch.setattr(Workers, "run", lambda self, conditions, tasks: iter(tasks))
+    make(done)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"conditions": replace(SHORT, perturbation=1.0)}, "perturbation: given 1.0, recorded 0"),
+        ({"scenarios": SCENARIOS[:2]}, "runs: given 2, recorded 3"),
+        ({"scenarios": draw_scenarios(3, 2)}, "other scenarios"),
+        ({"strategies": ("paper", "time_optimal")}, "something else"),
+    ],
+)
+def test_other_study_in_the_folder_is_refused_and_nothing_lost(done, changes, words) -> None:
+    before = {path.name: path.read_bytes() for path in done.iterdir()}
+    with pytest.raises(StudyFolderError, match=words):
+        make(done, **changes)
+    assert before == {path.name: path.read_bytes() for path in done.iterdir()}
+
+
+def test_results_of_something_else_are_not_overwritten(tmp_path) -> None:
+    (tmp_path / "runs.csv").write_text("mine")
+    with pytest.raises(StudyFolderError, match="something else"):
+        make(tmp_path)
+
+
+def test_two_studies_do_not_write_into_one_folder(tmp_path) -> None:
+    def second(record: RunRecord) -> None:
+        with pytest.raises(StudyFolderError, match="another study is writing"):
+            make(tmp_path)
+
+    with Workers() as workers:
+        Study(SCENARIOS[:1], SHORT, tmp_path).run(workers, watch=second)
+
+
+def test_damaged_journal_is_told_by_its_line(tmp_path) -> None:
+    make(tmp_path)
+    journal = tmp_path / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([lines[0], b"rubbish\n", *lines[2:]]))
+    with pytest.raises(StudyFolderError, match="line 2"):
+        make(tmp_path)
+
+
+def test_strategies_side_by_side_keep_the_layout_of_one(done, tmp_path) -> None:
+    summaries = make(tmp_path, strategies=("paper", "time_optimal"))
+    assert list(summaries) == ["paper", "time_optimal"]
+    paper = [repeatable(row) for row in rows(tmp_path / "paper")]
+    assert paper == [repeatable(row) for row in rows(done)]
+    both = rows(tmp_path)
+    assert [row["strategy"] for row in both] == ["paper"] * 3 + ["time_optimal"] * 3
+    assert [repeatable(row) for row in both[:3]] == paper
+
+
+def test_bound_gives_the_ratio_where_it_is_known(tmp_path) -> None:
+    def bounds(scenarios: list[Scenario]) -> list[float]:
+        return [0.5, float("nan"), 0.0]
+
+    # Goals that are the start settle at once.
+    rest = [replace(s, goal=s.start) for s in SCENARIOS]
+    with Workers() as workers:
+        Study(rest, SHORT, tmp_path).run(workers, bounds)
+    assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "", ""]
+    assert [row["ratio"] for row in rows(tmp_path)] == ["0.0", "", ""]

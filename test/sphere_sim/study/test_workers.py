@@ -1,0 +1,67 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Results do not depend on where the runs are made."""
+
+from dataclasses import replace
+
+import pytest
+from distributed import LocalCluster
+
+from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.study import workers as workers_module
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.errors import WorkersError
+from sphere_sim.study.record import TIMING_COLUMNS, RunRecord
+from sphere_sim.study.workers import Workers, cores
+
+SCENARIOS = draw_scenarios(12, 3)
+CONDITIONS = StudyConditions(duration=3.0, perturbation=3.0, latency=0.02).with_settings(
+    [("process_noise", "1e-3"), ("position_noise", "1e-3"), ("orientation_noise", "1e-3")]
+)
+
+
+def make(workers: Workers) -> dict[int, RunRecord]:
+    with workers:
+        made = dict(workers.run(CONDITIONS, list(enumerate(SCENARIOS))))
+    for record in made.values():
+        for name in TIMING_COLUMNS:
+            del record.results[name]
+    return made
+
+
+@pytest.fixture(scope="module")
+def made_here() -> dict[int, RunRecord]:
+    return make(Workers(1))
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with LocalCluster(
+        n_workers=2, threads_per_worker=2, dashboard_address=None, memory_limit=0
+    ) as cluster:
+        yield cluster
+
+
+def test_all_cores_give_the_same_to_the_bit(made_here) -> None:
+    assert make(Workers(max(2, cores()))) == made_here
+
+
+def test_two_workers_of_a_cluster_give_the_same_to_the_bit(made_here, cluster) -> None:
+    assert make(Workers(scheduler=cluster.scheduler_address)) == made_here
+
+
+def test_workers_with_other_code_are_refused(cluster, monkeypatch) -> None:
+    monkeypatch.setattr(workers_module, "_same_code", lambda digest: False)
+    with pytest.raises(WorkersError, match="another version"):
+        make(Workers(scheduler=cluster.scheduler_address))
+
+
+def test_scheduler_out_of_reach_is_told(monkeypatch) -> None:
+    monkeypatch.setattr(workers_module, "_CONNECT_TIMEOUT", 0.5)
+    with pytest.raises(WorkersError, match="cannot be reached"):
+        make(Workers(scheduler="tcp://127.0.0.1:1"))
+
+
+def test_no_run_needs_no_cluster() -> None:
+    with Workers(scheduler="tcp://127.0.0.1:1") as workers:
+        assert list(workers.run(replace(CONDITIONS), [])) == []

@@ -1,0 +1,198 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A headless Chromium, spoken to in its own protocol over the websocket library of viser."""
+
+import base64
+import json
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import connect
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_FLAGS = (
+    "--headless", "--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
+    # Without a graphics card; slow, but the same pixels everywhere.
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--remote-debugging-port=0", "--remote-debugging-address=127.0.0.1",
+)
+_SLOW_SCREEN = """
+const draw = window.requestAnimationFrame.bind(window);
+window.drawn = 0;
+const counted = (f) => (time) => { window.drawn++; f(time); };
+window.requestAnimationFrame = (f) => setTimeout(() => draw(counted(f)), 150);
+document.addEventListener('DOMContentLoaded', () => {
+  const style = document.createElement('style');
+  style.textContent = '[class*="Notification"] { display: none }';
+  document.head.append(style);
+});
+"""
+"""Drawn without a graphics card, a page would take the processor from the nodes under test, and
+it says so in a notice before the scene."""
+
+
+def find_browser() -> str | None:
+    """Return the path of a browser, None where none is installed."""
+    return next(filter(None, map(shutil.which, _NAMES)), None)
+
+
+class Browser:
+    """One page in a browser of its own; ends with the context."""
+
+    def __init__(self, executable: str, folder: Path, size: tuple[int, int] = (1000, 480),
+                 sharpness: float = 1.0) -> None:
+        self._folder = folder
+        self.size = size
+        self._sharpness = sharpness
+        self.console: list[str] = []
+        """Errors and warnings of the page, as it logs them."""
+        self.requested: list[str] = []
+        """Addresses the page has asked for."""
+        self._number = 0
+        command = [executable, *_FLAGS, f"--window-size={size[0]},{size[1]}",
+                   f"--user-data-dir={folder}", "about:blank"]
+        self._log = (folder / "browser.log").open("wb")
+        self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log)
+
+    def __enter__(self) -> "Browser":
+        self._socket = connect(self._address(), max_size=None, compression=None)
+        target = self.call("Target.getTargets")["targetInfos"][0]["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=_SLOW_SCREEN)
+        width, height = self.size
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
+                  deviceScaleFactor=self._sharpness, mobile=False)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._socket.close()
+        self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+        self._log.close()
+
+    _session: str | None = None
+    _drawn: bytes | None = None
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Return the answer of the browser; what happens meanwhile is noted."""
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        self._socket.send(json.dumps(message))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60.0))
+            if answer.get("id") == self._number:
+                assert "error" not in answer, f"{method}: {answer['error']}"
+                return answer["result"]
+            self._note(answer.get("method", ""), answer.get("params", {}))
+
+    def open(self, url: str) -> None:
+        self.call("Page.navigate", url=url)
+
+    def evaluate(self, script: str) -> Any:
+        result = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        return result["result"].get("value")
+
+    @property
+    def text(self) -> str:
+        """What there is to read on the page."""
+        return str(self.evaluate("document.body ? document.body.innerText : ''"))
+
+    def wait_for(self, words: str, patience: float = 20.0) -> float:
+        """Return how long it took until the page has some words [s]."""
+        began = time.monotonic()
+        while words not in self.text:
+            waited = time.monotonic() - began
+            assert waited < patience, f"no '{words}' on the page after {patience} s:\n{self.text}"
+            time.sleep(0.05)
+        return time.monotonic() - began
+
+    def settle(self, patience: float = 90.0) -> None:
+        """Wait until the page draws steadily: first its shaders are compiled, for some seconds."""
+        end = time.monotonic() + patience
+        while True:
+            before = self.evaluate("window.drawn")
+            time.sleep(1.5)
+            if self.evaluate("window.drawn") >= before + 5:
+                return
+            assert time.monotonic() < end, "the page does not draw"
+
+    def click_button(self, label: str) -> None:
+        """Click the button with this label, with the mouse."""
+        script = (
+            "(() => { const b = [...document.querySelectorAll('button')]"
+            f".find(b => b.innerText.trim() === {json.dumps(label)});"
+            " if (!b) return null; b.scrollIntoView({block: 'center'});"
+            " const r = b.getBoundingClientRect();"
+            " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        place = self.evaluate(script)
+        assert place, f"no button '{label}'"
+        self._mouse("mouseMoved", *place)
+        self._mouse("mousePressed", *place)
+        self._mouse("mouseReleased", *place)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
+        """Drag with the mouse from one pixel to another."""
+        self._mouse("mouseMoved", *start)
+        time.sleep(0.3)
+        self._mouse("mousePressed", *start)
+        time.sleep(0.2)
+        for i in range(1, steps + 1):
+            share = i / steps
+            self._mouse("mouseMoved", start[0] + share * (end[0] - start[0]),
+                        start[1] + share * (end[1] - start[1]), held=True)
+            time.sleep(0.04)
+        time.sleep(0.3)
+        self._mouse("mouseReleased", *end)
+
+    def screenshot(self, path: Path) -> bytes:
+        """Save what is seen; from the stream of drawn frames, as a snapshot may never come."""
+        self._drawn = None
+        self.call("Page.startScreencast", format="png")
+        end = time.monotonic() + 60.0
+        while self._drawn is None:
+            assert time.monotonic() < end, "no frame was drawn"
+            self.evaluate("0")
+            time.sleep(0.05)
+        self.call("Page.stopScreencast")
+        path.write_bytes(self._drawn)
+        return self._drawn
+
+    def _mouse(self, kind: str, x: float, y: float, held: bool = False) -> None:
+        button = "left" if kind != "mouseMoved" or held else "none"
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button,
+                  buttons=int(held or kind == "mousePressed"),
+                  clickCount=int(kind != "mouseMoved"))
+
+    def _address(self) -> str:
+        """Return where the browser listens, which it writes to a file."""
+        file, end = self._folder / "DevToolsActivePort", time.monotonic() + 30.0
+        while not (file.exists() and file.read_text().count("\n")):
+            assert time.monotonic() < end and self._process.poll() is None, "no browser came up"
+            time.sleep(0.05)
+        port, path = file.read_text().splitlines()[:2]
+        return f"ws://127.0.0.1:{port}{path}"
+
+    def _note(self, method: str, told: dict[str, Any]) -> None:
+        if method == "Runtime.consoleAPICalled" and told["type"] in ("error", "assert"):
+            self.console.append(" ".join(str(a.get("value", a)) for a in told["args"]))
+        elif method == "Runtime.exceptionThrown":
+            self.console.append(told["exceptionDetails"]["text"])
+        elif method == "Log.entryAdded" and told["entry"]["level"] == "error":
+            self.console.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+        elif method == "Page.screencastFrame":
+            self._drawn = base64.b64decode(told["data"])
+        elif method == "Network.requestWillBeSent":
+            self.requested.append(told["request"]["url"])

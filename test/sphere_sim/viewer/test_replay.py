@@ -1,0 +1,96 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded run gives the same kind of frames as topics do, at the time that is asked for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import make_state
+from sphere_sim.recording.run import Run, Solves
+from sphere_sim.viewer import replay as module
+from sphere_sim.viewer.frame import Pause, Reset, Seek, SetGoal, SetSpeed
+from sphere_sim.viewer.replay import Replay
+
+DURATION = 20.0
+
+
+@pytest.fixture
+def wall(monkeypatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    return now
+
+
+@pytest.fixture
+def replay(wall) -> Replay:
+    times = np.arange(0.0, DURATION + 0.005, 0.01)
+    states = np.tile(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), (len(times), 1))
+    states[:, 0] = times
+    goal = make_state((DURATION, 0.0), (1.0, 0.0, 0.0, 0.0))
+    hold = FirstOrderHold(np.array([5.0, 5.5, 6.0]), np.array([[0, 0], [10, 0], [0, 0]], float))
+    solves = Solves(np.array([5.0]), np.array([2e-3]), np.array([7.0]), ("solved",))
+    run = Run(
+        "run", Path("run"), 0.0, times, states, times, np.ones((len(times), 2)),
+        np.ones((len(times), 2)), np.array([1.0]), goal[None], (hold,), solves,
+    )
+    return Replay(run)
+
+
+def test_the_first_frame_is_fresh_and_the_next_follow_the_wall(replay, wall) -> None:
+    first = replay.frames()
+    assert first[0].fresh and first[-1].time == 0.0 and first[-1].goal is None
+    wall[0] = 1.0
+    frames = replay.frames()
+    assert frames[-1].time == pytest.approx(1.0)
+    assert not any(frame.fresh for frame in frames)
+    steps = np.diff([0.0, *(frame.time for frame in frames)])
+    assert np.all(steps <= 0.05 + 1e-9), "lines go through every twentieth of a second"
+
+
+def test_seeking_leads_there_from_the_past(replay, wall) -> None:
+    replay.handle(Pause(True))
+    replay.handle(Seek(10.0))
+    frames = replay.frames()
+    assert frames[0].fresh and frames[0].time == 0.0
+    assert frames[-1].time == pytest.approx(10.0) and frames[-1].state[0] == pytest.approx(10.0)
+    assert sum(frame.fresh for frame in frames) == 1
+    wall[0] = 5.0
+    assert replay.frames()[-1].time == pytest.approx(10.0), "it is paused"
+
+
+def test_speed_pause_and_reset(replay, wall) -> None:
+    replay.handle(SetSpeed(4.0))
+    wall[0] = 1.0
+    assert replay.frames()[-1].time == pytest.approx(4.0)
+    replay.handle(Reset())
+    assert replay.frames()[-1].time == pytest.approx(0.0)
+
+
+def test_the_end_pauses_and_playing_begins_anew(replay, wall) -> None:
+    wall[0] = 100.0
+    last = replay.frames()[-1]
+    assert last.time == pytest.approx(DURATION) and last.offers.paused
+    replay.handle(Pause(False))
+    assert replay.frames()[-1].time == pytest.approx(0.0)
+
+
+def test_plan_solve_and_goal_are_those_of_the_moment(replay) -> None:
+    replay.handle(Seek(4.0))
+    before = replay.frames()[-1]
+    assert len(before.plan) == 0 and np.isnan(before.cost)
+    replay.handle(Seek(5.2))
+    frame = replay.frames()[-1]
+    assert frame.plan.shape == (3, 6) and frame.plan[0, 0] == pytest.approx(5.0)
+    # A positive speed of rotor 1 rolls an upright sphere along +y.
+    assert frame.plan[-1, 1] > 0.0
+    assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
+    assert frame.goal[0] == DURATION
+
+
+def test_what_a_recording_cannot_do_is_told(replay) -> None:
+    assert "recording" in replay.handle(SetGoal(np.zeros(6)))
+    offers = replay.frames()[-1].offers
+    assert not offers.goal and not offers.push and offers.duration == pytest.approx(DURATION)

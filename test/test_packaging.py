@@ -1,0 +1,135 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is installed, by pip and by colcon, is complete."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from importlib import metadata
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[1]
+COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
+EXECUTABLES = {
+    "sphere_nmpc", "simulator", "controller", "recorder", "goal", "demo", "viewer", "markers",
+}
+SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs")
+SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
+HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> Path:
+    """A copy of what a build reads, so that building leaves nothing in the source tree."""
+    copy = tmp_path_factory.mktemp("tree") / "sphere_nmpc"
+    copy.mkdir()
+    ignore = shutil.ignore_patterns("__pycache__", "*.so")
+    for name in ("resource", "sphere_nmpc", "sphere_sim", *SHARED):
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, copy / name, ignore=ignore)
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "README.md"):
+        if (ROOT / name).is_file():
+            shutil.copy(ROOT / name, copy)
+    return copy
+
+
+def shared_files(tree: Path) -> set[str]:
+    """Return the files that belong under share/sphere_nmpc, relative to it."""
+    return {"package.xml"} | {
+        path.relative_to(tree).as_posix() for name in SHARED for path in tree.glob(f"{name}/*.*")
+    }
+
+
+def clean_environment() -> dict[str, str]:
+    """Return the environment without what the ROS wheels leave in it for this interpreter.
+
+    A child that runs another interpreter would load this one's libraries.
+    """
+    leftovers = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    return {name: value for name, value in os.environ.items() if name not in leftovers}
+
+
+def run(*command: str | Path, **options) -> str:
+    done = subprocess.run(
+        command, env=clean_environment(), capture_output=True, text=True, check=False, **options
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_wheel_is_complete(tree, tmp_path) -> None:
+    options = ("--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path)
+    run(sys.executable, "-m", "pip", "wheel", *options, tree)
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        names = set(wheel.namelist())
+        entry_points = wheel.read("sphere_nmpc-0.1.0.dist-info/entry_points.txt").decode()
+    sources = {
+        path.relative_to(tree).as_posix()
+        for package in ("sphere_nmpc", "sphere_sim")
+        for path in (tree / package).rglob("*")
+        if path.is_file()
+    }
+    share = "sphere_nmpc-0.1.0.data/data/share"
+    assert sources <= names
+    assert {f"{share}/sphere_nmpc/{name}" for name in shared_files(tree)} <= names
+    assert f"{share}/ament_index/resource_index/packages/sphere_nmpc" in names
+    assert set(re.findall(r"^(\w+) =", entry_points, re.MULTILINE)) == EXECUTABLES
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not COLCON.exists(), reason="make test provides colcon")
+@pytest.mark.parametrize("option", [[], ["--symlink-install"]], ids=["copy", "symlink"])
+def test_colcon_installs_executables_and_shared_files(tree, tmp_path, option) -> None:
+    bases = ("--build-base", tmp_path / "build", "--install-base", tmp_path / "install")
+    run(COLCON, "--log-base", tmp_path / "log", "build", *bases, *option, cwd=tree)
+    prefix = tmp_path / "install" / "sphere_nmpc"
+    for name in EXECUTABLES:
+        assert os.access(prefix / "lib" / "sphere_nmpc" / name, os.X_OK)
+    for name in shared_files(tree):
+        assert (prefix / "share" / "sphere_nmpc" / name).is_file(), name
+    assert (prefix / "share/ament_index/resource_index/packages/sphere_nmpc").is_file()
+    setup = f". {tmp_path}/install/local_setup.sh && {prefix}/lib/sphere_nmpc/sphere_nmpc"
+    assert run("sh", "-c", f"{setup} --version").strip() == "sphere_nmpc 0.1.0"
+
+
+def test_package_xml_agrees_with_setup() -> None:
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    installed = metadata.metadata("sphere_nmpc")
+    for tag, field in (("name", "Name"), ("version", "Version"), ("license", "License")):
+        assert package.findtext(tag) == (installed[field] or installed["License-Expression"]), tag
+    maintainer = package.find("maintainer")
+    assert maintainer.attrib["email"] == installed["Maintainer-email"]
+    assert package.findtext("export/build_type") == "ament_python"
+
+
+def test_core_requires_three_packages_only() -> None:
+    requirements = map(Requirement, metadata.requires("sphere_nmpc"))
+    core = {r.name for r in requirements if "extra" not in str(r.marker)}
+    assert core == {"numpy", "scipy", "casadi"}
+
+
+def test_lock_satisfies_every_extra() -> None:
+    lines = (ROOT / "requirements" / "lock.txt").read_text().splitlines()
+    pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    version = {pin.name: next(iter(pin.specifier)).version for pin in pins}
+    for requirement in map(Requirement, metadata.requires("sphere_nmpc")):
+        assert requirement.name in version
+        assert requirement.specifier.contains(version[requirement.name]), requirement
+
+
+def test_sources_carry_the_licence_header() -> None:
+    bare = [
+        str(path.relative_to(ROOT))
+        for folder in SOURCES
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if not path.read_text().removeprefix("#!/usr/bin/env python3\n").startswith(HEADER)
+    ]
+    assert not bare

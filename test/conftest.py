@@ -4,6 +4,7 @@
 
 import fcntl
 import os
+import signal
 import tempfile
 from pathlib import Path
 
@@ -29,6 +30,10 @@ def _lock_domain() -> int:
 
 os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+# A session started in the background of a shell inherits an ignored SIGINT, and so would every
+# process under test; a handler of its own is not inherited, its children get the default.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A busy machine must not fail a test, and neither must a draw that no earlier run has seen.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

@@ -29,8 +29,12 @@ def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> 
     )
 
 
+PERIOD = 0.5
+"""Wall time between two reports, so that a dead node is missed well within two seconds [s]."""
+
+
 class Diagnostics:
-    """Publish what a node's tasks report once a second of wall time on ``/diagnostics``.
+    """Publish what a node's tasks report on ``/diagnostics``, every `PERIOD` of wall time.
 
     Parameters
     ----------
@@ -54,7 +58,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Wall time: a simulated clock that stands still is itself worth reporting.
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(1.0, self.publish, clock=wall)
+        self._timer = node.create_timer(PERIOD, self.publish, clock=wall)
 
     def publish(self) -> None:
         """Publish the reports of all tasks."""

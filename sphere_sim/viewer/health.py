@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 POSE_SILENCE = 0.5
 """A simulator that stands still repeats its pose five times a second [s]."""
-CONTROLLER_SILENCE = 1.3
-"""The controller reports to diagnostics once a second, whatever the clock does [s]."""
+CONTROLLER_SILENCE = 0.8
+"""The controller reports to diagnostics twice a second, whatever the clock does [s]."""
 
 
 @dataclass

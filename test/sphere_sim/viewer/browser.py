@@ -118,6 +118,13 @@ class Browser:
             time.sleep(0.05)
         return time.monotonic() - began
 
+    def lag(self, frames: int = 4) -> float:
+        """Return how long the page takes to draw some frames [s]."""
+        before, began = self.evaluate("window.drawn"), time.monotonic()
+        while self.evaluate("window.drawn") < before + frames:
+            time.sleep(0.01)
+        return time.monotonic() - began
+
     def settle(self, patience: float = 90.0) -> None:
         """Wait until the page draws steadily: first its shaders are compiled, for some seconds."""
         end = time.monotonic() + patience

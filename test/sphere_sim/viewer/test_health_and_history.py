@@ -12,7 +12,7 @@ from sphere_sim.viewer.presets import PRESETS
 
 
 def test_all_is_well_while_both_are_heard() -> None:
-    assert Health(pose_at=9.9, controller_at=9.0, controllers=1).alerts(10.0) == ()
+    assert Health(pose_at=9.9, controller_at=9.4, controllers=1).alerts(10.0) == ()
 
 
 def test_who_was_never_heard_is_told() -> None:
@@ -21,7 +21,7 @@ def test_who_was_never_heard_is_told() -> None:
 
 def test_silence_is_told_within_two_seconds() -> None:
     health = Health(pose_at=10.0, controller_at=10.0, controllers=1)
-    assert health.alerts(11.2) == ("no pose for 1.2 s",)
+    assert health.alerts(10.7) == ("no pose for 0.7 s",)
     assert health.alerts(11.9) == ("no pose for 1.9 s", "controller silent for 1.9 s")
 
 

@@ -116,9 +116,12 @@ def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, floa
     )
 
 
-def allowed() -> float:
-    """Return within how long a loss must be told [s]; an overloaded machine's page lags."""
-    return 2.0 if os.getloadavg()[0] < 2.0 * (os.cpu_count() or 1) else 12.0
+def allowed(page: Browser) -> float:
+    """Return within how long a loss must be told [s]: what was drawn late by the page is its own.
+
+    Without a graphics card drawing is work for the processors that the nodes share.
+    """
+    return 2.0 + page.lag()
 
 
 def scene_of(page: Browser, path: Path) -> np.ndarray:
@@ -166,13 +169,17 @@ def test_pause_stops_time_and_resume_lets_it_go_on(stage) -> None:
 
 
 def test_a_controller_that_is_killed_is_missed_within_two_seconds(stage) -> None:
+    patience = allowed(stage.page)
     stage.processes["controller"].kill()
-    assert stage.page.wait_for("controller silent for", 15.0) < allowed()
+    told = stage.page.wait_for("controller silent for", 15.0)
+    assert told < patience
 
 
 def test_a_simulator_that_is_killed_is_missed_within_two_seconds(stage) -> None:
+    patience = allowed(stage.page)
     stage.processes["simulator"].kill()
-    assert stage.page.wait_for("no pose for", 15.0) < allowed()
+    told = stage.page.wait_for("no pose for", 15.0)
+    assert told < patience
 
 
 def test_the_page_had_no_error_all_the_while(stage) -> None:

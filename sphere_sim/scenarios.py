@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.model.state import Vector, as_state
+from sphere_sim.draws import DRAWS
 from sphere_sim.scenario_file import read_rows
 
 
@@ -51,8 +52,8 @@ PAPER_CASES: dict[int, Scenario] = {
 """The four cases of section 4 of the paper; case 4 there runs with noise and wrong parameters."""
 
 
-def draw_scenarios(number: int, seed: int) -> list[Scenario]:
-    """Draw starts and goals, positions uniform in +-3 m and orientations uniform on SO(3).
+def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scenario]:
+    """Draw starts and goals of one of the kinds in `sphere_sim.draws`.
 
     Parameters
     ----------
@@ -60,17 +61,14 @@ def draw_scenarios(number: int, seed: int) -> list[Scenario]:
         How many scenarios.
     seed : int
         Seed of the draw; scenario i is the same whatever `number` is.
+    kind : str
+        One of `DRAWS`.
     """
     scenarios = []
     for i in range(number):
         rng = np.random.default_rng([seed, i])
-        ends = []
-        for _ in range(2):
-            # A normalised Gaussian vector is uniform on the sphere of unit quaternions.
-            quaternion = rng.normal(size=4)
-            position = rng.uniform(-3.0, 3.0, size=2)
-            ends.append(np.concatenate((position, quaternion / np.linalg.norm(quaternion))))
-        scenarios.append(Scenario(ends[0], ends[1], seed=int(rng.integers(2**31))))
+        start, goal = DRAWS[kind](rng)
+        scenarios.append(Scenario(start, goal, seed=int(rng.integers(2**31))))
     return scenarios
 
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from sphere_sim.study.study import Bounds
 
 _BOUND = "sphere_sim.study.bound"
+_KINDS = ("anywhere", "far", "circle", "half_turn")
+"""The names in `sphere_sim.draws.DRAWS`, which would load SciPy; a test compares them."""
 _INTERRUPTED = 130
 """What a shell reports of a program that Ctrl-C ended."""
 
@@ -73,7 +75,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.scenarios is not None:
         scenarios = read_scenarios(arguments.scenarios)
     else:
-        scenarios = draw_scenarios(arguments.draw, arguments.seed)
+        scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind)
     strategies = tuple(dict.fromkeys(arguments.strategy or [ControllerSettings().strategy]))
     study = Study(scenarios, _conditions(arguments, strategies[0]), arguments.out, strategies)
     runs = len(scenarios) * len(strategies)
@@ -131,7 +133,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     source.add_argument(
         "--draw", type=_count, metavar="N",
-        help="draw N scenarios: positions in +-3 m, any orientation",
+        help="draw N scenarios; see --kind",
+    )
+    parser.add_argument(
+        "--kind", choices=_KINDS, default=_KINDS[0],
+        help="what is drawn: positions in +-3 m and any orientations; goals 10 to 50 m away; both "
+        "contact points on the circle Gamma; half turns in place about any axis",
     )
     parser.add_argument(
         "--seed", type=_seed, default=0, metavar="S", help="seed of the draw (0)"

@@ -6,6 +6,8 @@ import numpy as np
 from scipy import stats
 
 from sphere_nmpc.model.controllability import distance_to_circle
+from sphere_sim.cli.study import _KINDS
+from sphere_sim.draws import DRAWS
 from sphere_sim.scenarios import PAPER_CASES, draw_scenarios
 
 
@@ -54,3 +56,25 @@ def test_positions_and_orientations_are_uniform() -> None:
 def test_every_run_has_a_seed_of_its_own() -> None:
     seeds = [s.seed for s in draw_scenarios(200, 1)]
     assert len(set(seeds)) == 200
+
+
+def test_far_goals_are_10_to_50_m_away() -> None:
+    apart = [np.linalg.norm(s.goal[:2] - s.start[:2]) for s in draw_scenarios(200, 1, "far")]
+    assert 10.0 <= min(apart) < 12.0 and 48.0 < max(apart) <= 50.0
+
+
+def test_circle_draws_have_both_contact_points_on_gamma() -> None:
+    for scenario in draw_scenarios(50, 1, "circle"):
+        for state in (scenario.start, scenario.goal):
+            assert distance_to_circle(state) < 1e-12
+
+
+def test_half_turns_are_in_place_and_by_pi() -> None:
+    for scenario in draw_scenarios(50, 1, "half_turn"):
+        np.testing.assert_array_equal(scenario.start[:2], scenario.goal[:2])
+        # The scalar part of the turn between them is the cosine of half its angle.
+        assert abs(scenario.start[2:] @ scenario.goal[2:]) < 1e-12
+
+
+def test_the_verb_offers_every_kind() -> None:
+    assert tuple(DRAWS) == _KINDS

@@ -1,0 +1,78 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Starts and goals drawn at random, of the kinds that are hard in their own ways."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sphere_nmpc.model.state import Vector, make_state
+
+Ends = tuple[Vector, Vector]
+
+_NEAREST, _FARTHEST = 10.0, 50.0
+"""How far away a far goal is [m]."""
+_HALF_SIDE = 3.0
+"""Positions are drawn in a square of this half side about the origin [m]."""
+
+
+def anywhere(rng: np.random.Generator) -> Ends:
+    """Positions uniform in +-3 m, orientations uniform on SO(3)."""
+    start, goal = (_state(rng) for _ in range(2))
+    return start, goal
+
+
+def far(rng: np.random.Generator) -> Ends:
+    """A goal 10 to 50 m away in any direction, orientations uniform on SO(3)."""
+    start = _state(rng)
+    distance, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(0.0, 2.0 * np.pi)
+    position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
+    return start, make_state(position, _orientation(rng))
+
+
+def circle(rng: np.random.Generator) -> Ends:
+    """Both contact points on the circle Gamma through the rotors (Eq. 16), positions in +-3 m."""
+    start, goal = (make_state(_position(rng), _on_circle(rng)) for _ in range(2))
+    return start, goal
+
+
+def half_turn(rng: np.random.Generator) -> Ends:
+    """The same place, turned by half a turn about any axis."""
+    start = _state(rng)
+    axis = rng.normal(size=3)
+    turn = Rotation.from_rotvec(np.pi * axis / np.linalg.norm(axis))
+    w, *vector = start[2:]
+    return start, make_state(start[:2], _quaternion(turn * Rotation.from_quat([*vector, w])))
+
+
+DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
+    draw.__name__: draw for draw in (anywhere, far, circle, half_turn)
+}
+"""Every kind by its name; each takes a generator and returns start and goal."""
+
+
+def _state(rng: np.random.Generator) -> Vector:
+    quaternion = _orientation(rng)
+    return make_state(_position(rng), quaternion)
+
+
+def _position(rng: np.random.Generator) -> Vector:
+    return rng.uniform(-_HALF_SIDE, _HALF_SIDE, size=2)
+
+
+def _orientation(rng: np.random.Generator) -> Vector:
+    # A normalised Gaussian vector is uniform on the sphere of unit quaternions.
+    quaternion = rng.normal(size=4)
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
+
+
+def _on_circle(rng: np.random.Generator) -> Vector:
+    # The contact point is on Gamma where the body's z axis lies level.
+    heading, roll = rng.uniform(0.0, 2.0 * np.pi, size=2)
+    return _quaternion(Rotation.from_euler("ZYZ", [heading, 0.5 * np.pi, roll]))
+
+
+def _quaternion(rotation: Rotation) -> Vector:
+    x, y, z, w = rotation.as_quat()
+    return np.array([w, x, y, z])

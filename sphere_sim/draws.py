@@ -18,13 +18,13 @@ _HALF_SIDE = 3.0
 
 
 def anywhere(rng: np.random.Generator) -> Ends:
-    """Positions uniform in +-3 m, orientations uniform on SO(3)."""
+    """Draw positions uniform in +-3 m, orientations uniform on SO(3)."""
     start, goal = (_state(rng) for _ in range(2))
     return start, goal
 
 
 def far(rng: np.random.Generator) -> Ends:
-    """A goal 10 to 50 m away in any direction, orientations uniform on SO(3)."""
+    """Draw a goal 10 to 50 m away in any direction, orientations uniform on SO(3)."""
     start = _state(rng)
     distance, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(0.0, 2.0 * np.pi)
     position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
@@ -32,13 +32,13 @@ def far(rng: np.random.Generator) -> Ends:
 
 
 def circle(rng: np.random.Generator) -> Ends:
-    """Both contact points on the circle Gamma through the rotors (Eq. 16), positions in +-3 m."""
+    """Put both contact points on the circle Gamma (Eq. 16), positions in +-3 m."""
     start, goal = (make_state(_position(rng), _on_circle(rng)) for _ in range(2))
     return start, goal
 
 
 def half_turn(rng: np.random.Generator) -> Ends:
-    """The same place, turned by half a turn about any axis."""
+    """Draw the same place, turned by half a turn about any axis."""
     start = _state(rng)
     axis = rng.normal(size=3)
     turn = Rotation.from_rotvec(np.pi * axis / np.linalg.norm(axis))

@@ -27,7 +27,7 @@ class ControllerSettings:
     strategy: str = quantity(
         "time_optimal", "-",
         "What is solved at each sample: an arrival in least time, or Algorithm 1 of the paper",
-        choices=tuple(SAMPLE_PERIODS),
+        choices=tuple(SAMPLE_PERIODS), live=True,
     )
     sample_period: float = quantity(
         0.0, "s",

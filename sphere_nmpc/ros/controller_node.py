@@ -11,9 +11,11 @@ services    ~/enable
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -22,7 +24,7 @@ from std_srvs.srv import SetBool
 
 from sphere_nmpc.control.controller import Controller, Mode
 from sphere_nmpc.control.planning_time import PlanningTime
-from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -65,6 +67,7 @@ class ControllerNode(LivingNode):
         declared = DeclaredSettings(self, ControllerSettings(), on_change=self._change)
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
         warn_of_unknown(self, [*declared.names, *robot.names])
+        self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
         self._aside = Background(lambda line: self._faults.report("learning failed", line))
@@ -224,9 +227,27 @@ class ControllerNode(LivingNode):
         return response
 
     def _change(self, settings: ControllerSettings) -> None:
-        self._settings = settings
+        period, self._settings = self._settings.control_period, settings
         self.controller.change(settings)
         self._reports.change(settings)
+        if settings.control_period != period:
+            self._planning = PlanningTime(settings.control_period, self._simulated)
+            self._grid.reset(settings.control_period)
+            self.destroy_timer(self._timer)
+            self._timer = self.create_timer(settings.control_period, self._tick)
+
+    def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse a strategy with another sample period in lockstep, where the simulator waits."""
+        period = self._settings.control_period
+        for name in (p.value for p in parameters if p.name == "strategy"):
+            known = self._settings.lockstep and name in SAMPLE_PERIODS
+            if known and replace(self._settings, strategy=name).control_period != period:
+                return SetParametersResult(
+                    successful=False,
+                    reason=f"strategy: given '{name}' in lockstep, expected one that samples "
+                    f"every {period:g} s, as the simulator waits for",
+                )
+        return SetParametersResult(successful=True)
 
     def _time_jumped(self, jump: TimeJump) -> None:
         self._simulated = bool(self.get_parameter("use_sim_time").value)

@@ -94,6 +94,10 @@ class ControllerReports:
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running."""
+        if settings.strategy != self._strategy:
+            for times in (self._solve_times, self._tick_times, self._gaps):
+                times.clear()
+        self._period, self._strategy = settings.control_period, settings.strategy
         self._told.change(settings)
 
     def tick(self, decision: Decision, time: float, duration: float, epoch: int) -> None:

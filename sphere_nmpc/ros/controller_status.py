@@ -46,6 +46,9 @@ class ControllerStatus:
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running."""
+        if settings.strategy != self._settings.strategy:
+            # What one strategy's values did says nothing about the next one's.
+            self._monitor, self._stability = StabilityMonitor(), None
         self._settings = settings
 
     def judge(self, decision: Decision, time: float) -> None:

@@ -29,8 +29,9 @@ class SampleGrid:
         """Instants that passed without a tick."""
         self.reset()
 
-    def reset(self) -> None:
-        """Forget the phase, as after a jump of the clock."""
+    def reset(self, period: float | None = None) -> None:
+        """Forget the phase, as after a jump of the clock, and take another period if given."""
+        self._period = self._period if period is None else period
         self._origin: float | None = None
         self._last = 0
 

@@ -318,6 +318,35 @@ def test_lockstep_answers_each_sample_instant_and_only_these(graph) -> None:
     assert robot.moved()
 
 
+def test_strategy_can_be_changed_on_the_way(graph) -> None:
+    robot = Robot(graph, strategy="paper")
+    robot.ask()
+    robot.pass_time(1.2)
+    graph.until(lambda: robot.statuses and robot.status()["mode"] == "on the way to the goal")
+    results = robot.node.set_parameters([Parameter("strategy", value="time_optimal")])
+    assert results[0].successful, results[0].reason
+    changed = robot.now * 1e-9
+    robot.pass_time(1.6)
+    graph.until(lambda: robot.status()["strategy"] == "time_optimal")
+    assert "beta_bound" not in robot.status()
+    graph.until(lambda: robot.holds()[-1].start > changed + 1.2)
+    starts = np.array([hold.start for hold in robot.holds()])
+    # A plan that takes effect when it was made for begins later than its instant.
+    assert np.median(np.diff(starts[starts > changed])) == pytest.approx(0.25, abs=0.05)
+    for before, after in pairwise(robot.holds()):
+        left = before.at(after.start)
+        np.testing.assert_allclose(after.speeds[0], left, atol=1e-6, err_msg="no jump")
+
+
+def test_strategy_of_another_period_is_refused_in_lockstep(graph) -> None:
+    robot = Robot(graph, strategy="time_optimal", lockstep=True)
+    result = robot.node.set_parameters([Parameter("strategy", value="paper")])[0]
+    assert not result.successful and "every 0.25 s" in result.reason
+    assert robot.node.get_parameter("strategy").value == "time_optimal"
+    robot = Robot(graph, strategy="time_optimal", lockstep=True, sample_period=0.5)
+    assert robot.node.set_parameters([Parameter("strategy", value="paper")])[0].successful
+
+
 def test_lockstep_answers_a_repeated_instant_again_and_a_new_goal_anew(graph) -> None:
     robot = Robot(graph, lockstep=True)
     robot.pass_time(0.5)

@@ -71,7 +71,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",
                         help="write the table to this file")
-    parser.add_argument("--quick", action="store_true", help="one fault of each group")
+    parser.add_argument("--quick", action="store_true", help="one fault or two of each group")
     parser.add_argument("--fault", nargs="+", action="extend", default=[], metavar="NAME",
                         help="only these faults")
     parser.add_argument("--pairs", nargs="?", type=_count, const=_PAIRS, default=0, metavar="N",

@@ -34,7 +34,7 @@ class Fault:
     name : str
         As on the command line and in the table.
     group : str
-        What it concerns; the quick campaign tries one fault of each group.
+        What it concerns; the quick campaign tries one fault or two of each group.
     action : str
         What brings it about, see `sphere_sim.ros.fault_actions`.
     options : dict
@@ -103,7 +103,7 @@ _ALL = (
     _pose("duplicated", "duplicated", options={"times": 3}, named_by=_LATE),
     _pose("future_0.3", "stamped", options={"ahead": 0.3}),
     _pose("future_10", "stamped", options={"ahead": 10.0}, named_by=_REFUSED, blind=True),
-    _pose("nan", "not_finite", named_by=_REFUSED, blind=True),
+    _pose("nan", "not_finite", named_by=_REFUSED, blind=True, quick=True),
     _pose("some_nan", "not_finite", options={"share": 0.3}, named_by=_REFUSED),
     _pose("sign", "sign_flipped"),
     _pose("norm", "scaled", options={"by": 2.0}, named_by=_REFUSED, blind=True),
@@ -149,7 +149,7 @@ def chosen(names: Iterable[str] = (), quick: bool = False) -> list[tuple[Fault, 
     names : iterable of str, optional
         Those to try; all, where there are none.
     quick : bool, optional
-        One of each group only.
+        One or two of each group only.
 
     Raises
     ------

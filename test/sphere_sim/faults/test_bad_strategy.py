@@ -1,0 +1,43 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A strategy that goes wrong on demand never gets a command beyond the limits through."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.strategy.registry import make_strategy
+from sphere_sim.faults.bad_strategy import BadStrategy
+from sphere_sim.faults.limits import LimitCheck
+
+ROBOT = RobotParameters()
+SETTINGS = ControllerSettings(strategy="paper")
+START = np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0])
+GOAL = np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"),
+    [("", Mode.TRACKING), ("raise", Mode.FALLBACK), ("nan", Mode.FALLBACK),
+     ("nothing", Mode.FALLBACK), ("wild", Mode.TRACKING), ("late", Mode.TRACKING)],
+)
+def test_controller_says_what_it_does_and_keeps_the_limits(tmp_path, mode, expected) -> None:
+    told = tmp_path / "told"
+    controller = Controller(
+        SETTINGS, ROBOT, BadStrategy(make_strategy(SETTINGS, ROBOT), told)
+    )
+    controller.set_goal(GOAL)
+    check = LimitCheck(ROBOT.max_rotor_speed, ROBOT.max_rotor_acceleration)
+    for number in range(4):
+        time = number * SETTINGS.period
+        if number == 2:
+            told.write_text(mode)
+        controller.observe(time, START)
+        decision = controller.decide(time)
+        hold = controller.commit(decision, time + 0.01)
+        assert hold is not None
+        check.trajectory(hold)
+    assert decision.mode is expected
+    assert not check.broken

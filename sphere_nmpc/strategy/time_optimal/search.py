@@ -52,6 +52,9 @@ class ArrivalSearch:
         Time to the next tick [s].
     seed : int
         Seed of the starts.
+    strict : bool, optional
+        Whether only the least miss counts as an arrival: near the goal a coarse one may be so
+        short that no stretch of it arrives.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class ArrivalSearch:
         situation: Situation,
         to_next_tick: float,
         seed: int,
+        strict: bool = False,
     ) -> None:
         self._situation = situation
         self._to_next_tick = to_next_tick
@@ -74,7 +78,7 @@ class ArrivalSearch:
         self._speed = cruise_speed(situation.constants, self._max_speed)
         self._duration = 2.0 + self._distance / self._speed
         error = state_error(situation.state, situation.goal)
-        self._arrived = min(ARRIVED, max(_LEAST_MISS, _NEARER * error))
+        self._arrived = min(ARRIVED, max(_LEAST_MISS, 0.0 if strict else _NEARER * error))
         self._misses: list[float] = []
         self._families = 0
         self._starts = 0

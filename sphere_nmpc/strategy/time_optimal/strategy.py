@@ -92,6 +92,7 @@ class TimeOptimalStrategy:
         self._holding = False
         self._leaving = 0.0
         self._unspent = 0
+        self._strict = False
         self._begun: tuple[float, ArrivalSearch] | None = None
         self._local.reset()
 
@@ -219,14 +220,19 @@ class TimeOptimalStrategy:
                 situation, found.goal, stretch * found.duration, found.hold, to_next_tick
             )
             if arrival.miss <= _ON_TIME:
+                self._strict = False
                 return arrival
+        # The next search would find the same again.
+        self._strict = True
         return None
 
     def _new_search(self, situation: Situation) -> ArrivalSearch:
         self._plans += 1
         signed = dataclasses.replace(situation, goal=nearer_sign(situation.goal, situation.state))
         to_next_tick = self._to_next_tick(situation.time)
-        return ArrivalSearch(self._robot, self._period, signed, to_next_tick, self._plans)
+        return ArrivalSearch(
+            self._robot, self._period, signed, to_next_tick, self._plans, self._strict
+        )
 
     def _to_next_tick(self, now: float) -> float:
         origin = now if self._origin is None else self._origin

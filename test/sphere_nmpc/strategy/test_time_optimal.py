@@ -11,7 +11,7 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign, state_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
@@ -207,3 +207,22 @@ def test_out_of_time_before_any_arrival_is_found_it_keeps_still() -> None:
     plan = strategy.plan(dataclasses.replace(situation(PAPER_CASES[1]), time_budget=0.0))
     assert plan.status is PlanStatus.RAMP_TO_REST
     assert isinstance(plan.hold, FirstOrderHold) and not np.any(plan.hold.speeds)
+
+
+def test_arrival_that_is_only_coarse_is_not_found_again_and_again() -> None:
+    # At rest 0.06 from the goal; the earliest arrival found coarsely takes 0.33 s, and no stretch
+    # of it arrives exactly.
+    state, goal = (
+        np.array([x, y, *(np.array(q) / np.linalg.norm(q))])
+        for x, y, *q in (
+            (-0.57792366, -1.66980493, -0.27058104, 0.17140981, 0.06163365, -0.94530729),
+            (-0.56376068, -1.65124704, -0.30430208, 0.15922537, 0.01927254, -0.93897609),
+        )
+    )
+    constants = LumpedConstants(0.300021, 0.0173971, 0.749914, 0.707533)
+    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
+    statuses = [
+        strategy.plan(Situation(k * PERIOD, state, goal, np.zeros(2), constants, 2e-5)).status
+        for k in range(3)
+    ]
+    assert PlanStatus.SOLVED in statuses

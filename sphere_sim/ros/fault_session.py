@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator, controller and recorder in processes of their own, with the proxy between them."""
 
+import contextlib
 import itertools
 import os
 import time
@@ -32,7 +33,7 @@ READY = 60.0
 _RATE = 20.0
 """Rate of poses, clock and commands [Hz]: the proxy has to pass them on, on a busy machine too."""
 _REPEAT = 3.0
-"""Wall time after which an unconfirmed goal is sent again [s]."""
+"""Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
 _ANSWER = 30.0
 """How long a service may take to answer [s]."""
 RADIUS = RobotParameters().shell_radius
@@ -162,7 +163,10 @@ class FaultSession:
             self.spin()
 
     def ask(self, service: str, request: Any) -> Any:
-        """Return the answer of a service.
+        """Return the answer of a service, which is asked again where it does not answer.
+
+        As with goals: a request to a node that was killed goes to nobody. All that is asked for
+        here may be asked for twice.
 
         Raises
         ------
@@ -171,9 +175,14 @@ class FaultSession:
         """
         client = self._clients[service]
         self.wait(client.service_is_ready, READY, f"the service {service}")
-        future = client.call_async(request)
-        self.wait(future.done, _ANSWER, f"an answer of {service}")
-        return future.result()
+        end = time.monotonic() + _ANSWER
+        futures = []
+        while time.monotonic() < end:
+            futures.append(client.call_async(request))
+            with contextlib.suppress(SessionError):
+                self.wait(lambda: any(f.done() for f in futures), _REPEAT, "an answer")
+                return next(future.result() for future in futures if future.done())
+        raise SessionError(f"waited {_ANSWER:g} s in vain for an answer of {service}")
 
     def set_parameters(self, node: str, **values: Any) -> list[Any]:
         """Set parameters of a node and return what it says to each."""

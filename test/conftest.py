@@ -8,6 +8,7 @@ import signal
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 
@@ -31,10 +32,17 @@ def _lock_domain() -> int:
 os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
-# A session started in the background of a shell inherits an ignored SIGINT, and so would every
-# process under test; a handler of its own is not inherited, its children get the default.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
 # A busy machine must not fail a test, and neither must a draw that no earlier run has seen.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(autouse=True)
+def _signals_have_their_defaults() -> None:
+    """Let interrupts reach the processes under test.
+
+    An ignored signal is inherited: from the shell that started the session in its background, or
+    from a node that ran within the session and had to end undisturbed.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)

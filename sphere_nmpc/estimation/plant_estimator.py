@@ -35,6 +35,9 @@ _DIFFERENCE = 1e-5
 _SHORTEST_PIECE = 1e-9
 _SETTLED = 1e-5
 _ROUNDS = 6
+_STILL_LINEAR = 3e-3
+"""Change, in standard deviations of the prior, up to which a linearisation is kept: what it leaves
+out is then below `LEAST_NOISE`, and a lesson costs one transition instead of all of them."""
 _FREEDOM = 5
 """Independent components of a state: the quaternion's norm is not one."""
 _EXPECTED_NOISE = 1e-4
@@ -44,6 +47,15 @@ _EXPECTATION_COUNTS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
+class _Linear:
+    """Residual (6,) and Jacobian (6, 5) of a transition where the scaled unknowns were `at`."""
+
+    at: Vector
+    residual: Vector
+    jacobian: Vector
+
+
+@dataclass(eq=False)
 class _Transition:
     """Two measured states and what was sent in between, from `lead` [s] before the first on."""
 
@@ -52,6 +64,7 @@ class _Transition:
     times: Vector
     inputs: Vector
     lead: float
+    linear: _Linear | None = None
 
     def window(self, lag: float) -> tuple[Vector, Vector]:
         """Return durations (K,) and speeds (K + 1, 2) that moved the sphere at this lag [s]."""
@@ -148,22 +161,32 @@ class PlantEstimator:
 
     def _fit(self) -> None:
         """Refit all transitions kept, from the constants believed so far."""
+        prior = 1.0 / self._unknowns.spread**2
         for _ in range(_ROUNDS):
-            residuals = [self._residual(t, self._scale) for t in self._transitions]
-            variance = _variance(residuals, SIZE)
-            prior = 1.0 / self._unknowns.spread**2
-            information = np.eye(SIZE) * prior
-            right: Vector = (self._unknowns.centre - self._scale) * prior
-            for transition, residual in zip(self._transitions, residuals, strict=True):
-                jacobian = self._jacobian(transition, residual)
-                information += jacobian.T @ jacobian / variance
-                right -= jacobian.T @ residual / variance
             before = self._scale
+            linear = [self._linear(transition) for transition in self._transitions]
+            jacobian = np.vstack([part.jacobian for part in linear])
+            residuals = [part.residual + part.jacobian @ (before - part.at) for part in linear]
+            residual = np.concatenate(residuals)
+            variance = _variance(residuals, SIZE)
+            information = np.diag(prior) + jacobian.T @ jacobian / variance
+            right = (self._unknowns.centre - before) * prior - jacobian.T @ residual / variance
             change = np.linalg.solve(information, right)
             self._scale = self._unknowns.within(before + change)
             self._covariance = np.asarray(np.linalg.inv(information), dtype=float)
             if float(np.max(np.abs(self._scale - before))) < _SETTLED:
                 break
+
+    def _linear(self, transition: _Transition) -> _Linear:
+        linear = transition.linear
+        if linear is not None:
+            moved = np.abs(self._scale - linear.at) / self._unknowns.spread
+            if float(np.max(moved)) < _STILL_LINEAR:
+                return linear
+        residual = self._residual(transition, self._scale)
+        linear = _Linear(self._scale, residual, self._jacobian(transition, residual))
+        transition.linear = linear
+        return linear
 
     def _residual(self, transition: _Transition, scale: Vector) -> Vector:
         """Return prediction minus measurement, shape (6,)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.quantity import quantity, validate
 
-SAMPLE_PERIODS = {"time_optimal": 0.25, "paper": 0.5}
+SAMPLE_PERIODS = {"time_optimal": 0.25, "plan_keeping": 0.5, "paper": 0.5}
 """Strategies that can be chosen by name, and the spacing of the knots that suits each [s]."""
 
 
@@ -26,7 +26,8 @@ class ControllerSettings:
 
     strategy: str = quantity(
         "time_optimal", "-",
-        "What is solved at each sample: an arrival in least time, or Algorithm 1 of the paper",
+        "What is solved at each sample: an arrival in least time, the paper's problem with its "
+        "plans kept, or Algorithm 1 of the paper to the letter",
         choices=tuple(SAMPLE_PERIODS), live=True,
     )
     sample_period: float = quantity(

@@ -61,10 +61,12 @@ class SignedAnswer:
         return (self.solution if found is None else found).inputs
 
 
-def plan_keeping_solvers(backend: str = "auto") -> tuple[HoldSolver, HoldSolver]:
-    """Return the solvers for the followed sign and for its rival."""
-    rival = replace(PLAN_KEEPING, max_iterations=RIVAL_ITERATIONS)
-    return HoldSolver(PLAN_KEEPING, backend), HoldSolver(rival, backend)
+def plan_keeping_solvers(most: int = PLAN_KEEPING.max_iterations) -> tuple[HoldSolver, HoldSolver]:
+    """Return the solvers for the followed sign and for its rival, of `most` iterations at most."""
+    return (
+        HoldSolver(replace(PLAN_KEEPING, max_iterations=min(most, PLAN_KEEPING.max_iterations))),
+        HoldSolver(replace(PLAN_KEEPING, max_iterations=min(most, RIVAL_ITERATIONS))),
+    )
 
 
 def solve_both_signs(
@@ -73,6 +75,7 @@ def solve_both_signs(
     starts: tuple[Vector, Vector],
     followed: int,
     arriving_cost: float = ARRIVING_COST,
+    time_budget: float = float("inf"),
 ) -> SignedAnswer:
     """Solve for the followed sign and, unless that plan arrives, for the other one.
 
@@ -88,17 +91,19 @@ def solve_both_signs(
         Sign that was followed until now, 0 or 1.
     arriving_cost : float, optional
         Cost below which the other sign is not tried.
+    time_budget : float, optional
+        Wall time of each of the two solves [s].
 
     Returns
     -------
     SignedAnswer
     """
     first = _signed(problem, followed)
-    solution = solvers[0].solve(first, starts[followed])
+    solution = solvers[0].solve(first, starts[followed], time_budget)
     if solution.cost <= arriving_cost:
         return SignedAnswer(_ordered(solution, None, followed), followed)
     other = 1 - followed
-    rival = solvers[1].solve(_signed(problem, other), starts[other])
+    rival = solvers[1].solve(_signed(problem, other), starts[other], time_budget)
     # Written so that a cost that is not a number never wins.
     switch = rival.cost < solution.cost or not solution.cost < float("inf")
     return SignedAnswer(_ordered(solution, rival, followed), other if switch else followed)

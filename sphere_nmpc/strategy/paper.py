@@ -16,7 +16,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
+from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
@@ -50,18 +50,15 @@ class PaperStrategy:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
         times = self._knot_times(situation.time)
         problem = self._problem(situation, times)
-        solution = self._solver.solve(
-            problem, self._warm_start(times[1:]), situation.time_budget
-        )
+        solution = self._solve(problem, times, situation.time_budget)
         if solution.status is SolveStatus.NOT_FINITE:
             raise ArithmeticError("the optimal control problem has no finite cost")
-        self._last = FirstOrderHold(times, solution.inputs)
         capped = solution.status is not SolveStatus.CONVERGED
         settings = self._settings
         initial = float(np.sum((situation.state - situation.goal) ** 2))
         return Plan(
             PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
-            self._last,
+            FirstOrderHold(times, solution.inputs),
             solution.states,
             # The solver's cost is over beta and leaves out the stage cost of the known state.
             cost=settings.terminal_weight * solution.cost + initial,
@@ -71,6 +68,12 @@ class PaperStrategy:
             message=solution.status.value,
         )
 
+    def _solve(self, problem: HoldProblem, times: Vector, time_budget: float) -> HoldSolution:
+        start = self._warm_start(self._last, times[1:])
+        solution = self._solver.solve(problem, start, time_budget)
+        self._last = FirstOrderHold(times, solution.inputs)
+        return solution
+
     def _knot_times(self, now: float) -> Vector:
         period = self._settings.period
         if self._origin is None:
@@ -79,9 +82,8 @@ class PaperStrategy:
         knots = self._origin + period * (passed + np.arange(1, self._settings.horizon + 1))
         return np.concatenate(([now], knots))
 
-    def _warm_start(self, times: Vector) -> Vector:
+    def _warm_start(self, last: FirstOrderHold | None, times: Vector) -> Vector:
         """Return the last plan at the new knots, zero beyond its end (step 6), shape (N, 2)."""
-        last = self._last
         if last is None:
             return np.zeros((times.size, INPUT_SIZE))
         known = times <= last.end + _SHORTEST_INTERVAL

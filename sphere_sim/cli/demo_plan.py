@@ -191,7 +191,7 @@ def make_plan(given: argparse.Namespace) -> DemoPlan:
         recorder={"use_sim_time": True, "output": str(folder / "bag")},
         viewer=not given.no_viewer and sys.stdout.isatty(),
         strategy=strategy,
-        other_strategy="time_optimal" if strategy == "paper" else "paper",
+        other_strategy="paper" if strategy == "time_optimal" else "time_optimal",
         compare=not given.no_compare,
         disturbed=disturbed,
         linger=STAY if disturbed else 0.0,

@@ -75,5 +75,6 @@ def _as_run(trajectory: Trajectory, plan: DemoPlan, name: str) -> Run:
             np.array([decision.plan.solve_time for decision in tracked]),
             np.array([decision.plan.cost for decision in tracked]),
             tuple(decision.plan.status.value for decision in tracked),
+            np.array([decision.plan.arrival for decision in tracked]) - np.array(starts),
         ),
     )

@@ -104,14 +104,23 @@ def solve_times(run: Run) -> Figure:
 
 
 def value_function(run: Run) -> Figure:
-    """Draw the value of the optimal control problem at each sample, which should fall."""
+    """Draw the value of the optimal control problem at each sample, which should fall.
+
+    Of a problem of least time the value is the time that is left.
+    """
     with styled():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         axes = figure.subplots()
-        costs = run.solves.costs
+        costs, to_go = run.solves.costs, run.solves.to_go
         positive = np.isfinite(costs) & (costs > 0.0)
+        told = np.isfinite(to_go)
         axes.set_title("Value of the optimal control problem")
-        if np.any(positive):
+        if np.any(told):
+            axes.plot(run.solves.times[told], to_go[told], ".-", color=COLOURS[0], linewidth=1.0)
+            axes.set_ylim(bottom=0.0)
+            axes.set_xlabel("time [s]")
+            axes.set_ylabel("time to the goal, by the plan [s]")
+        elif np.any(positive):
             axes.semilogy(run.solves.times[positive], costs[positive], ".-", color=COLOURS[0],
                           linewidth=1.0)
             axes.set_xlabel("time [s]")

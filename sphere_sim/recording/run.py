@@ -28,12 +28,15 @@ class Solves:
         Value of the optimal control problem; nan where not told.
     statuses : tuple of str
         How the solves ended.
+    to_go : ndarray
+        In what time the plans reach the goal [s]; nan where not told, empty where none tells.
     """
 
     times: Vector
     durations: Vector
     costs: Vector
     statuses: tuple[str, ...]
+    to_go: Vector = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)

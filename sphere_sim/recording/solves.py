@@ -26,7 +26,7 @@ def read_solves(taken: dict[str, list[tuple[int, Any]]], robot: str, origin: flo
     origin : float
         Time of the run's start [s].
     """
-    rows: list[tuple[float, float, float, str]] = []
+    rows: list[tuple[float, float, float, float, str]] = []
     for topic in sorted(taken):
         if not (topic.startswith(f"{robot}/") and topic.endswith("/status")):
             continue
@@ -38,9 +38,13 @@ def read_solves(taken: dict[str, list[tuple[int, Any]]], robot: str, origin: flo
             # Without simulated time the controller counts from its own start.
             told, arrived = _number(values.get("time_s")), received * _NANO
             time = told if abs(told - arrived) < _CLOCKS_AGREE else arrived
-            rows.append((time - origin, duration, _number(values.get("cost")), values["plan"]))
-    times, durations, costs = np.array([row[:3] for row in rows], dtype=float).reshape(-1, 3).T
-    return Solves(times, durations, costs, tuple(row[3] for row in rows))
+            rows.append((
+                time - origin, duration, _number(values.get("cost")),
+                _number(values.get("arrival_s")) - told, values["plan"],
+            ))
+    table = np.array([row[:4] for row in rows], dtype=float).reshape(-1, 4)
+    times, durations, costs, to_go = table.T
+    return Solves(times, durations, costs, tuple(row[4] for row in rows), to_go)
 
 
 def _number(text: str | None) -> float:

@@ -3,6 +3,7 @@
 """A parameter of another node, read now and then and set without waiting."""
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -25,17 +26,20 @@ class RemoteParameter:
         Name of the node that has it.
     name : str
         Of the parameter.
+    refused : callable
+        Called with the reason when the node did not take a value that was set.
     """
 
-    def __init__(self, node: Node, remote: str, name: str) -> None:
+    def __init__(
+        self, node: Node, remote: str, name: str, refused: Callable[[str], object]
+    ) -> None:
         self._name = name
+        self._refused = refused
         self._client = AsyncParameterClient(node, remote)
         self._asked = -_PERIOD
         self._descriptor = ParameterDescriptor(read_only=True)
         self.value: Any = None
         """None where the node or the parameter is not there."""
-        self.refusal = ""
-        """Why the node did not take the last value that was set."""
 
     @property
     def writable(self) -> bool:
@@ -77,7 +81,6 @@ class RemoteParameter:
 
     def _take_answer(self, future: Any) -> None:
         results = getattr(future.result(), "results", None)
-        self.refusal = "" if results and results[0].successful else (
-            results[0].reason if results else "no answer"
-        )
+        if not results or not results[0].successful:
+            self._refused(results[0].reason if results else f"{self._name}: no answer")
         self._asked = -_PERIOD  # what holds now is asked for at once

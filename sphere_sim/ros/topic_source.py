@@ -42,14 +42,22 @@ class TopicSource:
         self._pause = node.create_client(SetBool, "simulator/pause")
         self._reset = node.create_client(Trigger, "simulator/reset")
         self._push = node.create_client(Trigger, "simulator/push")
-        self._speed = RemoteParameter(node, "simulator", "real_time_factor")
-        self._strategy = RemoteParameter(node, "controller", "strategy")
+        self._news: list[str] = []
+        told = self._news.append
+        self._speed = RemoteParameter(node, "simulator", "real_time_factor", told)
+        self._strategy = RemoteParameter(node, "controller", "strategy", told)
 
     def frames(self) -> Sequence[Frame]:
         """Return the one frame there is: the newest."""
         self._speed.refresh()
         self._strategy.refresh()
-        return [replace(self.inputs.newest(), offers=self._offers())]
+        frame = replace(
+            self.inputs.newest(), offers=self._offers(), news=tuple(self._news)
+        )
+        self._news.clear()
+        # What was chosen counts at once; while time stands still no status tells.
+        chosen = self._strategy.value if self._strategy.writable else frame.strategy
+        return [replace(frame, strategy=chosen)]
 
     def handle(self, request: Request) -> str:
         """Publish the goal, call the service or set the parameter that is asked for."""
@@ -77,8 +85,13 @@ class TopicSource:
     def _call(self, client: Any, request: Any) -> str:
         if not client.service_is_ready():
             return f"{client.srv_name} is not there"
-        client.call_async(request)
+        client.call_async(request).add_done_callback(self._take_answer)
         return ""
+
+    def _take_answer(self, future: Any) -> None:
+        answer = future.result()
+        if answer is not None and not answer.success:
+            self._news.append(answer.message)
 
     def _offers(self) -> Offers:
         speed, strategy = self._speed, self._strategy

@@ -132,9 +132,13 @@ class ViewerInputs:
         self.health.controller_at = self._note()
         values = {pair.key: pair.value for pair in message.values}
         solved = _number(values, "solve_time_s")
+        # A plan that holds has arrived. Of a problem of least time the value is the time left.
+        holds = values.get("plan") == "holding"
+        to_go = 0.0 if holds else _number(values, "arrival_s") - _number(values, "time_s")
         self.frame = replace(
             self.frame,
-            cost=_number(values, "cost"),
+            cost=_number(values, "cost") if np.isnan(to_go) else float("nan"),
+            to_go=to_go,
             # Where nothing was solved it is zero.
             solve_time=solved if solved > 0.0 else float("nan"),
             strategy=values.get("strategy", ""),

@@ -71,11 +71,15 @@ class Frame:
     solve_time : float
         Of the newest solve [s].
     cost : float
-        Value of the optimal control problem.
+        Value of the optimal control problem, where that is not a time.
+    to_go : float
+        In what time the plan reaches the goal [s].
     strategy, mode : str
         What the controller solves, and what it is doing.
     alerts : tuple of str
         What is amiss.
+    news : tuple of str
+        What to tell the user once, such as why a request was refused.
     fresh : bool
         Whether this is another run than what was shown before, which is to be wiped away.
     offers : Offers
@@ -91,9 +95,11 @@ class Frame:
     plan: Vector = field(default_factory=_nothing)
     solve_time: float = float("nan")
     cost: float = float("nan")
+    to_go: float = float("nan")
     strategy: str = ""
     mode: str = ""
     alerts: tuple[str, ...] = ()
+    news: tuple[str, ...] = ()
     fresh: bool = False
     offers: Offers = field(default_factory=Offers)
 

@@ -10,7 +10,8 @@ from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_sim.viewer.frame import Frame
 
 NAMES = (
-    "time", "distance", "angle", "speed_1", "speed_2", "torque_1", "torque_2", "cost", "solve_ms"
+    "time", "distance", "angle", "speed_1", "speed_2", "torque_1", "torque_2", "cost", "to_go",
+    "solve_ms",
 )
 
 
@@ -44,7 +45,7 @@ class History:
             np.nan if goal is None else position_error(frame.state, goal),
             np.nan if goal is None else angle_error(frame.state, goal),
             *map(float, frame.rotor_speeds), *map(float, frame.rotor_torques),
-            frame.cost, 1e3 * frame.solve_time,
+            frame.cost, frame.to_go, 1e3 * frame.solve_time,
         ))
         while self._rows[0][0] < frame.time - self._window:
             self._rows.popleft()
@@ -53,16 +54,3 @@ class History:
         """Return the series by name, all of one length; nan where nothing was known."""
         table = np.array(self._rows, dtype=float).reshape(-1, len(NAMES))
         return dict(zip(NAMES, table.T, strict=True))
-
-
-def filled(values: Vector) -> Vector:
-    """Return a series in which the last known value stands for those that are not; it may be nan.
-
-    Charts take a number that is none for the end of their range.
-    """
-    known = np.isfinite(values)
-    if not np.any(known):
-        return np.full_like(values, np.nan)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
-    first = values[np.argmax(known)]
-    return np.where(known[last], values[last], first)

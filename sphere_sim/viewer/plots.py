@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The charts beside the scene."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,35 +12,45 @@ from viser import uplot
 from sphere_nmpc.model.state import Vector
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
-from sphere_sim.viewer.history import History, filled
+from sphere_sim.viewer.history import History
 
 _SMALLEST = 1e-9
 """Least value of which the logarithm is drawn."""
-_HEIGHT = 104
+_HEIGHT = 112
 """[px]."""
+_SPACE = 15
+"""Least distance of two numbers on the upright axis [px]."""
+_TICKS = uplot.Axis_Ticks(size=3, width=1)
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Chart:
-    """What one chart shows: names of the series in the history, their labels and colours."""
+    """What one chart shows: names of the series in the history, their labels and colours.
+
+    `least` is what its upright axis shows at the least: what hardly moves should look so.
+    """
 
     title: str
     names: tuple[str, ...]
     labels: tuple[str, ...]
     colours: tuple[Colour, ...]
+    least: Range
     logarithmic: bool = False
 
 
 CHARTS = (
     Chart("error, log10: distance [m], angle [rad]", ("distance", "angle"),
-          ("distance", "angle"), (colours.BLUE, colours.VERMILION), logarithmic=True),
+          ("distance", "angle"), (colours.BLUE, colours.VERMILION), (-3.0, 0.0), True),
     Chart("rotor speeds [rad/s]", ("speed_1", "speed_2"), ("rotor 1", "rotor 2"),
-          colours.ROTORS),
+          colours.ROTORS, (-100.0, 100.0)),
     Chart("rotor torques [N m]", ("torque_1", "torque_2"), ("rotor 1", "rotor 2"),
-          colours.ROTORS),
+          colours.ROTORS, (-2.0, 2.0)),
+    Chart("value of the control problem: time to go [s]", ("to_go",), ("time to go",),
+          (colours.BLUE,), (0.0, 2.0)),
     Chart("value of the control problem, log10", ("cost",), ("value",), (colours.BLUE,),
-          logarithmic=True),
-    Chart("solve time [ms]", ("solve_ms",), ("solve",), (colours.INK,)),
+          (0.0, 2.0), True),
+    Chart("solve time [ms]", ("solve_ms",), ("solve",), (colours.INK,), (0.0, 1.0)),
 )
 
 
@@ -59,38 +70,70 @@ class Plots:
         panel.dock_left()
         panel.set_width(360)
         self._drawn: dict[Chart, viser.GuiUplotHandle] = {}
+        self._ranges: dict[Chart, Range] = {}
 
     def show(self, history: History) -> None:
-        """Draw what the history holds; a chart comes up when there is something for it."""
+        """Draw what the history holds; a chart is there while there is something in it."""
         series = history.series()
         times = series["time"]
         for order, chart in enumerate(CHARTS):
-            lines = [filled(_drawable(series[name], chart)) for name in chart.names]
-            if len(times) < 2 or not all(np.all(np.isfinite(line)) for line in lines):
-                continue
-            if chart in self._drawn:
-                self._drawn[chart].data = (times, *lines)
-            else:
+            lines = [_drawable(series[name], chart) for name in chart.names]
+            there = len(times) >= 2 and any(np.any(np.isfinite(line)) for line in lines)
+            handle = self._drawn.get(chart)
+            if handle is None:
                 # Not before: a chart that is made while it is hidden keeps a width of nothing.
-                with self._tab:
-                    self._drawn[chart] = _add(self._gui, chart, order, (times, *lines))
+                if there:
+                    with self._tab:
+                        self._drawn[chart] = self._add(chart, order, (times, *lines))
+                continue
+            if there:
+                wanted = upright_range(lines, chart.least)
+                if wanted != self._ranges[chart]:
+                    self._ranges[chart] = wanted
+                    handle.scales = _scales(wanted)
+                handle.data = (times, *lines)
+            if handle.visible != there:
+                handle.visible = there
+
+    def _add(self, chart: Chart, order: int, data: tuple[Vector, ...]) -> viser.GuiUplotHandle:
+        self._ranges[chart] = upright_range(data[1:], chart.least)
+        lines = tuple(
+            uplot.Series(label=label, stroke=css(colour), width=2)
+            for label, colour in zip(chart.labels, chart.colours, strict=True)
+        )
+        return self._gui.add_uplot(
+            data=data,
+            series=(uplot.Series(label="t [s]"), *lines),
+            title=chart.title, scales=_scales(self._ranges[chart]), height=_HEIGHT, order=order,
+            axes=(
+                uplot.Axis(size=22, gap=2, ticks=_TICKS),
+                uplot.Axis(size=44, gap=2, space=_SPACE, ticks=_TICKS),
+            ),
+            padding=(12, 8, 0, 0),
+            # Values under the mouse would take a line more of each chart.
+            legend=uplot.Legend(show=len(chart.names) > 1, live=False),
+        )
 
 
-def _add(
-    gui: viser.GuiApi, chart: Chart, order: int, data: tuple[Vector, ...]
-) -> viser.GuiUplotHandle:
-    lines = tuple(
-        uplot.Series(label=label, stroke=css(colour), width=2)
-        for label, colour in zip(chart.labels, chart.colours, strict=True)
-    )
-    return gui.add_uplot(
-        data=data,
-        series=(uplot.Series(label="t [s]"), *lines),
-        title=chart.title, scales={"x": uplot.Scale(time=False)}, height=_HEIGHT, order=order,
-        padding=(12, 8, 0, 0),
-        # Values under the mouse would take a line more of each chart.
-        legend=uplot.Legend(show=len(chart.names) > 1, live=False),
-    )
+def upright_range(lines: Sequence[Vector], least: Range) -> Range:
+    """Return what an upright axis shows: `least` and all that is known, in steps that stay.
+
+    Parameters
+    ----------
+    lines : sequence of ndarray
+        Values, nan where nothing is known.
+    least : (float, float)
+        What is shown at the least.
+    """
+    known = np.concatenate([line[np.isfinite(line)] for line in lines])
+    low, high = min((least[0], *known)), max((least[1], *known))
+    # Half a power of ten: the axis changes now and then, not with each sample.
+    step = 10.0 ** np.floor(np.log10(high - low)) / 2.0
+    return float(step * np.floor(low / step)), float(step * np.ceil(high / step))
+
+
+def _scales(upright: Range) -> dict[str, uplot.Scale]:
+    return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=upright)}
 
 
 def _drawable(values: Vector, chart: Chart) -> Vector:

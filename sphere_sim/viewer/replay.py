@@ -78,6 +78,7 @@ class Replay:
         at = int(np.searchsorted(run.times, moment, side="right")) - 1
         joint = int(np.searchsorted(run.joint_times, moment, side="right")) - 1
         solve = int(np.searchsorted(run.solves.times, moment, side="right")) - 1
+        to_go = self._to_go(solve)
         goal = self._goals[at]
         unknown = np.full(2, np.nan)
         return Frame(
@@ -89,7 +90,8 @@ class Replay:
             goal=goal if np.all(np.isfinite(goal)) else None,
             plan=self._plan_at(moment) if newest else np.empty((0, 6)),
             solve_time=float(run.solves.durations[solve]) if solve >= 0 else float("nan"),
-            cost=float(run.solves.costs[solve]) if solve >= 0 else float("nan"),
+            cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,
+            to_go=to_go,
             mode=run.solves.statuses[solve] if solve >= 0 else "",
             fresh=fresh,
             offers=Offers(
@@ -97,6 +99,13 @@ class Replay:
                 duration=self._duration,
             ),
         )
+
+    def _to_go(self, solve: int) -> float:
+        """Return in what time the plan of a solve arrives [s]; one that holds has."""
+        solves = self._run.solves
+        if solve < 0 or not solves.to_go.size:
+            return float("nan")
+        return 0.0 if solves.statuses[solve] == "holding" else float(solves.to_go[solve])
 
     def _plan_at(self, moment: float) -> Vector:
         """Return the plan in force as the model predicts it from the state where it begins."""

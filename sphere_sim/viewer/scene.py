@@ -37,7 +37,7 @@ class Scene:
         add_lights(self._scene)
         add_floor(self._scene)
         self._scene.add_frame(
-            "/world", axes_length=0.4, axes_radius=0.008, origin_radius=0.012,
+            "/world", axes_length=0.25, axes_radius=0.008, origin_radius=0.012,
             position=(0.0, 0.0, _ON_FLOOR),
         )
         self._path = Trail(self._scene, "/path", colours.PATH, 0.012, 0.01)

@@ -62,6 +62,8 @@ class Viewer:
         for frame in frames:
             self._scene.follow(frame)
             self._history.add(frame)
+            for news in frame.news:
+                self._tell(news)
         self._frame = frames[-1]
         with self._server.atomic():
             self._scene.show(self._frame)

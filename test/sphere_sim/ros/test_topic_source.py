@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 pytest.importorskip("viser")
 
+from sphere_nmpc.control.settings import SAMPLE_PERIODS
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller_node import ControllerNode
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
@@ -39,8 +40,9 @@ def newest(source):
     return source.frames()[-1]
 
 
-def simulator() -> SimulatorNode:
-    return SimulatorNode([Parameter("initial_state", value=START.tolist())])
+def simulator(plant: str = "rolling") -> SimulatorNode:
+    given = {"initial_state": START.tolist(), "plant": plant}
+    return SimulatorNode([Parameter(name, value=value) for name, value in given.items()])
 
 
 def test_nobody_there_is_told(source) -> None:
@@ -75,7 +77,8 @@ def test_pause_speed_and_reset_reach_the_simulator(graph, source) -> None:
     node = simulator()
     graph.add(node)
     graph.until(lambda: newest(source).offers.speed is not None and newest(source).offers.pause)
-    assert newest(source).offers.reset and not newest(source).offers.push
+    assert newest(source).offers.reset
+    assert not newest(source).offers.push, "the ideal plant cannot be pushed"
     source.handle(Pause(True))
     graph.until(lambda: newest(source).offers.paused)
     source.handle(Pause(False))
@@ -86,28 +89,46 @@ def test_pause_speed_and_reset_reach_the_simulator(graph, source) -> None:
 
 
 def test_a_push_is_offered_where_there_is_one(graph, source) -> None:
-    pushed = []
+    pytest.importorskip("mujoco")
+    graph.add(simulator("rigid_body"))
+    graph.until(lambda: newest(source).offers.push and newest(source).state is not None)
+    at_rest = newest(source).state[0]
+    assert source.handle(Push()) == ""
+    # Along +x, as push_impulse has it.
+    graph.until(lambda: newest(source).state[0] > at_rest + 0.05)
 
-    def push(request, response):
-        pushed.append(request)
+
+def test_a_request_that_is_refused_is_told_once(graph, source) -> None:
+    def refuse(request, response):
+        response.success, response.message = False, "the lid is open"
         return response
 
-    graph.probe.create_service(Trigger, "simulator/push", push)
+    graph.probe.create_service(Trigger, "simulator/push", refuse)
     graph.until(lambda: newest(source).offers.push)
     source.handle(Push())
-    graph.until(lambda: pushed)
+    told: list[str] = []
+    graph.until(lambda: told.extend(newest(source).news) or told)
+    assert told == ["the lid is open"] and newest(source).news == ()
 
 
-def test_a_strategy_that_is_fixed_is_not_offered(graph, source) -> None:
+def test_the_strategy_can_be_chosen(graph, source) -> None:
     node = ControllerNode()
     graph.add(node)
-    graph.until(lambda: newest(source) and source._strategy.choices != ())
-    before = node.get_parameter("strategy").value
-    if not source._strategy.writable:
-        assert newest(source).offers.strategies == ()
-        source.handle(SetStrategy("paper"))
-        graph.spin_for(0.3)
-        assert node.get_parameter("strategy").value == before
+    graph.until(lambda: newest(source).offers.strategies)
+    assert set(newest(source).offers.strategies) == set(SAMPLE_PERIODS)
+    source.handle(SetStrategy("paper"))
+    assert newest(source).strategy == "paper", "no status tells while time stands still"
+    graph.until(lambda: node.get_parameter("strategy").value == "paper")
+
+
+def test_a_strategy_that_is_refused_is_told_and_the_one_in_force_shown(graph, source) -> None:
+    graph.add(ControllerNode([Parameter("lockstep", value=True)]))
+    graph.until(lambda: newest(source).offers.strategies)
+    source.handle(SetStrategy("paper"))
+    told: list[str] = []
+    graph.until(lambda: told.extend(newest(source).news) or told)
+    assert "lockstep" in told[0]
+    graph.until(lambda: newest(source).strategy == "time_optimal")
 
 
 def test_a_goal_that_is_asked_for_is_published(graph, source) -> None:

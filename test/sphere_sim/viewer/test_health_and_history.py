@@ -3,11 +3,15 @@
 """Silence is told in time and in words; the plots' series hold what they should."""
 
 import numpy as np
+import pytest
+
+pytest.importorskip("viser")
 
 from sphere_nmpc.model.state import make_state
 from sphere_sim.viewer.frame import Frame
 from sphere_sim.viewer.health import Health
-from sphere_sim.viewer.history import History, filled
+from sphere_sim.viewer.history import History
+from sphere_sim.viewer.plots import upright_range
 from sphere_sim.viewer.presets import PRESETS
 
 
@@ -61,9 +65,13 @@ def test_nothing_in_the_history_gives_empty_series() -> None:
     assert all(len(line) == 0 for line in History().series().values())
 
 
-def test_gaps_are_filled_with_the_last_known_value() -> None:
-    assert filled(np.array([np.nan, 1.0, np.nan, 3.0])).tolist() == [1.0, 1.0, 1.0, 3.0]
-    assert np.all(np.isnan(filled(np.array([np.nan, np.nan]))))
+def test_axes_show_at_least_what_a_quantity_may_be_and_change_in_steps() -> None:
+    still = np.array([np.nan, 1e-12, -1e-12])
+    assert upright_range([still], (-100.0, 100.0)) == (-100.0, 100.0)
+    assert upright_range([np.array([np.nan])], (0.0, 1.0)) == (0.0, 1.0)
+    assert upright_range([np.array([0.0, 131.0]), still], (0.0, 1.0)) == (-50.0, 150.0)
+    once = upright_range([np.array([0.0, 132.0])], (0.0, 1.0))
+    assert once == upright_range([np.array([0.0, 149.0])], (0.0, 1.0)) == (0.0, 150.0)
 
 
 def test_every_preset_is_a_state() -> None:

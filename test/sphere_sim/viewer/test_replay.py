@@ -87,6 +87,7 @@ def test_plan_solve_and_goal_are_those_of_the_moment(replay) -> None:
     # A positive speed of rotor 1 rolls an upright sphere along +y.
     assert frame.plan[-1, 1] > 0.0
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
+    assert np.isnan(frame.to_go), "this one tells no arrival"
     assert frame.goal[0] == DURATION
 
 

@@ -24,6 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.loopback import stay_on_this_machine
 
 _LOOK_UP = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
@@ -76,6 +77,7 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
     if own:
         print(f"{own[0]}: not understood; parameters are given as\n{_HOW_TO}", file=sys.stderr)
         return 2
+    stay_on_this_machine()
     rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     try:
         return _live(make_node)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.loopback import stay_on_this_machine
 
 _HIGHEST = 101
 """Ids above this reach into the ephemeral ports of Linux."""
@@ -26,7 +27,7 @@ def own_domain() -> Iterator[int]:
     int
         The domain.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_on_this_machine()
     if os.environ.get("ROS_DOMAIN_ID"):
         yield int(os.environ["ROS_DOMAIN_ID"])
         return

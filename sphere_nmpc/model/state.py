@@ -109,11 +109,12 @@ def nearer_sign(goal: Vector, state: Vector) -> Vector:
     return signed
 
 
+_OTHER_SIGN = np.array([1.0, 1.0, -1.0, -1.0, -1.0, -1.0])
+
+
 def flipped_sign(goal: Vector) -> Vector:
     """Return the same goal with the other of its two quaternions."""
-    flipped = goal.copy()
-    flipped[QUATERNION] *= -1.0
-    return flipped
+    return goal * _OTHER_SIGN
 
 
 def state_error(state: Vector, goal: Vector) -> float:

@@ -110,7 +110,7 @@ def solve_both_signs(
 
 
 def _signed(problem: HoldProblem, sign: int) -> HoldProblem:
-    return replace(problem, goal=flipped_sign(problem.goal)) if sign else problem
+    return problem.aimed_at(flipped_sign(problem.goal)) if sign else problem
 
 
 def _ordered(

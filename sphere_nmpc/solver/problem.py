@@ -11,7 +11,8 @@ from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import Vector
 
 
-@dataclass(frozen=True, eq=False)
+# Not frozen, as that would take as long as a third of an iteration; nobody changes one.
+@dataclass(slots=True, eq=False)
 class HoldProblem:
     """Find the knots u_1 ... u_N of a first-order hold that starts at the input in force u_0.
 
@@ -68,6 +69,14 @@ class HoldProblem:
         """N, the number of intervals and of free knots."""
         return int(self.durations.size)
 
+    def aimed_at(self, goal: Vector) -> "HoldProblem":
+        """Return the same problem with another goal, shape (6,)."""
+        return HoldProblem(
+            self.state, goal, self.input_in_force, self.durations, self.constants, self.lower,
+            self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
+            self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
+        )
+
 
 class SolveStatus(Enum):
     """How a solve ended."""
@@ -113,7 +122,7 @@ class SolverSettings:
     target_cost: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(slots=True, eq=False)
 class HoldSolution:
     """Answer to a `HoldProblem`; the bounds hold exactly whatever the status.
 

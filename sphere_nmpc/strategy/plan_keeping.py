@@ -3,9 +3,9 @@
 """The paper's problem, solved so that what is planned is carried out.
 
 Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`; what differs is told in
-`sphere_nmpc.solver.both_signs`: both quaternions of the goal, and a minimisation that leaves a plan
-alone which is about to arrive. A sample takes tens of microseconds, hence this is the strategy for
-high control rates and small processors.
+`sphere_nmpc.solver.both_signs`: both quaternions of the goal, and a minimisation that leaves alone
+a plan which is about to arrive. A sample takes tens of microseconds, hence this is the strategy
+for high control rates and small processors.
 """
 
 from dataclasses import replace

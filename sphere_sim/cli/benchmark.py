@@ -15,6 +15,8 @@ from typing import Any
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
+_WIDE = 160
+
 _FIRST_SOLVE = (
     "import numpy as np\n"
     "from sphere_sim.benchmark.ours import BothSigns\n"
@@ -36,6 +38,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from sphere_sim.benchmark.report import OURS, as_numbers, draw, show
 
     console = Console()
+    if not console.is_terminal:
+        # In a file the table has the room it needs.
+        console = Console(width=_WIDE)
     records, missing, extra = _run(options, console)
     if not options.quick:
         with tempfile.TemporaryDirectory() as empty:
@@ -85,6 +90,11 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--duration", type=float, default=30.0, help="simulated seconds (default: 30)"
     )
+    parser.add_argument(
+        "--acados-python",
+        metavar="PATH",
+        help="Python of an environment with acados, which then takes part too",
+    )
     options = parser.parse_args(argv)
     if options.quick:
         options.rounds, options.budget = 1, min(options.budget, 15.0)
@@ -96,6 +106,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str], dict[str, Any]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from sphere_sim.benchmark.acados_peer import acados_makers
     from sphere_sim.benchmark.contender import SAMPLE_PERIOD
     from sphere_sim.benchmark.contenders import ALL, IPOPT, QUICK
     from sphere_sim.benchmark.floor import measure_floor
@@ -108,6 +119,8 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         makers = QUICK if options.quick else ALL
+        if options.acados_python or not options.quick:
+            makers = {**makers, **acados_makers(options.acados_python)}
         task = progress.add_task("setting up", total=len(makers))
 
         def told(name: str) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -70,3 +70,10 @@ def test_plan_in_hand_is_kept(solvers, make_problem):
     kept = solvers[0].solve(replace(problem, goal=end), start)
     assert np.max(np.abs(kept.inputs[1:] - start)) < 5.0
     assert np.linalg.norm(kept.states[-1] - end) < 1e-2
+
+
+def test_another_goal_changes_nothing_else(make_problem):
+    problem = make_problem("paper", 2)
+    goal = flipped_sign(problem.goal)
+    found, wanted = problem.aimed_at(goal), replace(problem, goal=goal)
+    assert all(getattr(found, f.name) is getattr(wanted, f.name) for f in fields(problem))

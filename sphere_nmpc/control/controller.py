@@ -228,33 +228,23 @@ class Controller:
                 self._lose_sight()
             self._strategy.reset()
             return self._rest(Mode.BLIND, time, age)
-        belief = None if self._fusion is None else self._fusion.predict(time)
-        if belief is None:
-            self._learn(*self._pose)
-            # What was sent up to the lag before a pose has moved the robot by then: seen from its
-            # inputs the pose is that much older.
-            state = self._sent.predict(
-                self._pose[1], self._pose[0] - self.lag, time, self.constants.as_array(),
-                self._settings.integration_step,
-            )
-            return self._decide_at(time, state, age, None)
-        return self._decide_at(time, belief.state, age, belief)
-
-    def _decide_at(
-        self, time: float, state: Vector, age: float, belief: Belief | None
-    ) -> Decision:
-        decision = self._decide_from(time, state, age, belief)
-        return decision if belief is None else replace(decision, covariance=belief.covariance)
-
-    def _decide_from(
-        self, time: float, state: Vector, age: float, belief: Belief | None
-    ) -> Decision:
+        failed: Exception | None = None
+        try:
+            state, belief = self._estimate(time, *self._pose)
+        except Exception as error:
+            # As for plans: what is in force is safe to its end, the next pose may do better.
+            state, belief, failed = self._pose[1], None, error
         if not self.enabled:
-            return self._rest(Mode.DISABLED, time, age, state)
-        if self._goal is None:
-            return self._rest(Mode.NO_GOAL, time, age, state)
-        mode, plan = self._plan(time, state, self._goal, belief)
-        return self._decision(mode, plan, state, age)
+            decision = self._rest(Mode.DISABLED, time, age, state)
+        elif self._goal is None:
+            decision = self._rest(Mode.NO_GOAL, time, age, state)
+        elif failed is not None:
+            plan = self._fallback(time, state, failed)
+            decision = self._decision(Mode.FALLBACK, plan, state, age)
+        else:
+            mode, plan = self._plan(time, state, self._goal, belief)
+            decision = self._decision(mode, plan, state, age)
+        return decision if belief is None else replace(decision, covariance=belief.covariance)
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return what to send at `now` [s] and count it as sent; None where nothing need be sent.
@@ -271,6 +261,22 @@ class Controller:
             return None
         self._sent.record(hold)
         return hold
+
+    def _estimate(
+        self, time: float, measured: float, pose: Vector
+    ) -> tuple[Vector, Belief | None]:
+        """Return the state at `time` [s], from the newest pose or from all that were fused."""
+        belief = None if self._fusion is None else self._fusion.predict(time)
+        if belief is not None:
+            return belief.state, belief
+        self._learn(measured, pose)
+        # What was sent up to the lag before a pose has moved the robot by then: seen from its
+        # inputs the pose is that much older.
+        state = self._sent.predict(
+            pose, measured - self.lag, time, self.constants.as_array(),
+            self._settings.integration_step,
+        )
+        return state, None
 
     def _learn(self, time: float, state: Vector) -> None:
         """Show the estimator what the robot did since the last pose it was shown."""
@@ -319,17 +325,19 @@ class Controller:
             plan = self._strategy.plan(situation)
             if np.isfinite(plan.states).all():
                 return Mode.TRACKING, plan
-            reason = "the predicted states are not finite"
+            raise ArithmeticError("the predicted states are not finite")
         except Exception as error:
             # Whatever went wrong in there must not take the loop down.
-            reason = f"{type(error).__name__}: {error}"
+            return Mode.FALLBACK, self._fallback(time, state, error)
+
+    def _fallback(self, time: float, state: Vector, error: Exception) -> Plan:
         self.failures += 1
         self._strategy.reset()
         newest = self._sent.newest
         hold = FirstOrderHold.constant(time, np.zeros(INPUT_SIZE)) if newest is None else newest
-        return Mode.FALLBACK, Plan(
+        return Plan(
             PlanStatus.FALLBACK, hold.starting_at(time, self._sent.at(time)),
-            state[None, :], message=reason,
+            state[None, :], message=f"{type(error).__name__}: {error}",
         )
 
     def _rest(

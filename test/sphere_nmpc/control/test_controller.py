@@ -248,6 +248,25 @@ def test_strategy_that_predicts_nan_counts_as_failed(
     assert strategy.resets >= 2  # at the goal and now: nothing bad is kept as a warm start
 
 
+@pytest.mark.parametrize("enabled", [True, False])
+def test_estimate_that_raises_leaves_a_safe_plan_or_ramps_to_rest(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch, enabled: bool
+) -> None:
+    track(controller)
+
+    def fail(*arguments: object, **named: object) -> None:
+        raise ArithmeticError("no estimate")
+
+    monkeypatch.setattr(controller.estimator, "observe", fail)
+    controller.observe(PERIOD, START)
+    controller.enabled = enabled
+    decision = controller.decide(PERIOD)
+    assert decision.mode is (Mode.FALLBACK if enabled else Mode.DISABLED)
+    assert ("no estimate" in decision.plan.message) == enabled
+    hold = controller.commit(decision, PERIOD)
+    assert hold is not None and not np.any(hold.speeds[-1])
+
+
 def test_strategy_that_returns_nothing_counts_as_failed(controller: Controller) -> None:
     class Silent(Scripted):
         def plan(self, situation: Situation) -> Plan:

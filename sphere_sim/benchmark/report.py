@@ -121,15 +121,18 @@ def draw(records: dict[str, Record], path: Path) -> None:
 
     shown = {name: record for name, record in records.items() if record.wall}
     figure = Figure(figsize=(8.0, 0.55 * len(shown) + 1.6), layout="constrained")
-    axes = figure.add_subplot()
+    axes, labels = figure.add_subplot(), []
     for row, (name, record) in enumerate(reversed(shown.items())):
         times = 1e3 * np.sort(record.wall)
         colour = "tab:orange" if name.startswith(OURS) else "tab:blue"
         axes.plot(times, np.full(times.size, row), "|", color=colour, alpha=0.25, markersize=12)
-        axes.plot(np.median(times), row, "o", color=colour)
-        axes.plot(np.percentile(times, 99.0), row, ">", color=colour)
-    axes.set_yticks(range(len(shown)), list(reversed(shown)))
+        middle, late = np.percentile(times, [50.0, 99.0])
+        for value, mark in ((middle, "o"), (late, ">")):
+            axes.plot(value, row, mark, color=colour, markeredgecolor="black", markersize=8)
+        labels.append(f"{name}\n{middle:.3g} / {late:.3g} ms")
+    axes.set_yticks(range(len(shown)), labels)
     axes.set_xscale("log")
-    axes.set_xlabel("wall time of a solve [ms]; dot: median, triangle: 99th percentile")
+    axes.set_xlabel("wall time of a solve [ms]")
+    figure.suptitle("Dot: median, triangle: 99th percentile, both beside the name", fontsize=10)
     axes.grid(axis="x", alpha=0.3)
     figure.savefig(path, dpi=150)

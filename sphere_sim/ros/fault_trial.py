@@ -139,10 +139,11 @@ class Trial:
 
     def _judge(self, tracebacks: int) -> None:
         self._complaints.extend(self._monitor.limits.broken[:3])
-        for fault in self._faults:
-            if fault.named_by and not self._monitor.heard(fault.named_by):
-                words = "' or '".join(fault.named_by)
-                self._complaints.append(f"nothing named {fault.name}: no '{words}'")
+        harmful = [fault for fault in self._faults if fault.named_by]
+        # One of two may hide the other: who is dead or sees nothing cannot tell of bad poses.
+        if harmful and not any(self._monitor.heard(fault.named_by) for fault in harmful):
+            words = "' or '".join(word for fault in harmful for word in fault.named_by)
+            self._complaints.append(f"nothing named {name_of(harmful)}: no '{words}'")
         for process in self._session.processes.values():
             if process.code is not None:
                 self._complaints.append(process.wait(1.0))

@@ -10,8 +10,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Duration, Time
-from hypothesis import given
+from geometry_msgs.msg import PoseStamped
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
@@ -49,6 +51,42 @@ def test_pose_returns_the_same_state(state) -> None:
     assert message.header.frame_id == "world"
     assert message.pose.position.z == RADIUS
     np.testing.assert_allclose(cv.pose_from_ros(message), state, atol=1e-15)
+
+
+METRES = st.floats(-1e6, 1e6)
+TURNS = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4).filter(
+    lambda q: np.linalg.norm(q) > 0.1
+)
+
+
+@given(place=st.tuples(METRES, METRES), turn=TURNS, frame=st.sampled_from(["", "world"]))
+def test_any_state_returns_from_its_pose_through_the_middleware(place, turn, frame) -> None:
+    state = np.array([*place, *(np.array(turn) / np.linalg.norm(turn))])
+    sent = serialize_message(cv.pose_to_ros(state, 7, RADIUS, frame))
+    back = cv.framed_pose_from_ros(deserialize_message(sent, PoseStamped))
+    np.testing.assert_allclose(back, state, rtol=0.0, atol=4e-16)
+    np.testing.assert_array_equal(back[:2], state[:2])
+
+
+@settings(max_examples=60)
+@given(
+    gaps=st.lists(st.integers(1, 10**10), min_size=1, max_size=6),
+    speeds=st.lists(st.floats(-1e3, 1e3), min_size=14, max_size=14),
+    start=st.integers(0, 10**13), epoch=st.sampled_from([0, EPOCH]), swapped=st.booleans(),
+)
+def test_any_hold_returns_from_its_trajectory(gaps, speeds, start, epoch, swapped) -> None:
+    times = np.cumsum([start, *gaps]) * NANOSECOND
+    hold = FirstOrderHold(times, np.reshape(speeds, (-1, 2))[: times.size])
+    message = cv.hold_to_trajectory(hold, epoch)
+    if swapped:
+        message.joint_names = list(reversed(message.joint_names))
+        for point in message.points:
+            point.velocities = list(reversed(point.velocities))
+    sent = deserialize_message(serialize_message(message), JointTrajectory)
+    # Stamp 0 means now, which is then when the hold begins.
+    back = cv.hold_from_trajectory(sent, now=start, epoch=epoch)
+    np.testing.assert_allclose(back.times, hold.times, rtol=0.0, atol=2.0 * NANOSECOND)
+    np.testing.assert_array_equal(back.speeds, hold.speeds)
 
 
 def test_pose_swaps_the_scalar_to_the_end() -> None:

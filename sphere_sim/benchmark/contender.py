@@ -8,6 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from sphere_nmpc.model.dynamics import Expression
+from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.problem import HoldProblem
@@ -33,10 +35,14 @@ class Answer:
         Rotor speeds to reach at the next sample [rad/s].
     solved : bool
         Whether the contender itself says that it succeeded.
+    took : (float, float) or None
+        Wall and processor time of the solve [s] as its caller in another process saw it; None
+        where that caller is who asked.
     """
 
     speeds: Vector
     solved: bool
+    took: tuple[float, float] | None = None
 
 
 class Contender(Protocol):
@@ -75,6 +81,16 @@ def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> HoldPr
         input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT,
         max_step=INTEGRATION_STEP,
     )
+
+
+def predicted(state: Expression, last: Expression, there: Expression) -> Expression:
+    """Return the state, (6,), a sample later; inputs ramp from `last` to `there` [rad/s]."""
+    steps = steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
+    for i in range(steps):
+        here_u = last + (there - last) * (i / steps)
+        there_u = last + (there - last) * ((i + 1) / steps)
+        state = step_function()(state, here_u, there_u, SAMPLE_PERIOD / steps, CONSTANTS)
+    return state
 
 
 def shifted(knots: Vector) -> Vector:

@@ -7,17 +7,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.state import Vector
 from sphere_sim.benchmark.contender import (
-    CONSTANTS,
     HORIZON,
     INPUT_WEIGHT,
-    INTEGRATION_STEP,
     LIMIT,
     SAMPLE_PERIOD,
     TERMINAL_WEIGHT,
     Answer,
+    predicted,
 )
 
 
@@ -35,13 +33,8 @@ class DoMpc:
         state = model.set_variable("_x", "state", (6, 1))
         last = model.set_variable("_x", "last", (2, 1))
         v = model.set_variable("_u", "v", (2, 1))
-        x, there, steps = state, LIMIT * v, steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
-        for i in range(steps):
-            here_u = last + (there - last) * (i / steps)
-            there_u = last + (there - last) * ((i + 1) / steps)
-            x = step_function()(x, here_u, there_u, SAMPLE_PERIOD / steps, CONSTANTS)
-        model.set_rhs("state", x)
-        model.set_rhs("last", there)
+        model.set_rhs("state", predicted(state, last, LIMIT * v))
+        model.set_rhs("last", LIMIT * v)
         model.setup()
         controller = self._do_mpc.controller.MPC(model)
         controller.settings.n_horizon = HORIZON

@@ -16,17 +16,14 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
-from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 from sphere_sim.benchmark.contender import (
-    CONSTANTS,
     HORIZON,
     INPUT_WEIGHT,
-    INTEGRATION_STEP,
     LIMIT,
-    SAMPLE_PERIOD,
     TERMINAL_WEIGHT,
     Answer,
+    predicted,
 )
 
 SIZE = HORIZON * INPUT_SIZE
@@ -48,16 +45,10 @@ def nonlinear_program() -> dict[str, Any]:
     """Return the problem in CasADi's form: x = scaled knots, p = [state, goal, input in force]."""
     v, p = ca.MX.sym("v", SIZE), ca.MX.sym("p", 2 * STATE_SIZE + INPUT_SIZE)
     x, goal, u = p[0:6], p[6:12], p[12:14]
-    steps = steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
-    step = step_function()
     cost = INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT * ca.sumsqr(v)
     for m in range(HORIZON):
         there = LIMIT * v[2 * m : 2 * m + 2]
-        for i in range(steps):
-            here_u = u + (there - u) * (i / steps)
-            there_u = u + (there - u) * ((i + 1) / steps)
-            x = step(x, here_u, there_u, SAMPLE_PERIOD / steps, CONSTANTS)
-        u = there
+        x, u = predicted(x, u, there), there
         cost += (1.0 if m == HORIZON - 1 else 1.0 / TERMINAL_WEIGHT) * ca.sumsqr(x - goal)
     return {"x": v, "p": p, "f": cost}
 

@@ -1,0 +1,174 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""acados in a process of its own: its wheels bring a `casadi` that no other peer could use.
+
+Messages are arrays of float64. A request is ``[start, state (6), goal (6), input in force (2)]``
+in m, quaternion and rad/s, `start` being 1 where a run begins; an answer is ``[status, wall [s],
+processor time [s], v (2)]``. Before the first one there is a line of text, empty or saying why
+acados cannot be had.
+"""
+
+import ctypes
+import gc
+import importlib
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+from sphere_sim.benchmark.contender import (
+    HORIZON,
+    INPUT_WEIGHT,
+    LIMIT,
+    TERMINAL_WEIGHT,
+    predicted,
+)
+
+REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * STATE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
+SQP, RTI = "sqp", "rti"
+_OPTIONS: dict[str, dict[str, Any]] = {
+    SQP: {
+        "nlp_solver_type": "SQP",
+        "qp_solver": "FULL_CONDENSING_QPOASES",
+        "globalization": "MERIT_BACKTRACKING",
+        "levenberg_marquardt": 0.3,
+    },
+    RTI: {
+        "nlp_solver_type": "SQP_RTI",
+        "qp_solver": "PARTIAL_CONDENSING_HPIPM",
+        "levenberg_marquardt": 0.1,
+    },
+}
+
+
+def build(kind: str, folder: Path) -> Any:
+    """Return acados' solver of the paper's problem, generated and compiled in `folder`.
+
+    The first-order hold makes the last input a part of the state; both are scaled by `LIMIT`.
+    """
+    template = _template(folder)
+    ocp = template.AcadosOcp()
+    x, v = ca.SX.sym("x", STATE_SIZE + INPUT_SIZE), ca.SX.sym("v", INPUT_SIZE)
+    ocp.model.name = f"sphere_{kind}"
+    ocp.model.x, ocp.model.u = x, v
+    state = predicted(x[:STATE_SIZE], LIMIT * x[STATE_SIZE:], LIMIT * v)
+    ocp.model.disc_dyn_expr = ca.vertcat(state, v)
+    ocp.dims.N = HORIZON
+    cost, size = ocp.cost, STATE_SIZE + INPUT_SIZE
+    cost.cost_type = cost.cost_type_e = "LINEAR_LS"
+    cost.Vx = np.diag([1.0] * STATE_SIZE + [0.0] * INPUT_SIZE)
+    cost.Vu = np.eye(size)[:, STATE_SIZE:]
+    cost.Vx_e = np.eye(size)[:STATE_SIZE]
+    # acados halves its squares.
+    effort = [2.0 * INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT] * INPUT_SIZE
+    cost.W = np.diag([2.0 / TERMINAL_WEIGHT] * STATE_SIZE + effort)
+    cost.W_e = 2.0 * np.eye(STATE_SIZE)
+    cost.yref, cost.yref_e = np.zeros(size), np.zeros(STATE_SIZE)
+    ocp.constraints.lbu, ocp.constraints.ubu = -np.ones(INPUT_SIZE), np.ones(INPUT_SIZE)
+    ocp.constraints.idxbu = np.arange(INPUT_SIZE)
+    ocp.constraints.x0 = np.zeros(size)
+    # Intervals of length one, as acados multiplies the stages' costs by it.
+    options = {"tf": float(HORIZON), "integrator_type": "DISCRETE", **_OPTIONS[kind]}
+    for name, value in {**options, "hessian_approx": "GAUSS_NEWTON"}.items():
+        setattr(ocp.solver_options, name, value)
+    ocp.code_export_directory = str(folder / "code")
+    solver = template.AcadosOcpSolver(ocp, json_file=str(folder / "ocp.json"))
+    # Where the horizon begins is not to be chosen and in nobody's cost.
+    solver.cost_set(0, "W", np.diag([0.0] * STATE_SIZE + effort))
+    return solver
+
+
+def _template(folder: Path) -> Any:
+    """Return acados' Python interface, of the wheel or of a build of the user's own."""
+    tree = Path(os.environ.get("ACADOS_SOURCE_DIR", folder / "acados"))
+    try:
+        import acados
+    except ModuleNotFoundError:
+        template = importlib.import_module("acados_template")
+    else:
+        # The wheel is laid out otherwise than the source tree that its own code looks for.
+        wheel, tree = Path(acados.__file__).parent, folder / "acados"
+        interface = tree / "interfaces" / "acados_template"
+        interface.mkdir(parents=True)
+        (interface / "acados_template").symlink_to(wheel / "acados_template")
+        for part in ("bin", "lib", "include"):
+            (tree / part).symlink_to(wheel / "install" / part)
+        os.environ["ACADOS_SOURCE_DIR"] = str(tree)
+        template = importlib.import_module("acados.acados_template")
+    # libacados finds these beside itself only if the path of libraries says so or they are there.
+    libraries = set((tree / "lib").glob("lib*.so")) - {tree / "lib" / "libacados.so"}
+    for library in sorted(libraries):  # libblasfeo, which others need, comes first
+        ctypes.CDLL(str(library))
+    return template
+
+
+class Loop:
+    """A receding horizon, warm started by the previous solution shifted by one knot."""
+
+    def __init__(self, solver: Any) -> None:
+        self._solver = solver
+
+    def start(self, state: Vector, goal: Vector) -> None:
+        """Begin a run towards `goal`, (6,), at `state`, (6,), with nothing remembered."""
+        self._solver.reset()
+        target, rest = np.concatenate((goal, np.zeros(INPUT_SIZE))), np.zeros(INPUT_SIZE)
+        for k in range(HORIZON):
+            self._solver.cost_set(k, "yref", target)
+        self._solver.cost_set(HORIZON, "yref", goal)
+        self._states = np.tile(np.concatenate((state, rest)), (HORIZON + 1, 1))
+        self._inputs = np.zeros((HORIZON, INPUT_SIZE))
+
+    def solve(self, state: Vector, input_in_force: Vector) -> tuple[int, Vector]:
+        """Return acados' status and the next inputs, shape (2,) [LIMIT]."""
+        solver, here = self._solver, np.concatenate((state, input_in_force / LIMIT))
+        solver.set(0, "lbx", here)
+        solver.set(0, "ubx", here)
+        self._states[0] = here
+        for k in range(HORIZON):
+            solver.set(k, "x", self._states[k])
+            solver.set(k, "u", self._inputs[k])
+        solver.set(HORIZON, "x", self._states[HORIZON])
+        status = solver.solve()
+        inputs = np.array([solver.get(k, "u") for k in range(HORIZON)])
+        states = np.array([solver.get(k, "x") for k in range(HORIZON + 1)])
+        if not (np.isfinite(inputs).all() and np.isfinite(states).all()):
+            solver.reset()
+            inputs, states = np.zeros_like(inputs), np.tile(here, (HORIZON + 1, 1))
+        self._inputs[:-1], self._inputs[-1] = inputs[1:], 0.0
+        self._states[:-1], self._states[-1] = states[1:], states[-1]
+        self._states[-1, STATE_SIZE:] = 0.0
+        return status, inputs[0]
+
+
+def main(kind: str) -> None:
+    """Answer requests on the standard input until it ends."""
+    # What acados prints, or asks the user, must not get in between.
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb", buffering=0)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1):
+        os.dup2(nothing, stream)
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            loop = Loop(build(kind, Path(folder)))
+        except BaseException as error:
+            # acados leaves by SystemExit where a program of its own is missing.
+            answers.write(" ".join(f"{type(error).__name__}: {error}".split()).encode() + b"\n")
+            sys.exit(1)
+        answers.write(b"\n")
+        gc.disable()  # as the race does in its own process
+        while len(data := requests.read(8 * REQUEST_SIZE)) == 8 * REQUEST_SIZE:
+            start, state, goal, in_force = np.split(np.frombuffer(data), (1, 7, 13))
+            if start[0]:
+                loop.start(state, goal)
+            wall, cpu = time.perf_counter(), time.thread_time()
+            status, v = loop.solve(state, in_force)
+            cpu, wall = time.thread_time() - cpu, time.perf_counter() - wall
+            answers.write(np.array([status, wall, cpu, *v]).tobytes())
+        os.chdir("/")

@@ -1,0 +1,96 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""acados as a contender; it solves in a process of another Python, see `acados_child`."""
+
+import os
+import subprocess
+import weakref
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import sphere_sim
+from sphere_nmpc.model.state import Vector
+from sphere_sim.benchmark.acados_child import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
+from sphere_sim.benchmark.contender import LIMIT, Answer, Maker
+
+HOW_TO_GET_IT = (
+    "--acados-python takes the Python of an environment of its own with "
+    "`pip install comma-deps-acados`"
+)
+# Behind what that Python has itself: this one's libraries may lie in the same folder.
+IMPORT_PATH = "import sys; sys.path.append(sys.argv[1]); "
+_CHILD = f"{IMPORT_PATH}from sphere_sim.benchmark.acados_child import main; main(sys.argv[2])"
+PACKAGES = str(Path(sphere_sim.__file__).parents[1])
+
+
+def clean_environment() -> dict[str, str]:
+    """Return the environment without what would have another Python load this one's libraries."""
+    leftovers = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    return {name: value for name, value in os.environ.items() if name not in leftovers}
+
+
+class Acados:
+    """acados in one of the settings of `acados_child`; `took` is what its process measured.
+
+    Parameters
+    ----------
+    kind : str
+        `SQP` or `RTI`.
+    python : str or None
+        Path of a Python that has acados.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If `python` is None.
+    RuntimeError
+        If it cannot be started or acados cannot be set up in it.
+    """
+
+    def __init__(self, kind: str, python: str | None) -> None:
+        if python is None:
+            raise ModuleNotFoundError(HOW_TO_GET_IT)
+        try:
+            child = subprocess.Popen(
+                [python, "-c", _CHILD, PACKAGES, kind],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=clean_environment(),
+            )
+        except OSError as error:
+            raise RuntimeError(f"{python} does not start: {error.strerror}") from error
+        assert child.stdin is not None and child.stdout is not None
+        self._requests, self._answers = child.stdin, child.stdout
+        # It ends with its input, which ends with this process in any case.
+        self.close = weakref.finalize(self, child.communicate)
+        word = self._answers.readline().decode(errors="replace")
+        if word != "\n":
+            raise RuntimeError(f"{python} says: {word.strip() or 'nothing, it has ended'}")
+
+    def start(self, goal: Vector) -> None:
+        """See `Contender`."""
+        self._goal, self._start = goal, 1.0
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """See `Contender`."""
+        request = np.concatenate(([self._start], state, self._goal, input_in_force))
+        assert request.size == REQUEST_SIZE
+        self._start = 0.0
+        try:
+            self._requests.write(request.tobytes())
+            self._requests.flush()
+            data = self._answers.read(8 * ANSWER_SIZE)
+        except OSError:
+            data = b""
+        if len(data) != 8 * ANSWER_SIZE:
+            raise RuntimeError("acados' process has ended")
+        status, wall, cpu, *v = np.frombuffer(data)
+        return Answer(LIMIT * np.clip(v, -1.0, 1.0), bool(status == 0), (float(wall), float(cpu)))
+
+
+def acados_makers(python: str | None) -> dict[str, Maker]:
+    """Return both settings by the names under which they are reported; `python` as above."""
+    return {f"acados {kind}": partial(Acados, kind, python) for kind in (SQP, RTI)}

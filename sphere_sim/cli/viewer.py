@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.model.state import POSITION
 from sphere_sim.viewer.server import DEFAULT_PORT, free_port
 
 _ROS = "--ros-args"
@@ -65,6 +66,7 @@ def _replay(bag: Path, namespace: str | None, port: int) -> int:
     for note in run.notes:
         print(f"viewer: {note}", file=sys.stderr)
     viewer = Viewer(Replay(run), port, live=False)
+    viewer.look_at(run.states[:, POSITION])
     print(f"viewer: {viewer.url}", flush=True)
     try:
         while True:

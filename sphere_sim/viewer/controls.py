@@ -7,6 +7,7 @@ Callbacks of the page run on threads of the server; they only put requests into 
 
 import html
 import queue
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -29,6 +30,8 @@ from sphere_sim.viewer.frame import (
 from sphere_sim.viewer.presets import PRESETS
 
 PICK = "pick a goal …"
+_HAND_OFF = 0.7
+"""How long after a user has moved the time slider it is left where it is [s]."""
 
 
 class Controls:
@@ -63,18 +66,21 @@ class Controls:
             self._push = gui.add_button("Push")
         with gui.add_folder("Strategy", visible=live) as self._strategy_folder:
             self._strategy = gui.add_dropdown("strategy", ("-",), initial_value="-")
+        find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
         with gui.add_folder("Legend", expand_by_default=False):
             gui.add_markdown(_LEGEND)
         self._paused = False
+        self._sought = float("-inf")
         self._offers: Offers | None = None
         self._on_click(send, lambda: "send")
+        self._on_click(find, lambda: "find")
         self._on_click(self._pause, lambda: Pause(not self._paused))
         self._on_click(self._reset, Reset)
         self._on_click(self._push, Push)
         self._on_choice(self._preset, lambda name: name if name in PRESETS else None)
         self._on_choice(self._speed, SetSpeed)
         self._on_choice(self._strategy, SetStrategy)
-        self._on_choice(self._seek, Seek)
+        self._on_choice(self._seek, self._seek_to)
 
     @property
     def sends_at_once(self) -> bool:
@@ -88,7 +94,7 @@ class Controls:
     def take(self) -> list[Request | str]:
         """Return what users have asked for since the last call.
 
-        A text is the name of a preset, a phase of a drag (start, update, end), or send.
+        A text is the name of a preset, a phase of a drag (start, update, end), send, or find.
         """
         taken: list[Request | str] = []
         while not self._requests.empty():
@@ -107,7 +113,7 @@ class Controls:
         if offers != self._offers:
             self._offers = offers
             self._show_offers(offers)
-        if offers.duration is not None:
+        if offers.duration is not None and time.monotonic() > self._sought + _HAND_OFF:
             _set(self._seek, "value", round(min(frame.time, offers.duration), 3))
         self._show_strategy(frame)
 
@@ -133,6 +139,10 @@ class Controls:
         if frame.strategy in options:
             _set(self._strategy, "value", frame.strategy)
         _set(self._strategy, "disabled", len(options) < 2)
+
+    def _seek_to(self, moment: float) -> Seek:
+        self._sought = time.monotonic()
+        return Seek(moment)
 
     def _on_click(self, button: Any, make: Callable[[], Request | str]) -> None:
         button.on_click(lambda _: self.put(make()))

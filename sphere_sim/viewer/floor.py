@@ -18,8 +18,15 @@ _FINE: Colour = (218, 223, 228)
 _COARSE: Colour = (184, 192, 200)
 
 
-def add_floor(scene: viser.SceneApi) -> None:
-    """Draw the floor; whole metres have stronger lines."""
+def add_floor(scene: viser.SceneApi) -> viser.FrameHandle:
+    """Draw the floor; whole metres have stronger lines.
+
+    Returns
+    -------
+    viser.FrameHandle
+        What moves it.
+    """
+    frame = scene.add_frame("/floor", show_axes=False)
     plane = _plane(_HALF)
     scene.add_mesh_simple(
         "/floor/plane", plane.vertices, plane.faces, color=_PLAIN, cast_shadow=False,
@@ -36,6 +43,7 @@ def add_floor(scene: viser.SceneApi) -> None:
             thickness=width,
             thickness_units="screen",
         )
+    return frame
 
 
 def add_lights(scene: viser.SceneApi) -> None:

@@ -21,6 +21,8 @@ _HEIGHT = 112
 _SPACE = 15
 """Least distance of two numbers on the upright axis [px]."""
 _TICKS = uplot.Axis_Ticks(size=3, width=1)
+_SLACK = 0.03
+"""What may stick out of an axis, in its steps: a hair beyond a limit is not worth another step."""
 Range = tuple[float, float]
 
 
@@ -129,7 +131,8 @@ def upright_range(lines: Sequence[Vector], least: Range) -> Range:
     low, high = min((least[0], *known)), max((least[1], *known))
     # Half a power of ten: the axis changes now and then, not with each sample.
     step = 10.0 ** np.floor(np.log10(high - low)) / 2.0
-    return float(step * np.floor(low / step)), float(step * np.ceil(high / step))
+    low, high = np.floor(low / step + _SLACK), np.ceil(high / step - _SLACK)
+    return float(step * low), float(step * high)
 
 
 def _scales(upright: Range) -> dict[str, uplot.Scale]:

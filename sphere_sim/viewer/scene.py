@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The three-dimensional scene: built once, then only poses and growing lines are sent."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import viser
 
@@ -18,6 +21,10 @@ LOOK_AT = (0.9, -1.2, 0.0)
 """Where the camera stands at first, and where it looks [m; world]."""
 _ON_FLOOR = 0.004
 """Height of what is drawn on the floor [m]."""
+_STRAYED = 3.5
+"""How far the sphere may be from the middle of the floor before that follows [m]."""
+_SPAN = 3.6
+"""How long a way the camera sees from where it stands at first [m]."""
 
 
 class Scene:
@@ -31,11 +38,11 @@ class Scene:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._scene = server.scene
-        server.initial_camera.position = CAMERA
-        server.initial_camera.look_at = LOOK_AT
+        self._look((LOOK_AT[0], LOOK_AT[1]), _SPAN, server.initial_camera)
         server.initial_camera.fov = np.radians(45.0)
         add_lights(self._scene)
-        add_floor(self._scene)
+        self._server = server
+        self._floor = add_floor(self._scene)
         self._scene.add_frame(
             "/world", axes_length=0.25, axes_radius=0.008, origin_radius=0.012,
             position=(0.0, 0.0, _ON_FLOOR),
@@ -77,6 +84,7 @@ class Scene:
     def show(self, frame: Frame) -> None:
         """Show a frame that was followed."""
         if frame.state is not None and self._ball is not None and self._trace is not None:
+            self._keep_floor(frame.state[POSITION])
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)
             self._path.draw()
             self._trace.draw()
@@ -89,6 +97,27 @@ class Scene:
         if frame.plan is not self._drawn_plan:
             self._drawn_plan = frame.plan
             self._show_plan(frame.plan)
+
+    def look_at(self, places: Vector) -> None:
+        """Let pages that are opened from now on begin with a view of these places, (n, 2) [m]."""
+        low, high = places.min(axis=0), places.max(axis=0)
+        span = max(0.5 * _SPAN, 1.2 * float(np.linalg.norm(high - low)))
+        self._look(0.5 * (low + high), span, self._server.initial_camera)
+
+    def find(self, state: Vector) -> None:
+        """Let all pages look at the sphere."""
+        for client in self._server.get_clients().values():
+            self._look(state[POSITION], 0.5 * _SPAN, client.camera)
+
+    def _look(self, at: Sequence[float] | Vector, span: float, camera: Any) -> None:
+        place = np.array((at[0], at[1], 0.0))
+        camera.position = place + span / _SPAN * np.subtract(CAMERA, LOOK_AT)
+        camera.look_at = place
+
+    def _keep_floor(self, position: Vector) -> None:
+        """Let the floor come along when the sphere gets near its edge, by whole metres."""
+        if np.max(np.abs(position - self._floor.position[:2])) > _STRAYED:
+            self._floor.position = np.append(np.round(position), 0.0)
 
     def _make(self, radius: float) -> None:
         if self._trace is not None:

@@ -6,20 +6,22 @@ import time
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_sim.viewer.controls import Controls
 from sphere_sim.viewer.frame import Frame, Request, SetGoal, Source
 from sphere_sim.viewer.goal_gizmo import GoalGizmo
 from sphere_sim.viewer.history import History
 from sphere_sim.viewer.plots import Plots
 from sphere_sim.viewer.presets import PRESETS
-from sphere_sim.viewer.scene import Scene
+from sphere_sim.viewer.scene import LOOK_AT, Scene
 from sphere_sim.viewer.server import LocalServer
 
 FRAME_PERIOD = 0.04
 """Time between two frames [s]; what happens in between is not shown."""
 _WORDS_PERIOD = 0.2
 """Time between two updates of plots and words [s]."""
+_NEAR = 4.0
+"""How far from where the page looks at first the sphere may be for that to be left so [m]."""
 
 
 class Viewer:
@@ -48,6 +50,7 @@ class Viewer:
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
         self._worded = 0.0
+        self._seen = False
 
     @property
     def url(self) -> str:
@@ -65,6 +68,12 @@ class Viewer:
             for news in frame.news:
                 self._tell(news)
         self._frame = frames[-1]
+        state = self._frame.state
+        if not self._seen and self._live and state is not None:
+            # Who runs far from the origin is seen all the same.
+            self._seen = True
+            if np.linalg.norm(state[POSITION] - LOOK_AT[:2]) > _NEAR:
+                self._scene.look_at(state[None, POSITION])
         with self._server.atomic():
             self._scene.show(self._frame)
             self._show_goal()
@@ -74,6 +83,10 @@ class Viewer:
             self._controls.show(self._frame)
             if self._server.get_clients():
                 self._plots.show(self._history)
+
+    def look_at(self, places: Vector) -> None:
+        """Let the page begin with a view of these places, shape (n, 2) [m]."""
+        self._scene.look_at(places)
 
     def close(self) -> None:
         """Close the page."""
@@ -93,17 +106,21 @@ class Viewer:
         if not isinstance(request, str):
             self._tell(self._source.handle(request))
             return
-        if self._goal is None:
-            return
+        if request == "find":
+            self._scene.find(self._where())
+        elif self._goal is not None:
+            self._steer(request, self._goal)
+
+    def _steer(self, request: str, ghost: GoalGizmo) -> None:
         if request in PRESETS:
-            self._goal.put(PRESETS[request](self._where()))
+            ghost.put(PRESETS[request](self._where()))
             self._controls.picked()
         else:
-            self._goal.hold(request in ("start", "update"))
+            ghost.hold(request in ("start", "update"))
         if request == "send" or (
             self._controls.sends_at_once and (request == "end" or request in PRESETS)
         ):
-            self._tell(self._source.handle(SetGoal(self._goal.goal)))
+            self._tell(self._source.handle(SetGoal(ghost.goal)))
 
     def _where(self) -> Vector:
         state = self._frame.state

@@ -4,6 +4,7 @@
 
 import base64
 import json
+import os
 import shutil
 import subprocess
 import time
@@ -56,11 +57,25 @@ class Browser:
         command = [executable, *_FLAGS, f"--window-size={size[0]},{size[1]}",
                    f"--user-data-dir={folder}", "about:blank"]
         self._log = (folder / "browser.log").open("wb")
-        self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log)
+        self._socket: Any = None
+        # What it leaves behind in the folder for temporary files goes with this one.
+        self._process = subprocess.Popen(
+            command, stdout=self._log, stderr=self._log,
+            env={**os.environ, "TMPDIR": str(folder)},
+        )
 
     def __enter__(self) -> "Browser":
+        try:
+            self._attach()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _attach(self) -> None:
         self._socket = connect(self._address(), max_size=None, compression=None)
-        target = self.call("Target.getTargets")["targetInfos"][0]["targetId"]
+        # A page of its own: the first target of a browser that comes up need not be one yet.
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
         attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
@@ -69,10 +84,10 @@ class Browser:
         width, height = self.size
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
                   deviceScaleFactor=self._sharpness, mobile=False)
-        return self
 
     def __exit__(self, *exception: object) -> None:
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
         self._process.terminate()
         try:
             self._process.wait(5.0)
@@ -137,15 +152,47 @@ class Browser:
 
     def click_button(self, label: str) -> None:
         """Click the button with this label, with the mouse."""
+        self._click("button", f"e.innerText.trim() === {json.dumps(label)}")
+
+    def choose(self, shown: str, option: str) -> None:
+        """Open the list that shows one thing and take another from it."""
+        self._click("input[role=combobox]", f"e.value === {json.dumps(shown)}")
+        # It unfolds.
+        self._click("[role=option]", f"e.innerText.trim() === {json.dumps(option)}")
+
+    def type_number(self, label: str, number: str) -> None:
+        """Put a number in place of the one in the field beside a label."""
+        beside = (
+            "(() => { let n = e; while (n && !n.innerText.trim()) n = n.parentElement;"
+            f" return n && n.innerText.trim() === {json.dumps(label)}; }})()"
+        )
+        self._click("input.mantine-NumberInput-input", beside)
+        self.evaluate("document.activeElement.select()")
+        self.call("Input.insertText", text=number)
+
+    def boxes(self, selector: str) -> list[tuple[float, float, float, float]]:
+        """Return left, top, width and height of what is seen of a kind of elements [px]."""
         script = (
-            "(() => { const b = [...document.querySelectorAll('button')]"
-            f".find(b => b.innerText.trim() === {json.dumps(label)});"
-            " if (!b) return null; b.scrollIntoView({block: 'center'});"
-            " const r = b.getBoundingClientRect();"
+            f"[...document.querySelectorAll({json.dumps(selector)})]"
+            ".map(e => e.getBoundingClientRect()).filter(r => r.width > 0)"
+            ".map(r => [r.x, r.y, r.width, r.height])"
+        )
+        return [tuple(box) for box in self.evaluate(script)]
+
+    def _click(self, selector: str, condition: str, patience: float = 10.0) -> None:
+        script = (
+            f"(() => {{ const e = [...document.querySelectorAll({json.dumps(selector)})]"
+            f".find(e => e.getBoundingClientRect().width > 0 && ({condition}));"
+            " if (!e) return null; e.scrollIntoView({block: 'center'});"
+            " const r = e.getBoundingClientRect();"
             " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
         )
-        place = self.evaluate(script)
-        assert place, f"no button '{label}'"
+        end, place = time.monotonic() + patience, None
+        # What still moves, as lists that unfold do, would be missed.
+        while place is None or self.evaluate(script) != place:
+            assert time.monotonic() < end, f"no {selector} with {condition}"
+            place = self.evaluate(script)
+            time.sleep(0.1)
         self._mouse("mouseMoved", *place)
         self._mouse("mousePressed", *place)
         self._mouse("mouseReleased", *place)

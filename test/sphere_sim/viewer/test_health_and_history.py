@@ -69,7 +69,7 @@ def test_axes_show_at_least_what_a_quantity_may_be_and_change_in_steps() -> None
     still = np.array([np.nan, 1e-12, -1e-12])
     assert upright_range([still], (-100.0, 100.0)) == (-100.0, 100.0)
     assert upright_range([np.array([np.nan])], (0.0, 1.0)) == (0.0, 1.0)
-    assert upright_range([np.array([0.0, 131.0]), still], (0.0, 1.0)) == (-50.0, 150.0)
+    assert upright_range([np.array([-5.0, 100.1]), still], (0.0, 1.0)) == (-50.0, 100.0)
     once = upright_range([np.array([0.0, 132.0])], (0.0, 1.0))
     assert once == upright_range([np.array([0.0, 149.0])], (0.0, 1.0)) == (0.0, 150.0)
 

@@ -1,0 +1,60 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes under test, and what is seen of the scene on their page."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from browser import Browser
+from PIL import Image
+
+
+def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
+    """Start ``sphere_nmpc VERB``; what it says goes to a file."""
+    command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments]
+    with (folder / f"{verb}.log").open("wb") as log:
+        return subprocess.Popen(command, stdout=log, stderr=log)
+
+
+def stop(processes: Iterable[subprocess.Popen]) -> None:
+    """Ask all of them to end, then wait."""
+    asked = list(processes)
+    for process in asked:
+        process.send_signal(signal.SIGINT)
+    for process in asked:
+        try:
+            process.wait(8.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+def canvas(page: Browser) -> tuple[float, float, float, float]:
+    """Return left, top, width and height of the scene [px]."""
+    script = (
+        "(() => { const r = [...document.querySelectorAll('canvas')]"
+        ".map(c => c.getBoundingClientRect()).sort((a, b) => b.width * b.height -"
+        " a.width * a.height)[0]; return [r.x, r.y, r.width, r.height]; })()"
+    )
+    return tuple(page.evaluate(script))
+
+
+def scene_of(page: Browser, path: Path) -> np.ndarray:
+    """Return the pixels of the scene, shape (height, width, 3)."""
+    left, top, width, height = map(int, canvas(page))
+    picture = Image.open(io.BytesIO(page.screenshot(path))).convert("RGB")
+    return np.asarray(picture.crop((left, top, left + width, top + height)), dtype=float)
+
+
+def wait_for_scene(page: Browser, path: Path) -> None:
+    """Wait until the scene, which fades in, is there."""
+    end = time.monotonic() + 30.0
+    while np.std(scene_of(page, path)) < 5.0:
+        assert time.monotonic() < end, "an empty scene"
+        time.sleep(0.5)

@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--process-noise", type=float, default=0.0, metavar="S",
-        help="standard deviation added to each state a sample period",
+        help="standard deviation added to each state every noise_period (0.5 s)",
     )
     parser.add_argument(
         "--pose-noise", type=float, nargs=2, default=(0.0, 0.0), metavar=("METRES", "RADIANS"),

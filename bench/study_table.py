@@ -1,0 +1,70 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One table from the folders of several studies, for docs/results.md.
+
+    python bench/study_table.py out/nominal out/wrong_3 out/noise
+
+With ``--loose`` the column of settling tells of the first time from which on the error stays below
+5e-2, as is fit for runs with noise, and the error is the 95th percentile from then on.
+"""
+
+import argparse
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+
+from sphere_nmpc.model.state import Vector
+
+_HEADER = (
+    "study", "strategy", "settled", "after: median / p99 / worst [s]",
+    "over best known: median / p99 / worst", "error left: median / worst", "largest plan [ms]",
+)
+
+
+def main() -> None:
+    """Print a row for each strategy of each study."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--loose", action="store_true")
+    given = parser.parse_args()
+    print("| " + " | ".join(_HEADER) + " |\n" + "|---" * len(_HEADER) + "|")
+    for folder in given.folders:
+        for runs in sorted([*folder.glob("runs.csv"), *folder.glob("*/runs.csv")]):
+            # With several strategies the folder itself has the rows of all of them once more.
+            if not (runs.parent / "inputs.npz").exists():
+                continue
+            print(row(folder.name, runs.parent, given.loose))
+
+
+def row(name: str, folder: Path, loose: bool) -> str:
+    """Return the row of one strategy of one study."""
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    with (folder / "runs.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    after = _numbers(rows, "loose_settle_time_s" if loose else "settle_time_s")
+    ratio = after / _numbers(rows, "bound_s")
+    error = _numbers(rows, "tail_error_p95" if loose else "final_error")
+    cells = (
+        name, f"`{rows[0]['strategy']}`", f"{np.isfinite(after).sum()} of {len(rows)}",
+        _spread(after, ".2f"), _spread(ratio, ".2f"),
+        f"{np.nanmedian(error):.1e} / {np.nanmax(error):.1e}",
+        f"{summary['timing']['solve_ms_max']:.0f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def _numbers(rows: list[dict[str, str]], name: str) -> Vector:
+    return np.array([float(row.get(name) or "nan") for row in rows])
+
+
+def _spread(values: Vector, how: str) -> str:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "-"
+    return " / ".join(format(v, how) for v in (*np.percentile(known, [50, 99]), known.max()))
+
+
+if __name__ == "__main__":
+    main()

@@ -68,19 +68,27 @@ class Children:
         with _deaf():
             self.stop(*self._children)
 
-    def start(self, verb: str, arguments: Sequence[str]) -> None:
-        """Start ``sphere_nmpc VERB ARGUMENTS``."""
+    def start(self, verb: str, arguments: Sequence[str], within: Sequence[str] = ()) -> None:
+        """Start ``sphere_nmpc VERB ARGUMENTS``, by a command such as ``nice`` where one is given.
+
+        That command has to become the node, not to start it: who ends it ends the node.
+        """
         log = self._logs / f"{verb}.log"
-        command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb]
+        node = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb]
         with log.open("wb") as output:
             process = subprocess.Popen(
-                [*command, *arguments],
+                [*within, *node, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
         self._children[verb] = _Child(process, log)
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The process of each verb."""
+        return {verb: child.process.pid for verb, child in self._children.items()}
 
     def check(self) -> None:
         """Raise if one has ended.

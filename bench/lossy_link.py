@@ -1,0 +1,193 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Two network namespaces joined by a link that delays and loses packets; Linux, as root.
+
+Where the kernel has ``netem`` it does both. Where it has not, a bridge in a third namespace does
+the same to each frame: ``python bench/lossy_link.py --help`` is that bridge.
+"""
+
+import argparse
+import contextlib
+import heapq
+import itertools
+import os
+import random
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+ADDRESSES = ("10.77.0.1", "10.77.0.2")
+_ALL_FRAMES = 0x0003
+_SOL_PACKET, _VNET_HEADER, _OUTGOING = 263, 15, 4
+_LARGEST = 1 << 17
+_READY = 5.0
+"""How long the bridge may take to open both ends [s]."""
+
+
+class LinkError(RuntimeError):
+    """The machine does not let us make the link."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What the link does to each packet, in either direction.
+
+    Attributes
+    ----------
+    delay, jitter : float
+        Delay, drawn from delay - jitter to delay + jitter, so that packets overtake [s].
+    loss : float
+        Share that is lost.
+    """
+
+    delay: float
+    jitter: float
+    loss: float
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link that is up.
+
+    Attributes
+    ----------
+    hosts : tuple of str
+        Names of the two namespaces; their addresses are `ADDRESSES`.
+    means : str
+        What delays and loses: netem or bridge.
+    """
+
+    hosts: tuple[str, str]
+    means: str
+
+
+@contextlib.contextmanager
+def lossy_link(quality: Quality) -> Iterator[Link]:
+    """Join two new namespaces and take everything away again in the end.
+
+    Raises
+    ------
+    LinkError
+        If namespaces or links cannot be made here.
+    """
+    if shutil.which("ip") is None:
+        raise LinkError("the command 'ip' is not there (on Debian and Ubuntu: iproute2)")
+    one, other, middle = (f"sphere_{os.getpid()}_{place}" for place in "abm")
+    with contextlib.ExitStack() as undo:
+        for name in (one, other, middle):
+            _ip("netns", "add", name)
+            undo.callback(_ip, "netns", "del", name)
+            _ip("-n", name, "link", "set", "lo", "up")
+        _join(("end_a", one), ("end_b", other))
+        means = "netem"
+        ends = ((one, "end_a"), (other, "end_b"))
+        if not all(_has_netem(quality, host, end) for host, end in ends):
+            means = "bridge"
+            _ip("-n", one, "link", "del", "dev", "end_a")
+            for host, end in ends:
+                _join((end, host), (f"to_{end}", middle))
+                _ip("-n", middle, "link", "set", f"to_{end}", "up")
+            undo.enter_context(_bridge(quality, middle))
+        for (host, end), address in zip(ends, ADDRESSES, strict=True):
+            _ip("-n", host, "address", "add", f"{address}/24", "dev", end)
+            _ip("-n", host, "link", "set", end, "up")
+        yield Link((one, other), means)
+
+
+def _ip(*arguments: str) -> None:
+    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise LinkError(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
+
+
+def _join(end: tuple[str, str], other: tuple[str, str]) -> None:
+    """Make a link between two interfaces, each given with its namespace."""
+    _ip("link", "add", "name", end[0], "netns", end[1], "type", "veth",
+        "peer", "name", other[0], "netns", other[1])
+
+
+def _has_netem(quality: Quality, host: str, end: str) -> bool:
+    if shutil.which("tc") is None:
+        return False
+    numbers = ["delay", f"{1e3 * quality.delay:g}ms", f"{1e3 * quality.jitter:g}ms",
+               "loss", f"{100.0 * quality.loss:g}%"]
+    command = ["tc", "-n", host, "qdisc", "add", "dev", end, "root", "netem", "limit", "100000"]
+    return subprocess.run([*command, *numbers], capture_output=True, check=False).returncode == 0
+
+
+@contextlib.contextmanager
+def _bridge(quality: Quality, namespace: str) -> Iterator[None]:
+    numbers = [f"{value:g}" for value in (quality.delay, quality.jitter, quality.loss)]
+    program = [sys.executable, __file__, "to_end_a", "to_end_b", *numbers]
+    process = subprocess.Popen(
+        ["ip", "netns", "exec", namespace, *program], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        ready, _, _ = select.select([process.stdout], [], [], _READY)
+        if not ready or not process.stdout or "ready" not in process.stdout.readline():
+            raise LinkError("the bridge does not come up")
+        yield
+    finally:
+        process.send_signal(signal.SIGTERM)
+        told, _ = process.communicate()
+        print(f"  bridge: {told.strip()}", flush=True)
+
+
+def _run_bridge(ends: tuple[str, str], quality: Quality) -> None:
+    """Pass frames on, later or not at all, until SIGTERM."""
+    sockets = [_packet_socket(name) for name in ends]
+    opposite = {sockets[0]: sockets[1], sockets[1]: sockets[0]}
+    under_way: list[tuple[float, int, socket.socket, bytes]] = []
+    numbers, heard, lost, late = itertools.count(), 0, 0, 0.0
+    stop: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: stop.append(number))
+    print("ready", flush=True)
+    while not stop:
+        wait = max(0.0, under_way[0][0] - time.monotonic()) if under_way else 0.1
+        readable, _, _ = select.select(sockets, [], [], min(wait, 0.1))
+        for end in readable:
+            frame, address = end.recvfrom(_LARGEST)
+            if address[2] == _OUTGOING:
+                continue
+            heard += 1
+            if random.random() < quality.loss:
+                lost += 1
+                continue
+            delay = quality.delay + quality.jitter * random.uniform(-1.0, 1.0)
+            due = time.monotonic() + max(0.0, delay)
+            heapq.heappush(under_way, (due, next(numbers), opposite[end], frame))
+        while under_way and under_way[0][0] <= time.monotonic():
+            due, _, end, frame = heapq.heappop(under_way)
+            late = max(late, time.monotonic() - due)
+            with contextlib.suppress(OSError):
+                end.send(frame)
+    print(f"{heard} frames, {lost} lost, at most {1e3 * late:.1f} ms later than drawn")
+
+
+def _packet_socket(name: str) -> socket.socket:
+    end = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ALL_FRAMES))
+    # With this header in front, checksums that were left to the interface are left to the next.
+    end.setsockopt(_SOL_PACKET, _VNET_HEADER, 1)
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+    end.bind((name, 0))
+    return end
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ends", nargs=2, help="the two interfaces")
+    parser.add_argument("delay", type=float, help="[s]")
+    parser.add_argument("jitter", type=float, help="[s]")
+    parser.add_argument("loss", type=float, help="share")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    given = _parse()
+    _run_bridge(tuple(given.ends), Quality(given.delay, given.jitter, given.loss))

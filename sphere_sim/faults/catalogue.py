@@ -181,7 +181,10 @@ def pairs(singles: list[tuple[Fault, ...]], number: int, seed: int) -> list[tupl
     possible = [
         (one, other) for one, other in itertools.combinations(faults, 2)
         # Two kinds of pose fault mix; two paces or two states of the solver do not.
-        if one.action != other.action or one.action == "pose"
+        if (one.action != other.action or one.action == "pose")
+        # Nobody can set parameters of who is dead.
+        and not ("bad_live" in (one.action, other.action)
+                 and {"kill", "bad_start"} & {one.action, other.action})
     ]
     order = np.random.default_rng([seed, 1]).permutation(len(possible))
     return [possible[i] for i in order[:number]]

@@ -58,3 +58,4 @@ def test_a_pair_is_of_two_actions_that_do_not_undo_each_other() -> None:
     for one, other in everything:
         assert one is not other
         assert one.action == "pose" or one.action != other.action
+        assert {one.name, other.name} != {"controller_killed", "parameters_live"}

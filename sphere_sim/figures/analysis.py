@@ -4,6 +4,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from sphere_sim.figures.style import (
     COLOURS,
@@ -96,6 +97,7 @@ def solve_times(run: Run) -> Figure:
                 histogram.axvline(value, color=colour, label=f"{name} {value:.3g} ms")
             histogram.set_xlabel("solve time [ms]")
             histogram.set_ylabel("solves")
+            histogram.yaxis.set_major_locator(MaxNLocator(integer=True))
             histogram.legend()
         else:
             say_missing(over_time, "solve times")

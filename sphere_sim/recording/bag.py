@@ -39,6 +39,8 @@ _EXPECTED = {
     **SOLVE_TOPICS,
 }
 _NANO = 1e-9
+_CLOCKS_AGREE = 1.0
+"""Largest difference between the stamp of a goal and its arrival on the same clock [s]."""
 
 
 def read_run(path: Path, namespace: str | None = None, name: str | None = None) -> Run:
@@ -115,7 +117,9 @@ def _namespace(path: Path, messages: Messages, given: str | None) -> str:
         there = ", ".join(name or "/" for name in found) or "none"
         raise BagError(path, f"no robot in namespace '{given}'; it has: {there}")
     if not found:
-        topics = ", ".join(sorted(messages.types)) or "none"
+        topics = ", ".join(sorted(messages.types))
+        if not topics:
+            raise BagError(path, "is empty: it has no topic at all")
         raise BagError(path, f"no topic 'pose' of type {POSE}, so another robot's; has: {topics}")
     if len(found) > 1:
         names = ", ".join(name or "/" for name in found)
@@ -209,8 +213,11 @@ def _goals(
         norm = float(np.linalg.norm(state[QUATERNION]))
         if np.all(np.isfinite(state)) and abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
             state[QUATERNION] /= norm
-            # Stamps of goals are what a user typed; reception is when it counted.
-            times.append(received * _NANO - origin)
+            # The controller tells when it took the goal; what a user typed as a stamp does not.
+            # In simulated time the recorder has no clock yet when the first goal comes.
+            told, heard = _header_time(message), received * _NANO
+            soon = accepted is not None and abs(told - heard) < _CLOCKS_AGREE
+            times.append((told if soon else heard) - origin)
             goals.append(state)
     return np.array(times), np.array(goals).reshape(-1, 6)
 

@@ -77,6 +77,8 @@ def describe(metrics: Metrics | None) -> list[tuple[str, str]]:
 def _table(runs: Sequence[Run]) -> str:
     columns = [dict(describe(run.metrics())) for run in runs]
     names = list(dict.fromkeys(name for column in columns for name in column))
+    if not names:
+        return '<p class="note">Without a goal there is nothing to measure.</p>'
     head = "".join(f'<th scope="col">{escape(run.name)}</th>' for run in runs)
     rows = [
         f'<tr><th scope="row">{escape(name)}</th>'

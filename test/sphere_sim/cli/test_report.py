@@ -18,11 +18,11 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 POSE = "geometry_msgs/msg/PoseStamped"
 
 
-def make_bag(folder: Path, poses: int = 100) -> Path:
+def make_bag(folder: Path, poses: int = 100, goal: bool = True) -> Path:
     """Write a bag with poses and a goal and nothing else."""
     kinds = STORE.types
     writer = BagWriter(folder)
-    for i in range(-1, poses):
+    for i in range(-1 if goal else 0, poses):
         stamp = 1_000_000_000 + max(i, 0) * 10_000_000
         time = kinds["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
         x = 0.0 if i < 0 else np.exp(-i / 10.0)
@@ -36,6 +36,8 @@ def make_bag(folder: Path, poses: int = 100) -> Path:
         topic = "/controller/active_goal" if i < 0 else "/pose"
         writer.add_topic(topic, POSE)
         writer.write(topic, stamp, bytes(STORE.serialize_cdr(message, POSE)))
+        if i % 200 == 0:
+            writer.commit()
     writer.close()
     return folder
 
@@ -79,6 +81,35 @@ def test_unreadable_bag_exits_with_1_and_one_line(tmp_path, capsys) -> None:
     assert told.count("\n") == 1 and "there is no such file or folder" in told
 
 
-def test_bag_without_poses_is_told(tmp_path, capsys) -> None:
+def test_run_without_a_goal_has_a_page_that_says_so(tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    bag = make_bag(tmp_path / "run", goal=False)
+    assert main([str(bag), "--out", str(out), "--csv"]) == 0
+    assert "nothing to measure" in (out / "report.html").read_text()
+    assert "goal_pose and active_goal are missing" in capsys.readouterr().err
+    table = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
+    assert np.all(np.isnan(table["error"])) and np.all(np.isfinite(table["x"]))
+
+
+def test_empty_bag_is_told(tmp_path, capsys) -> None:
+    bag = make_bag(tmp_path / "run", 0, goal=False)
+    assert main([str(bag), "--out", str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "is empty" in told
+
+
+def test_truncated_bag_is_reported_on_as_far_as_it_goes(tmp_path, capsys) -> None:
+    bag = make_bag(tmp_path / "run", 1500)
+    file = next(bag.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert main([str(bag), "--out", str(tmp_path / "out")]) == 0
+    assert "breaks off" in capsys.readouterr().err
+    notes = json.loads((tmp_path / "out" / "summary.json").read_text())["run"]["notes"]
+    assert any("breaks off" in note for note in notes)
+
+
+def test_bag_of_another_robot_is_told(tmp_path, capsys) -> None:
     assert main([str(make_bag(tmp_path / "run", 0)), "--out", str(tmp_path / "out")]) == 1
-    assert "no topic 'pose'" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "another robot's; has: /controller/active_goal" in told

@@ -60,7 +60,7 @@ def test_everybody_is_given_the_same_cost():
 
 
 def test_all_of_the_papers_cases_settle_in_time():
-    # Bounds: the best peer measured on each case, for Algorithm 1 what the paper's figures show.
+    # Bounds: the best peer from PyPI that shares this environment, on each case.
     for settle, bound in zip(
         settling_times(BothSigns, (1, 2, 3, 4)), (10.5, 11.0, 4.5, 6.0), strict=True
     ):

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``sphere_nmpc demo``: a run from start to goal over ROS 2, recorded and drawn."""
 
+import contextlib
 import json
 import re
+import select
 import signal
 import sys
 import time
@@ -86,24 +88,38 @@ def _demonstrate(plan: DemoPlan, domain: int, console: Console) -> int:
         with directing(plan.scenario.goal, radius, children.check) as director:
             director.prepare(_READY_TIMEOUT)
             console.print(f"nodes are up after {time.monotonic() - began:.1f} s")
-            _tell_page(plan, console)
+            page = _tell_page(plan, console)
             director.start()
             arrived = _watch(plan, director, console)
             director.halt()
             children.stop("recorder")
+            if page and plan.stays:
+                director.start()
+                code = _conclude(plan, arrived, console)
+                _stay(page, director, console)
+                return code
             children.stop("controller", "simulator")
     return _conclude(plan, arrived, console)
 
 
-def _tell_page(plan: DemoPlan, console: Console) -> None:
-    """Tell where the viewer shows the run, once it does."""
+def _stay(page: str, director: DemoDirector, console: Console) -> None:
+    """Leave the sphere to whoever watches, until Enter or Ctrl-C."""
+    console.print(f"the sphere is yours: drag its goal at {page}; Enter ends")
+    with contextlib.suppress(KeyboardInterrupt):
+        while not select.select([sys.stdin], [], [], 0.0)[0]:
+            director.spin()
+
+
+def _tell_page(plan: DemoPlan, console: Console) -> str:
+    """Tell where the viewer shows the run, once it does; return that too, if there is a page."""
     log, end = plan.folder / "viewer.log", time.monotonic() + _PAGE_TIMEOUT
     while plan.viewer and time.monotonic() < end:
         page = re.search(r"http://\S+", log.read_text(errors="replace"))
         if page:
             console.print(f"watch it at {page.group()}")
-            return
+            return page.group()
         time.sleep(0.1)
+    return ""
 
 
 def _watch(plan: DemoPlan, director: DemoDirector, console: Console) -> bool:

@@ -59,6 +59,8 @@ class DemoPlan:
         Parameters of the nodes.
     viewer : bool
         Whether to show it in the browser.
+    stays : bool
+        Whether to leave the sphere to who watches once the run is over.
     strategy, other_strategy : str
         What the controller solves, and what it is compared with.
     compare : bool
@@ -79,6 +81,7 @@ class DemoPlan:
     controller: dict[str, Any]
     recorder: dict[str, Any]
     viewer: bool
+    stays: bool
     strategy: str
     other_strategy: str
     compare: bool
@@ -176,6 +179,7 @@ def make_plan(given: argparse.Namespace) -> DemoPlan:
         simulator.update({f"robot.{k}": v for k, v in dataclasses.asdict(robot).items()})
     name = time.strftime("demo_%Y-%m-%d_%H-%M-%S")
     folder = (given.out or Path("runs") / name).expanduser().absolute()
+    watched = not given.no_viewer and sys.stdout.isatty()
     what = "own start and goal" if own else f"case {given.case} of the paper"
     if disturbed:
         what += f" (noise {PROCESS_NOISE:g} a sample, parameters wrong by up to 3 %)"
@@ -189,7 +193,8 @@ def make_plan(given: argparse.Namespace) -> DemoPlan:
         simulator=simulator,
         controller={"use_sim_time": True, "lockstep": lockstep, "strategy": strategy},
         recorder={"use_sim_time": True, "output": str(folder / "bag")},
-        viewer=not given.no_viewer and sys.stdout.isatty(),
+        viewer=watched,
+        stays=watched and not lockstep and sys.stdin.isatty(),
         strategy=strategy,
         other_strategy="paper" if strategy == "time_optimal" else "time_optimal",
         compare=not given.no_compare,

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -58,10 +59,11 @@ class Browser:
                    f"--user-data-dir={folder}", "about:blank"]
         self._log = (folder / "browser.log").open("wb")
         self._socket: Any = None
-        # What it leaves behind in the folder for temporary files goes with this one.
+        # What it leaves behind there goes with this; a long path would be too long for its socket.
+        self._left_behind = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self._process = subprocess.Popen(
             command, stdout=self._log, stderr=self._log,
-            env={**os.environ, "TMPDIR": str(folder)},
+            env={**os.environ, "TMPDIR": self._left_behind.name},
         )
 
     def __enter__(self) -> "Browser":
@@ -94,6 +96,7 @@ class Browser:
         except subprocess.TimeoutExpired:
             self._process.kill()
         self._log.close()
+        self._left_behind.cleanup()
 
     _session: str | None = None
     _drawn: bytes | None = None

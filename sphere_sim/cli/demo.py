@@ -6,12 +6,10 @@ import contextlib
 import json
 import re
 import select
-import signal
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
 from rich.console import Console
 from ruamel.yaml import YAML
@@ -23,6 +21,7 @@ from sphere_sim.cli.demo_comparison import compute_other
 from sphere_sim.cli.demo_plan import DemoPlan, parse
 from sphere_sim.cli.demo_summary import summarise, table
 from sphere_sim.cli.domain import own_domain
+from sphere_sim.cli.interrupts import sigterm_interrupts
 from sphere_sim.cli.progress_display import ProgressDisplay
 from sphere_sim.figures.paper_panels import paper_panels
 from sphere_sim.figures.side_by_side import side_by_side
@@ -53,9 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     plan = parse(arguments)
     console = Console()
-    previous = signal.signal(signal.SIGTERM, _as_interrupt)
     try:
-        with own_domain() as domain:
+        with sigterm_interrupts(), own_domain() as domain:
             return _demonstrate(plan, domain, console)
     except (SphereNmpcError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
@@ -63,12 +61,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("demo: interrupted; all nodes are stopped", file=sys.stderr)
         return 1
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-
-
-def _as_interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _demonstrate(plan: DemoPlan, domain: int, console: Console) -> int:

@@ -6,13 +6,11 @@ import argparse
 import contextlib
 import math
 import shutil
-import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -22,6 +20,7 @@ from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.cli.domain import own_domain
+from sphere_sim.cli.interrupts import sigterm_interrupts
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
 from sphere_sim.ros.fault_session import SessionSettings, joined
@@ -40,13 +39,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parse(arguments)
     console = Console()
-    previous = signal.signal(signal.SIGTERM, _as_interrupt)
     try:
         singles = chosen(given.fault, given.quick)
         trials = singles * given.repeat
         if given.pairs:
             trials += pairs(singles, given.pairs, given.seed)
-        with _folder(given.out) as folder, own_domain():
+        with sigterm_interrupts(), _folder(given.out) as folder, own_domain():
             table = rows(_tried(trials, _settings(given, folder), console))
         write_json(given.json, table)
     except (SphereNmpcError, OSError) as error:
@@ -55,8 +53,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("faults: interrupted; all nodes are stopped", file=sys.stderr)
         return 1
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     _tell(table, console)
     return 0 if all(row.survived == len(row.outcomes) for row in table) else 1
 
@@ -98,10 +94,6 @@ def _count(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"given {text}, expected 1 or more")
     return number
-
-
-def _as_interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 @contextlib.contextmanager

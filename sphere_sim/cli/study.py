@@ -46,10 +46,12 @@ def main(argv: Sequence[str]) -> int:
     # by numpy when it is imported, hence the imports below.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    from sphere_sim.cli.interrupts import sigterm_interrupts
     from sphere_sim.study.errors import WorkersError
 
     try:
-        return _run(arguments)
+        with sigterm_interrupts():
+            return _run(arguments)
     except WorkersError as error:
         print(f"sphere_nmpc study: {error}", file=sys.stderr)
         return 1

@@ -110,10 +110,15 @@ def best_known_times(
         ):
             task = progress.add_task("best known times", total=len(missing))
             futures = {pool.submit(best_known_time, s, robot): k for k, s in missing.items()}
-            for future in as_completed(futures):
-                known[futures[future]] = future.result()
-                _append(_cache_file(), futures[future], known[futures[future]])
-                progress.advance(task)
+            try:
+                for future in as_completed(futures):
+                    known[futures[future]] = future.result()
+                    _append(_cache_file(), futures[future], known[futures[future]])
+                    progress.advance(task)
+            except BaseException:
+                # What waits would be made first otherwise, hours of it.
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     return [known[key] for key in keys]
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from sphere_sim.cli.study import main
@@ -101,7 +102,12 @@ def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:
     assert "1 CRASHED" in capsys.readouterr().out
 
 
-def test_interrupt_leaves_a_folder_that_goes_on(tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("number", "all_of_them"),
+    [(signal.SIGINT, True), (signal.SIGTERM, False)],
+    ids=["Ctrl-C in a terminal, which reaches the workers too", "kill"],
+)
+def test_interrupt_leaves_a_folder_that_goes_on(tmp_path, number, all_of_them) -> None:
     runs = 500
     command = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())"]
     study = ["study", "--draw", str(runs), "--seed", "2", "--out", str(tmp_path), "--jobs", "2"]
@@ -113,8 +119,8 @@ def test_interrupt_leaves_a_folder_that_goes_on(tmp_path) -> None:
     try:
         while process.poll() is None:
             if journal.exists() and journal.read_bytes().count(b"\n") > 2:
-                # As a terminal does: to the workers too.
-                os.killpg(process.pid, signal.SIGINT)
+                workers = psutil.Process(process.pid).children(recursive=True)
+                (os.killpg if all_of_them else os.kill)(process.pid, number)
                 break
             time.sleep(0.1)
         _, error = process.communicate(timeout=150.0)
@@ -123,3 +129,5 @@ def test_interrupt_leaves_a_folder_that_goes_on(tmp_path) -> None:
     assert process.returncode == 130
     assert "interrupted" in error and "Traceback" not in error
     assert 2 < journal.read_bytes().count(b"\n") < runs
+    _, alive = psutil.wait_procs(workers, timeout=20.0)
+    assert not alive

@@ -16,6 +16,7 @@ from ament_index_python.packages import (
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
 
@@ -66,7 +67,9 @@ def actions(context: LaunchContext) -> list:
     share = Path(get_package_share_directory(PACKAGE))
     urdf = share / "urdf" / "sphere.urdf"
     if is_installed("robot_state_publisher") and urdf.exists():
-        description = {"robot_description": urdf.read_text(encoding="utf-8")}
+        # Without a type launch takes the text for YAML, which the colon of a comment breaks.
+        text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
+        description = {"robot_description": text}
         started.append(
             Node(
                 package="robot_state_publisher", executable="robot_state_publisher",

@@ -84,6 +84,7 @@ class ControllerNode(LivingNode):
             self, self.controller, self._grid, self._faults, robot.settings, settings
         )
         self._answered: int | None = None
+        self._ahead: PoseStamped | None = None
         self._listen()
         tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
         self._diagnostics = Diagnostics(self, self._stamp, tasks)
@@ -127,6 +128,9 @@ class ControllerNode(LivingNode):
         return None if self._simulated and stamp == 0 else seconds(stamp, self._epoch)
 
     def _tick(self) -> None:
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            self._take_pose(ahead, again=True)
         now = self._now()
         if now is not None:
             instant = self._grid.instant(now)
@@ -165,12 +169,16 @@ class ControllerNode(LivingNode):
                 self._planning.expect_all()
             self._tick()
 
-    def _take_pose(self, message: PoseStamped) -> None:
+    def _take_pose(self, message: PoseStamped, again: bool = False) -> None:
         state, now = self._state(message), self._now()
         if state is None or now is None:
             return
         stamp = seconds(stamp_from_ros(message.header.stamp), self._epoch)
         if stamp - now > self._settings.pose_timeout:
+            if not again:
+                # When this node was held up, the clock of that pose waits right behind it.
+                self._ahead = message
+                return
             # It would count as fresh for as long as it is ahead.
             self._faults.report(
                 "pose refused",
@@ -180,7 +188,8 @@ class ControllerNode(LivingNode):
             return
         self.controller.observe(stamp, state)
         self._planning.read(now, time.monotonic())
-        self._start()
+        if not again:
+            self._start()
 
     def _take_sample(self, message: PoseStamped) -> None:
         """Decide, in lockstep, when the pose of a sample instant arrives."""
@@ -253,6 +262,7 @@ class ControllerNode(LivingNode):
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._faults.report("clock jumped", "poses and plans are forgotten, the goal stays")
         self.controller.forget()
+        self._ahead = None
         self._grid.reset()
         self._answered = None
         self._starting = True

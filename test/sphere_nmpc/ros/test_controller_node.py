@@ -244,6 +244,19 @@ def test_pose_from_the_future_is_refused(robot, capfd) -> None:
     assert "ahead of this node's clock" in capfd.readouterr().err
 
 
+def test_pose_whose_clock_is_still_on_its_way_is_taken(robot, capfd) -> None:
+    robot.pass_time(0.1)
+    robot.seeing = False
+    # As after the node was held up: first the newest pose, then the clock of the same instant.
+    robot.pose.header.stamp = stamp_to_ros(2 * 10**9)
+    robot.pose_sender.publish(robot.pose)
+    robot.graph.until(lambda: robot.node._ahead is not None)
+    robot.now = 2 * 10**9 - TICK
+    robot.pass_time(0.3)
+    assert robot.status()["pose_age_s"] != "inf" and float(robot.status()["pose_age_s"]) < 0.5
+    assert "ahead of this node's clock" not in capfd.readouterr().err
+
+
 def test_nothing_is_sent_before_the_clock(robot) -> None:
     robot.ask()
     robot.pose_sender.publish(robot.pose)

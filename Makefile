@@ -3,6 +3,8 @@
 
 PYTHON ?= python3
 ARGS ?=
+# The oldest and the newest Python that are there, for `make homes`.
+HOMES ?= $(PYTHON)
 VENV := .venv
 COLCON_VENV := .venv-colcon
 
@@ -12,7 +14,7 @@ unexport LD_LIBRARY_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check venv clean
+.PHONY: help demo test test-fast check venv homes clean
 
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -32,8 +34,11 @@ check: $(VENV)/.stamp  ## Lint and type check
 
 venv: $(VENV)/.stamp  ## Install the package and everything it can use into .venv
 
+homes:  ## Install from scratch with pip and colcon, and test that (HOMES="python3.10 python3.13")
+	.ci/homes .venv-homes $(HOMES)
+
 clean:  ## Remove the virtual environments and all that was built
-	rm -rf $(VENV) $(COLCON_VENV) build dist install log *.egg-info
+	rm -rf $(VENV) $(COLCON_VENV) .venv-homes build dist install log *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 define new_venv

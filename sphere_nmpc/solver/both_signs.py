@@ -17,14 +17,14 @@ from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 ARRIVING_COST = 1e-4
 """Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled."""
 
-PLAN_KEEPING = SolverSettings(max_iterations=40, decrease_floor=5e-6, initial_damping=0.02)
+PLAN_KEEPING = SolverSettings(max_iterations=30, decrease_floor=5e-6, initial_damping=0.02)
 """Settings for a receding horizon that carries out what it has planned.
 
 With a cost on the end of a short horizon alone, exact minimisation re-plans at every sample: it
 trades the arrival that was in reach for less effort and a later one. A first damping above the
 curvature of the effort (twice its weight) and below that of the end point leaves the warm start
 alone except where that brings the end nearer, and the floor stops once nothing is left to gain.
-Over 300 drawn scenarios the median of the settling time is 7.6 s, with exact minimisation 13 s, in
+Over 300 drawn scenarios the median of the settling time is 7.5 s, with exact minimisation 13 s, in
 a sixth of the iterations; it also stands measurement noise better. Which local minimum is found is
 chance: a disturbance of 1e-5 changes the settling time of a case by up to 1.5 s.
 """

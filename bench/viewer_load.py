@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -25,6 +25,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
 
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.cli.domain import own_domain
@@ -51,6 +52,15 @@ def node(folder: Path, verb: str, *arguments: str) -> Iterator[Path]:
         process.wait(10.0)
 
 
+def wait_for(probe: Node, condition: Callable[[], object]) -> None:
+    """Serve the probe until something holds."""
+    end = time.monotonic() + 60.0
+    while not condition():
+        if time.monotonic() > end:
+            raise SystemExit("no controller came up within 60 s")
+        rclpy.spin_once(probe, timeout_sec=0.1)
+
+
 def measure(condition: str, seconds: float, folder: Path) -> str:
     told: list[dict[str, str]] = []
 
@@ -71,8 +81,10 @@ def measure(condition: str, seconds: float, folder: Path) -> str:
         stack.callback(probe.destroy_node)
         probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
         goals = probe.create_publisher(PoseStamped, "goal_pose", 1)
-        time.sleep(8.0)
+        wait_for(probe, lambda: goals.get_subscription_count() > 0 and told)
+        time.sleep(3.0)  # what a start takes is not to be measured
         if condition == CONDITIONS[2]:
+            wait_for(probe, lambda: "http" in log.read_text())
             home = Path(stack.enter_context(
                 tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
             ))
@@ -88,8 +100,10 @@ def measure(condition: str, seconds: float, folder: Path) -> str:
             rclpy.spin_once(probe, timeout_sec=0.1)
             if first is None and told:
                 first = int(told[-1]["missed ticks"])
-        p99 = [float(values["wall period p99 ms"]) for values in told[10:]]
-        middle = [float(values["wall period median ms"]) for values in told[10:]]
+        # The percentiles are of the last thousand ticks: ten seconds.
+        settled = told[min(20, len(told) // 2):]
+        p99 = [float(values["wall period p99 ms"]) for values in settled]
+        middle = [float(values["wall period median ms"]) for values in settled]
         missed = int(told[-1]["missed ticks"]) - (first or 0)
         return (
             f"| {condition} | {np.median(middle):.2f} | {np.median(p99):.2f} | {max(p99):.2f} | "

@@ -96,7 +96,8 @@ def _demonstrate(plan: DemoPlan, domain: int, console: Console) -> int:
 
 def _stay(page: str, director: DemoDirector, console: Console) -> None:
     """Leave the sphere to whoever watches, until Enter or Ctrl-C."""
-    console.print(f"the sphere is yours: drag its goal at {page}; Enter ends")
+    told = f"the sphere is yours: drag its goal at {page}; Enter ends"
+    console.print(told, soft_wrap=True)
     with contextlib.suppress(KeyboardInterrupt):
         while not select.select([sys.stdin], [], [], 0.0)[0]:
             director.spin()

@@ -15,6 +15,8 @@ import numpy as np
 from browser import Browser
 from PIL import Image
 
+from sphere_sim.viewer.scene import CAMERA, LOOK_AT
+
 
 def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
     """Start ``sphere_nmpc VERB``; what it says goes to a file."""
@@ -43,6 +45,22 @@ def canvas(page: Browser) -> tuple[float, float, float, float]:
         " a.width * a.height)[0]; return [r.x, r.y, r.width, r.height]; })()"
     )
     return tuple(page.evaluate(script))
+
+
+def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, float]:
+    """Return where a point of the world [m] is seen from where the camera stands at first."""
+    left, top, width, height = canvas(page)
+    camera, forward = np.array(CAMERA), np.array(LOOK_AT) - np.array(CAMERA)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    ray = np.array(point) - camera
+    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / float(ray @ forward)
+    return (
+        left + 0.5 * width + scale * float(ray @ right),
+        top + 0.5 * height - scale * float(ray @ up),
+    )
 
 
 def scene_of(page: Browser, path: Path) -> np.ndarray:

@@ -22,12 +22,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
-from stage import canvas, scene_of, start, stop, wait_for_scene
+from stage import pixel, scene_of, start, stop, wait_for_scene
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
 from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.viewer.scene import CAMERA, LOOK_AT
 from sphere_sim.viewer.server import free_port
 
 BROWSER = find_browser()
@@ -93,22 +92,6 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
     finally:
         graph.close()
         stop(processes.values())
-
-
-def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, float]:
-    """Return where a point of the world [m] is seen from where the camera stands at first."""
-    left, top, width, height = canvas(page)
-    camera, forward = np.array(CAMERA), np.array(LOOK_AT) - np.array(CAMERA)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
-    ray = np.array(point) - camera
-    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / float(ray @ forward)
-    return (
-        left + 0.5 * width + scale * float(ray @ right),
-        top + 0.5 * height - scale * float(ray @ up),
-    )
 
 
 def told_late(page: Browser, process: subprocess.Popen, words: str) -> float:

@@ -58,13 +58,13 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
             f"state: given shapes {place.shape} and {turn.shape}, "
             "expected a position (2,) [m] and a quaternion (4,) wxyz"
         )
-    # Methods rather than numpy's functions: every pose of a fast robot comes by here.
-    if not (np.isfinite(place).all() and np.isfinite(turn).all()):
+    # On six numbers Python is faster than numpy, and every pose of a fast robot comes by here.
+    x, y, *quaternion = *place.tolist(), *turn.tolist()
+    if not all(map(math.isfinite, (x, y, *quaternion))):
         raise InvalidStateError(
-            f"state: given position {place.tolist()} and quaternion {turn.tolist()}, "
-            "expected finite numbers"
+            f"state: given position {[x, y]} and quaternion {quaternion}, expected finite numbers"
         )
-    if (np.abs(place) > FARTHEST).any():
+    if max(abs(x), abs(y)) > FARTHEST:
         raise InvalidStateError(
             f"position: given {place.tolist()}, expected at most {FARTHEST:g} m from the origin "
             "along each axis"

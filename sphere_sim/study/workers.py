@@ -135,6 +135,9 @@ def _local_cluster(jobs: int) -> Iterator[Any]:
             processes=True,
             host="127.0.0.1",
             dashboard_address=None,
+            # Without one the scheduler still serves its state; at any port, so that two studies
+            # side by side do not quarrel about the usual one.
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             worker_dashboard_address=None,
             memory_limit=0,
             silence_logs=logging.CRITICAL,

@@ -44,7 +44,10 @@ def node(folder: Path, verb: str, *arguments: str) -> Iterator[Path]:
     command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments]
     log = folder / f"{verb}.log"
     with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=output)
+        # As the demo does it, and as in terminals of their own.
+        process = subprocess.Popen(
+            command, stdout=output, stderr=output, start_new_session=True
+        )
     try:
         yield log
     finally:

@@ -8,9 +8,11 @@ publishes   goal_pose
 calls       simulator/pause, simulator/reset, simulator/push and parameters, where they are there
 """
 
+import contextlib
 import os
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 from rclpy.executors import Executor
 
@@ -62,8 +64,20 @@ class ViewerNode(LivingNode):
         """Close the page."""
         self._viewer.close()
 
+
+def be_courteous() -> None:
+    """Let this process stand back behind the nodes where processors are few.
+
+    What is seen may stutter sooner than what is controlled. Within a session that is what niceness
+    does; between sessions Linux shares processors out by that of the session.
+    """
+    os.nice(_COURTESY)
+    with contextlib.suppress(OSError):
+        if os.getsid(0) == os.getpid():
+            Path("/proc/self/autogroup").write_text(str(_COURTESY))
+
+
 def main(args: Sequence[str] | None, port: int) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    # Where processors are few, what is seen may stutter sooner than what is controlled.
-    os.nice(_COURTESY)
+    be_courteous()
     return run(lambda: ViewerNode(port), args, __doc__ or "")

@@ -64,6 +64,8 @@ class Browser:
         self._process = subprocess.Popen(
             command, stdout=self._log, stderr=self._log,
             env={**os.environ, "TMPDIR": self._left_behind.name},
+            # As with people: the scheduler shares processors out between sessions first.
+            start_new_session=True,
         )
 
     def __enter__(self) -> "Browser":

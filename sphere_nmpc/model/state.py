@@ -59,12 +59,13 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
             "expected a position (2,) [m] and a quaternion (4,) wxyz"
         )
     # On six numbers Python is faster than numpy, and every pose of a fast robot comes by here.
-    x, y, *quaternion = *place.tolist(), *turn.tolist()
-    if not all(map(math.isfinite, (x, y, *quaternion))):
+    numbers: list[float] = np.concatenate((place, turn)).tolist()
+    if not all(map(math.isfinite, numbers)):
         raise InvalidStateError(
-            f"state: given position {[x, y]} and quaternion {quaternion}, expected finite numbers"
+            f"state: given position {numbers[:2]} and quaternion {numbers[2:]}, "
+            "expected finite numbers"
         )
-    if max(abs(x), abs(y)) > FARTHEST:
+    if max(abs(numbers[0]), abs(numbers[1])) > FARTHEST:
         raise InvalidStateError(
             f"position: given {place.tolist()}, expected at most {FARTHEST:g} m from the origin "
             "along each axis"

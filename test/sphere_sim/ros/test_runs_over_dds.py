@@ -108,8 +108,8 @@ def test_lockstep_repeats_itself_and_the_run_without_ros(graph, strategy) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    # A plan of `time_optimal` is looked for as long as the sample lasts: at five times real time in
-    # a fifth of the time, so that it may arrive later.
+    # A plan of `time_optimal` is looked for as long as the sample lasts: at five times real time
+    # in a fifth of the time, so that it may arrive later.
     "strategy, duration, later", [("time_optimal", 16.0, 0.25), ("paper", 20.0, 0.0)]
 )
 def test_pace_of_time_does_not_matter(graph, strategy, duration, later) -> None:

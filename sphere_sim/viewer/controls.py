@@ -177,14 +177,14 @@ def _box(colour: Colour, text: str) -> str:
 
 
 def _numbers(frame: Frame) -> str:
-    lines = [f"t = **{frame.time:.2f} s**"]
-    if frame.mode:
-        lines.append(frame.mode)
+    """Return three lines whatever is known: what is below must not move under a mouse."""
+    distance = "–"
     if frame.state is not None and frame.goal is not None:
-        distance = position_error(frame.state, frame.goal)
-        angle = angle_error(frame.state, frame.goal)
-        lines.append(f"to the goal: **{distance:.3f} m**, **{angle:.3f} rad**")
-    return "  \n".join(lines)
+        distance = (
+            f"to the goal: **{position_error(frame.state, frame.goal):.3f} m**, "
+            f"**{angle_error(frame.state, frame.goal):.3f} rad**"
+        )
+    return "  \n".join((f"t = **{frame.time:.2f} s**", frame.mode or "–", distance))
 
 
 _LEGEND = """

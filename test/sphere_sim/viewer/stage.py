@@ -2,18 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes under test, and what is seen of the scene on their page."""
 
+import contextlib
 import io
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 from browser import Browser
 from PIL import Image
+from ros_graph import Graph
 
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT
 
@@ -35,6 +37,17 @@ def stop(processes: Iterable[subprocess.Popen]) -> None:
             process.wait(8.0)
         except subprocess.TimeoutExpired:
             process.kill()
+
+
+def insist(graph: Graph, act: Callable[[], None], effect: Callable[[], bool]) -> None:
+    """Act on the page until it has an effect: a click is lost where a slow page moves under it."""
+    for _ in range(4):
+        with contextlib.suppress(AssertionError):
+            act()
+        with contextlib.suppress(AssertionError):
+            graph.until(effect, 15.0)
+            return
+    raise AssertionError("no effect after four tries")
 
 
 def canvas(page: Browser) -> tuple[float, float, float, float]:

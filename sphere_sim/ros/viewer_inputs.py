@@ -59,6 +59,7 @@ class ViewerInputs:
         self._status_topic = f"{controller}/status"
         self._radius: float | None = None
         self._moved_at = time.monotonic()
+        self._stands = False
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for kind, topic, take, qos in (
@@ -73,10 +74,11 @@ class ViewerInputs:
 
     @property
     def stands_still(self) -> bool:
-        """Whether poses arrive, but always that of the same instant."""
+        """Whether poses arrive, or arrived last, but always that of the same instant."""
         now, pose_at = time.monotonic(), self.health.pose_at
-        heard = pose_at is not None and now - pose_at < POSE_SILENCE
-        return heard and now - self._moved_at > _STANDSTILL
+        if pose_at is not None and now - pose_at < POSE_SILENCE:
+            self._stands = now - self._moved_at > _STANDSTILL
+        return self._stands
 
     def newest(self) -> Frame:
         """Return the frame, and forget that it was a fresh one."""

@@ -59,7 +59,9 @@ class Controls:
             )
             send = gui.add_button("Send goal", icon=viser.Icon.TARGET_ARROW)
         with gui.add_folder("Time" if live else "Recording"):
+            # Two, so that a click means what was read even if that is no longer so.
             self._pause = gui.add_button("Pause")
+            self._resume = gui.add_button("Resume" if live else "Play", visible=False)
             self._seek = gui.add_slider("time [s]", 0.0, 1.0, 1e-3, 0.0, visible=False)
             self._speed = gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1)
             self._reset = gui.add_button("Reset", hint="Back to the start")
@@ -69,12 +71,12 @@ class Controls:
         find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
         with gui.add_folder("Legend", expand_by_default=False):
             gui.add_markdown(_LEGEND)
-        self._paused = False
         self._sought = float("-inf")
         self._offers: Offers | None = None
         self._on_click(send, lambda: "send")
         self._on_click(find, lambda: "find")
-        self._on_click(self._pause, lambda: Pause(not self._paused))
+        self._on_click(self._pause, lambda: Pause(True))
+        self._on_click(self._resume, lambda: Pause(False))
         self._on_click(self._reset, Reset)
         self._on_click(self._push, Push)
         self._on_choice(self._preset, lambda name: name if name in PRESETS else None)
@@ -118,14 +120,13 @@ class Controls:
         self._show_strategy(frame)
 
     def _show_offers(self, offers: Offers) -> None:
-        self._paused = offers.paused
         for handle, there in (
-            (self._pause, offers.pause), (self._reset, offers.reset), (self._push, offers.push),
+            (self._pause, offers.pause and not offers.paused),
+            (self._resume, offers.pause and offers.paused),
+            (self._reset, offers.reset), (self._push, offers.push),
             (self._speed, offers.speed is not None), (self._seek, offers.duration is not None),
         ):
             _set(handle, "visible", there)
-        words = ("Resume", "Pause") if self._live else ("Play", "Pause")
-        _set(self._pause, "label", words[0] if offers.paused else words[1])
         if offers.speed is not None:
             _set(self._speed, "value", offers.speed)
         if offers.duration is not None:

@@ -23,6 +23,7 @@ from sphere_sim.ros.marker_node import MarkerNode
 from sphere_sim.ros.simulator_node import SimulatorNode
 from sphere_sim.ros.topic_source import TopicSource
 from sphere_sim.viewer.frame import Pause, Push, Reset, SetGoal, SetSpeed, SetStrategy
+from sphere_sim.viewer.health import POSE_SILENCE
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
@@ -86,6 +87,16 @@ def test_pause_speed_and_reset_reach_the_simulator(graph, source) -> None:
     source.handle(SetSpeed(2.5))
     graph.until(lambda: node.get_parameter("real_time_factor").value == 2.5)
     assert source.handle(Reset()) == ""
+
+
+def test_time_that_stands_still_does_so_while_poses_are_late(graph, source) -> None:
+    node = simulator()
+    graph.add(node)
+    graph.until(lambda: newest(source).offers.pause)
+    source.handle(Pause(True))
+    graph.until(lambda: newest(source).offers.paused)
+    time.sleep(2.0 * POSE_SILENCE)  # nobody is served meanwhile
+    assert newest(source).offers.paused
 
 
 def test_a_push_is_offered_where_there_is_one(graph, source) -> None:

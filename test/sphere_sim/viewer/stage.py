@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from browser import Browser
 from PIL import Image
-from ros_graph import Graph
 
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT
 
@@ -39,13 +38,20 @@ def stop(processes: Iterable[subprocess.Popen]) -> None:
             process.kill()
 
 
-def insist(graph: Graph, act: Callable[[], None], effect: Callable[[], bool]) -> None:
-    """Act on the page until it has an effect: a click is lost where a slow page moves under it."""
+def insist(
+    until: Callable[[Callable[[], bool], float], None],
+    act: Callable[[], None],
+    effect: Callable[[], bool],
+) -> None:
+    """Act on the page until it has an effect: a click is lost where a slow page moves under it.
+
+    `until` waits for something, and fails when it takes too long.
+    """
     for _ in range(4):
         with contextlib.suppress(AssertionError):
             act()
         with contextlib.suppress(AssertionError):
-            graph.until(effect, 15.0)
+            until(effect, 15.0)
             return
     raise AssertionError("no effect after four tries")
 

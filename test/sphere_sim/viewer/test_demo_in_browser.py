@@ -78,7 +78,7 @@ def _pick_a_goal(page: Browser) -> None:
         graph.until(lambda: goals and poses)
         assert away() > 1.0
         insist(
-            graph, lambda: page.choose("pick a goal …", "start of the paper's case 1"),
+            graph.until, lambda: page.choose("pick a goal …", "start of the paper's case 1"),
             lambda: state_error(pose_from_ros(goals[-1]), goal) < 1e-9,
         )
         graph.until(lambda: away() < 0.05, 60.0)

@@ -140,7 +140,7 @@ def test_dragging_the_goal_makes_the_sphere_roll_there(stage, tmp_path) -> None:
 
 def test_pause_stops_time_and_resume_lets_it_go_on(stage) -> None:
     insist(
-        stage.graph, lambda: stage.page.click_button("Pause"),
+        stage.graph.until, lambda: stage.page.click_button("Pause"),
         lambda: "time stands still" in stage.page.text,
     )
     stage.graph.spin_for(0.5)
@@ -148,7 +148,7 @@ def test_pause_stops_time_and_resume_lets_it_go_on(stage) -> None:
     stage.graph.spin_for(1.0)
     assert stage.time == stood
     insist(
-        stage.graph, lambda: stage.page.click_button("Resume"), lambda: stage.time > stood
+        stage.graph.until, lambda: stage.page.click_button("Resume"), lambda: stage.time > stood
     )
     stage.page.wait_for("live", 10.0)
 
@@ -157,7 +157,7 @@ def test_a_push_moves_the_sphere_and_the_controller_brings_it_back(stage) -> Non
     goal = pose_from_ros(stage.goals[-1])
     stage.graph.spin_for(0.2)
     insist(
-        stage.graph, lambda: stage.page.click_button("Push"),
+        stage.graph.until, lambda: stage.page.click_button("Push"),
         lambda: state_error(pose_from_ros(stage.poses[-1]), goal) > 0.1,
     )
     stage.graph.until(lambda: state_error(pose_from_ros(stage.poses[-1]), goal) < 0.05, 40.0)
@@ -166,7 +166,7 @@ def test_a_push_moves_the_sphere_and_the_controller_brings_it_back(stage) -> Non
 def test_speed_and_strategy_can_be_chosen(stage) -> None:
     def change(before: str, after: str) -> None:
         insist(
-            stage.graph, lambda: stage.page.choose(before, after),
+            stage.graph.until, lambda: stage.page.choose(before, after),
             lambda: bool(stage.statuses) and stage.status["strategy"] == after,
         )
 
@@ -178,13 +178,14 @@ def test_speed_and_strategy_can_be_chosen(stage) -> None:
         stage.graph.spin_for(1.0)
         return (stage.time - then) * 1e-9 / (time.monotonic() - began)
 
-    insist(stage.graph, lambda: stage.page.type_number("speed", "0.1"), lambda: pace() < 0.3)
-    insist(stage.graph, lambda: stage.page.type_number("speed", "2"), lambda: pace() > 0.5)
+    insist(stage.graph.until, lambda: stage.page.type_number("speed", "0.1"), lambda: pace() < 0.3)
+    insist(stage.graph.until, lambda: stage.page.type_number("speed", "2"), lambda: pace() > 0.5)
 
 
 def test_a_goal_can_be_picked_from_the_list(stage) -> None:
     insist(
-        stage.graph, lambda: stage.page.choose("pick a goal …", "goal of the paper's case 2"),
+        stage.graph.until,
+        lambda: stage.page.choose("pick a goal …", "goal of the paper's case 2"),
         lambda: state_error(pose_from_ros(stage.goals[-1]), PAPER_CASES[2].goal) < 1e-9,
     )
 

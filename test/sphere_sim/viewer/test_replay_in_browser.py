@@ -14,7 +14,7 @@ pytest.importorskip("viser")
 
 from browser import Browser, find_browser
 from rosbags.typesys import Stores, get_typestore
-from stage import scene_of, start, stop, wait_for_scene
+from stage import insist, scene_of, start, stop, wait_for_scene
 
 from sphere_sim.recording.bag_writer import BagWriter
 
@@ -103,10 +103,12 @@ def test_the_slider_goes_to_a_time(page, tmp_path) -> None:
 
 def test_it_goes_on_from_there(page) -> None:
     began = shown(page)
-    page.click_button("Play")
-    wait_until(lambda: began < shown(page) < LENGTH)
-    page.click_button("Pause")
-    page.wait_for("recording, stopped")
+    insist(
+        wait_until, lambda: page.click_button("Play"), lambda: began < shown(page) < LENGTH
+    )
+    insist(
+        wait_until, lambda: page.click_button("Pause"), lambda: "recording, stopped" in page.text
+    )
 
 
 def test_the_page_had_no_error_all_the_while(page) -> None:

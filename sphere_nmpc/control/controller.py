@@ -252,9 +252,8 @@ class Controller:
         The hold starts at `now` from the speeds in force, so a late solve bends no past, keeps
         every limit, and ends at rest.
         """
-        in_force = self._sent.at(now)
         limits = (self._robot.max_rotor_speed, self._robot.max_rotor_acceleration)
-        hold = decision.plan.hold.starting_at(now, in_force).limited(*limits)
+        hold = self._sent.leading_to(decision.plan.hold, now).limited(*limits)
         hold = hold.ending_at_rest(self._robot.max_rotor_acceleration)
         planned = decision.mode in (Mode.TRACKING, Mode.FALLBACK)
         if not planned and not hold.speeds.any() and not self._sent.moves_after(now):

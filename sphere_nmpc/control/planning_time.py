@@ -4,8 +4,11 @@
 
 from collections import deque
 
-PLANNING_SHARE = 0.5
+PLANNING_SHARE = 0.4
 """Part of the control period that planning may fill; the rest is for everybody else."""
+MOST_LEAD = 0.5
+"""Part of the control period that a plan is made ahead at the most: planning, and the way to the
+drives."""
 _LEAST_SHARE = 0.1
 """Part of the control period that even a late tick may plan for."""
 _WINDOW, _SPACING, _ENOUGH = 0.5, 5e-3, 1e-2
@@ -73,6 +76,10 @@ class PlanningTime:
         left = instant + PLANNING_SHARE * self._period - now
         return max(left, _LEAST_SHARE * self._period) / (self.pace or 1.0)
 
+    def after(self, now: float, elapsed: float) -> float:
+        """Return the control time [s] when `elapsed` of wall time [s] has passed since `now`."""
+        return now + elapsed * (self.pace or 0.0)
+
     def took(self, duration: float) -> None:
         """Take note of the wall time between a sample instant and its command [s]."""
         self._took.append(duration * (self.pace or 1.0))
@@ -91,4 +98,4 @@ class PlanningTime:
         expected = _MARGIN * max(self._took, default=0.0)
         if expected < _AT_ONCE * self._period:
             return 0.0
-        return min(expected, PLANNING_SHARE * self._period)
+        return min(expected, MOST_LEAD * self._period)

@@ -14,6 +14,8 @@ from sphere_nmpc.solver.problem import HoldProblem
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
+_SHORTEST = 1e-6
+"""Spacing of bends that count as one [s]."""
 _MANY = 48
 """Pieces beyond which straight runs of them are joined ..."""
 _STRAIGHT = 0.05
@@ -57,6 +59,24 @@ class SentInputs:
             if hold.start <= time + 1e-9:
                 return hold.at(time)
         return np.zeros(INPUT_SIZE)
+
+    def leading_to(self, hold: FirstOrderHold, now: float) -> FirstOrderHold:
+        """Return what is followed from `now` on [s] when `hold` is sent.
+
+        Until a hold begins, what is in force goes on, with its bends: the hold was planned from
+        where that leads. One that has begun is joined at its next knot.
+        """
+        joined = hold.starting_at(now, self.at(now))
+        newest = self.newest
+        if newest is None or hold.start <= now + _SHORTEST:
+            return joined
+        bends = _between(newest, now + _SHORTEST, hold.start - _SHORTEST)
+        if not bends:
+            return joined
+        speeds = np.array([newest.at(t) for t in bends])
+        return FirstOrderHold(
+            np.insert(joined.times, 1, bends), np.insert(joined.speeds, 1, speeds, axis=0)
+        )
 
     def predict(
         self,

@@ -10,7 +10,7 @@ services    ~/enable
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -94,7 +94,7 @@ class ControllerNode(LivingNode):
         now = self._now()
         self.controller.enabled = False
         if now is not None:
-            self._decide(now, lambda: now)
+            self._decide(now, now)
         self._sender.farewell()
         self._aside.close()
 
@@ -134,17 +134,20 @@ class ControllerNode(LivingNode):
         now = self._now()
         if now is not None:
             instant = self._grid.instant(now)
-            self._decide(instant, lambda: self._now() or now, self._planning.lead)
+            self._decide(instant, now, self._planning.lead)
 
-    def _decide(self, instant: float, now: Callable[[], float], lead: float = 0.0) -> None:
+    def _decide(self, instant: float, now: float, lead: float = 0.0) -> None:
         began = time.perf_counter()
         # In lockstep time waits, and so that results repeat a plan may take what it takes.
         budget = math.inf
         if not self._settings.lockstep:
-            budget = self._planning.budget(instant, now())
+            budget = self._planning.budget(instant, now)
         instant += lead
         decision = self.controller.decide(instant, budget)
-        hold = self.controller.commit(decision, now())
+        # A simulated clock stands still while this callback runs; the robot does not.
+        if not self._settings.lockstep:
+            now = self._planning.after(now, time.perf_counter() - began)
+        hold = self.controller.commit(decision, now)
         if hold is None and self._settings.lockstep:
             hold = AT_REST.delayed(instant)  # time waits for an answer, even if it is nothing
         if hold is not None:
@@ -153,6 +156,12 @@ class ControllerNode(LivingNode):
         self._planning.took(took)
         self._reports.tick(decision, instant, took, self._epoch)
         self._starting = self._starting and decision.mode is not Mode.TRACKING
+
+    def _await_start(self) -> None:
+        """Expect to plan anew, which for a search takes all the time there is."""
+        self._starting = True
+        if self._settings.strategy == "time_optimal":
+            self._planning.expect_all()
 
     def _start(self) -> None:
         """Begin a new grid of sample instants where somewhere to go is waiting for nothing else.
@@ -165,8 +174,6 @@ class ControllerNode(LivingNode):
         if self._planning.pace is not None and self.controller.awaits_start(now):
             self._timer.reset()
             self._grid.reset()
-            if self._settings.strategy == "time_optimal":
-                self._planning.expect_all()
             self._tick()
 
     def _take_pose(self, message: PoseStamped, again: bool = False) -> None:
@@ -201,7 +208,7 @@ class ControllerNode(LivingNode):
             return
         instant = seconds(stamp, self._epoch)
         self.controller.observe(instant, state)
-        self._decide(instant, lambda: instant)
+        self._decide(instant, instant)
         self._answered = stamp
 
     def _take_goal(self, message: PoseStamped) -> None:
@@ -215,7 +222,7 @@ class ControllerNode(LivingNode):
         self.get_logger().info(f"goal: {[round(float(value), 4) for value in goal]}")
         self._answered = None
         self._reports.goal(goal, self._stamp())
-        self._starting = True
+        self._await_start()
         self._start()
 
     def _state(self, message: PoseStamped) -> Vector | None:
@@ -229,8 +236,9 @@ class ControllerNode(LivingNode):
         self.controller.enabled = request.data
         now = self._now()
         if not self._settings.lockstep and now is not None and not request.data:
-            self._decide(now, lambda: now)  # a stop does not wait for the next sample
-        self._starting = request.data
+            self._decide(now, now)  # a stop does not wait for the next sample
+        if request.data:
+            self._await_start()
         response.success = True
         response.message = "enabled" if request.data else "disabled, rotors ramp to rest"
         return response
@@ -265,7 +273,7 @@ class ControllerNode(LivingNode):
         self._ahead = None
         self._grid.reset()
         self._answered = None
-        self._starting = True
+        self._await_start()
 
 
 _ABOUT = f"""{__doc__}

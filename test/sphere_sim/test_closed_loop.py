@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's cases in closed loop, on the ideal plant, without ROS."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
+from sphere_sim.simulator import NANOSECONDS, Simulator
 from sphere_sim.simulator_settings import SimulatorSettings
 
 ROBOT = RobotParameters()
@@ -156,3 +158,25 @@ def test_solver_that_dies_in_flight_leaves_the_sphere_at_rest() -> None:
     np.testing.assert_array_equal(found.speeds[-1], [0.0, 0.0])
     np.testing.assert_allclose(found.states[-1], found.states[-5], atol=1e-12)
     limits_are_kept(found)
+
+
+def test_plans_that_are_made_ahead_and_sent_late_arrive_as_exactly() -> None:
+    """Planning takes time, in which what is in force goes on, round its bends."""
+    settings, scenario = ControllerSettings(strategy="time_optimal"), PAPER_CASES[1]
+    start = tuple(float(v) for v in scenario.start)
+    simulator = Simulator(SimulatorSettings(initial_state=start), ROBOT)
+    controller = Controller(settings, ROBOT)
+    controller.set_goal(scenario.goal)
+    for tick, ahead in zip(
+        np.arange(0.0, 9.0, settings.control_period), itertools.cycle(3 * (0.125,) + 3 * (0.03,))
+    ):
+        simulator.advance_to(round(tick * NANOSECONDS))
+        controller.observe(tick, simulator.measured_state())
+        decision = controller.decide(tick + ahead)
+        sent = tick + 0.5 * ahead
+        simulator.advance_to(round(sent * NANOSECONDS))
+        hold = controller.commit(decision, sent)
+        if hold is not None:
+            simulator.follower.follow_trajectory(hold)
+    assert state_error(simulator.plant.state, scenario.goal) < 1e-4
+    assert controller.estimator.noise < 1e-4

@@ -39,6 +39,35 @@ def test_nothing_sent_is_no_speed_and_no_motion() -> None:
     assert not sent.moves_after(0.0)
 
 
+@given(
+    st.floats(0.0, 2.0), st.floats(0.0, 1.0),
+    st.lists(st.floats(-50.0, 50.0), min_size=6, max_size=6),
+)
+def test_until_a_hold_begins_what_is_in_force_goes_on(
+    now: float, ahead: float, speeds: list[float]
+) -> None:
+    sent = SentInputs()
+    knots = np.reshape([0.0, 0.0, *speeds], (4, 2))
+    before = FirstOrderHold(np.array([0.0, 0.7, 1.4, 2.9]), knots)
+    sent.record(before)
+    begins = now + ahead
+    hold = ramp(begins, before.at(begins).tolist(), [7.0, 8.0], 0.5)
+    followed = sent.leading_to(hold, now)
+    assert followed.start == now
+    for t in np.linspace(now, begins, 20):
+        np.testing.assert_allclose(followed.at(t), before.at(t), atol=1e-3)  # bends 1e-6 s apart
+    for t in np.linspace(begins, begins + 1.0, 20):
+        np.testing.assert_allclose(followed.at(t), hold.at(t), atol=1e-3)
+
+
+def test_hold_that_has_begun_is_joined_at_its_next_knot() -> None:
+    sent = SentInputs()
+    sent.record(ramp(0.0, [0, 0], [10, 0], 1.0))
+    followed = sent.leading_to(ramp(0.2, [2, 0], [5, 5], 0.5), 0.3)
+    np.testing.assert_allclose(followed.times, [0.3, 0.7])
+    np.testing.assert_allclose(followed.speeds, [[3, 0], [5, 5]])
+
+
 def test_each_hold_lasts_until_the_next_takes_effect() -> None:
     sent = SentInputs()
     sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))

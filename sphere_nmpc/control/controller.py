@@ -252,6 +252,9 @@ class Controller:
         The hold starts at `now` from the speeds in force, so a late solve bends no past, keeps
         every limit, and ends at rest.
         """
+        if self._sent.newest is not None:
+            # Dated a little ahead of a clock that is late, it is in force all the same.
+            now = max(now, self._sent.newest.start)
         limits = (self._robot.max_rotor_speed, self._robot.max_rotor_acceleration)
         hold = self._sent.leading_to(decision.plan.hold, now).limited(*limits)
         hold = hold.ending_at_rest(self._robot.max_rotor_acceleration)

@@ -69,6 +69,7 @@ class ControllerNode(LivingNode):
         warn_of_unknown(self, [*declared.names, *robot.names])
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
+        self.urgent = not settings.lockstep
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
         self._aside = Background(lambda line: self._faults.report("learning failed", line))
         self.controller = Controller(

@@ -25,6 +25,7 @@ from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.loopback import stay_on_this_machine
+from sphere_nmpc.ros.precedence import schedule
 
 _LOOK_UP = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
@@ -38,6 +39,8 @@ class LivingNode(Node):
 
     lean = False
     """Whether the node is called so often that its executor matters."""
+    urgent = False
+    """Whether the node keeps pace with the wall clock, and is late when others run first."""
 
     def work(self, executor: Executor) -> None:
         """Do one piece of work; called over and over until the node is asked to end."""
@@ -105,7 +108,11 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
             stop.wake = node.create_guard_condition(lambda: None).trigger
         executor.add_node(node)
         try:
+            first = False
             while not stop.requested:
+                if node.urgent is not first:
+                    first = node.urgent
+                    schedule(first)
                 node.work(executor)
         finally:
             # From here on nothing may interrupt: launch's second SIGINT arrives about now.

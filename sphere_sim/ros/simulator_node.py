@@ -39,6 +39,9 @@ _WORTH_WAITING = 5e-4
 _SLOW = 0.95
 """Share of the wanted pace below which the machine counts as too slow."""
 
+_LIFELIKE = 2.0
+"""Real-time factor up to which the node may run before others."""
+
 
 class SimulatorNode(LivingNode):
     """Advance a `Simulator` in step with the wall clock or with the controller.
@@ -65,6 +68,7 @@ class SimulatorNode(LivingNode):
             self, [*declared.names, *robot.names, *body.names, *pushing.names]
         )
         settings = self._settings = declared.settings
+        self.urgent = _keeps_pace(settings)
         start = as_state(settings.initial_state)
         plant = make_plant(settings.plant, robot.settings, start, body.settings)
         self.simulator = Simulator(settings, robot.settings, plant)
@@ -163,6 +167,7 @@ class SimulatorNode(LivingNode):
             now = self.simulator.now
             self._time.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
+        self.urgent = _keeps_pace(settings)
         self.simulator.change(settings)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -225,6 +230,11 @@ class SimulatorNode(LivingNode):
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
         counts = dict(self._faults.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
+
+
+def _keeps_pace(settings: SimulatorSettings) -> bool:
+    """Return whether time is to pass as on the wall; faster, one processor would not suffice."""
+    return not settings.lockstep and 0.0 < settings.real_time_factor <= _LIFELIKE
 
 
 _ABOUT = f"""{__doc__}

@@ -8,22 +8,18 @@ publishes   goal_pose
 calls       simulator/pause, simulator/reset, simulator/push and parameters, where they are there
 """
 
-import contextlib
-import os
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 from rclpy.executors import Executor
 
 from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.precedence import stand_back
 from sphere_sim.ros.topic_source import TopicSource
 from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 
 _MOST_CALLBACKS = 40
 """Of one frame; what is left waits for the next."""
-_COURTESY = 5
-"""Added to the niceness of the process."""
 
 
 class ViewerNode(LivingNode):
@@ -65,19 +61,7 @@ class ViewerNode(LivingNode):
         self._viewer.close()
 
 
-def be_courteous() -> None:
-    """Let this process stand back behind the nodes where processors are few.
-
-    What is seen may stutter sooner than what is controlled. Within a session that is what niceness
-    does; between sessions Linux shares processors out by that of the session.
-    """
-    os.nice(_COURTESY)
-    with contextlib.suppress(OSError):
-        if os.getsid(0) == os.getpid():
-            Path("/proc/self/autogroup").write_text(str(_COURTESY))
-
-
 def main(args: Sequence[str] | None, port: int) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    be_courteous()
+    stand_back()
     return run(lambda: ViewerNode(port), args, __doc__ or "")

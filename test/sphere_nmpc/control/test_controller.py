@@ -312,6 +312,16 @@ def test_late_answer_never_bends_the_past_and_keeps_the_limits(
     ))
 
 
+def test_clock_that_is_late_gives_no_command_from_before_the_last(controller: Controller) -> None:
+    track(controller)
+    newest = controller.commit(controller.decide(0.25), 0.27)
+    controller.enabled = False
+    stop = controller.commit(controller.decide(0.26), 0.26)
+    assert newest is not None and stop is not None
+    assert stop.start == newest.start, "who follows commands drops one that is older"
+    np.testing.assert_allclose(stop.speeds[0], newest.speeds[0])
+
+
 def test_plan_beyond_the_limits_is_sent_within_them(
     controller: Controller, strategy: Scripted
 ) -> None:

@@ -133,7 +133,7 @@ class FaultMonitor:
         if message.level != DiagnosticStatus.OK or message.message == "paused":
             self.said.append(f"{message.name}: {message.message}")
         for pair in message.values:
-            self._count(f"{message.name} {pair.key}", pair.key.replace("_", " "), pair.value)
+            self._count(f"{message.name} {pair.key}", pair.key, pair.value)
 
     def _count(self, place: str, key: str, text: str) -> None:
         """Note a counter that rose; other numbers rise too, and nobody asks for their words."""
@@ -142,7 +142,8 @@ class FaultMonitor:
         except ValueError:
             return
         if value > self._counters.get(place, math.inf):
-            self.said.append(f"{key} rose")
+            # The status writes words with underscores, the log without.
+            self.said.append(f"{key} rose: {key.replace('_', ' ')}")
         self._counters[place] = value
 
     def _take_log(self, message: Any) -> None:

@@ -115,7 +115,7 @@ class ArrivalSolver:
         goal: Vector,
         duration: float,
         guess: FirstOrderHold,
-        to_next_tick: float,
+        to_first_knot: float,
     ) -> Arrival:
         """Find rotor speeds that end at `goal` after `duration`.
 
@@ -129,15 +129,15 @@ class ArrivalSolver:
             Time to the arrival [s].
         guess : FirstOrderHold
             First guess; it is stretched in time to end at `duration`.
-        to_next_tick : float
-            Time to the next tick of the controller [s].
+        to_first_knot : float
+            Time to the first knot [s].
 
         Returns
         -------
         Arrival
             The best found; its `miss` tells whether it gets there.
         """
-        problem = self._problem(situation, goal, duration, to_next_tick)
+        problem = self._problem(situation, goal, duration, to_first_knot)
         times = np.concatenate(([0.0], np.cumsum(problem.durations)))
         scaled = times[1:] * (guess.end / duration)
         start = np.column_stack([np.interp(scaled, guess.times, row) for row in guess.speeds.T])
@@ -149,9 +149,9 @@ class ArrivalSolver:
         )
 
     def _problem(
-        self, situation: Situation, goal: Vector, duration: float, to_next_tick: float
+        self, situation: Situation, goal: Vector, duration: float, to_first_knot: float
     ) -> HoldProblem:
-        durations = knot_durations(duration, self._period, to_next_tick)
+        durations = knot_durations(duration, self._period, to_first_knot)
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
         lower = -upper
         # What the first and the last ramp can do is exact in the bounds; between other knots the

@@ -48,8 +48,8 @@ class ArrivalSearch:
         Spacing of the knots [s].
     situation : Situation
         Where the robot is; its goal is aimed at with both signs of the quaternion.
-    to_next_tick : float
-        Time to the next tick [s].
+    to_first_knot : float
+        Time to the first knot [s].
     seed : int
         Seed of the starts.
     strict : bool, optional
@@ -62,12 +62,12 @@ class ArrivalSearch:
         robot: RobotParameters,
         period: float,
         situation: Situation,
-        to_next_tick: float,
+        to_first_knot: float,
         seed: int,
         strict: bool = False,
     ) -> None:
         self._situation = situation
-        self._to_next_tick = to_next_tick
+        self._to_first_knot = to_first_knot
         self._max_speed = robot.max_rotor_speed
         self._rng = np.random.default_rng(seed)
         self._look = ArrivalSolver(robot, period, Effort(12, _COARSE_STEP, 1e-4))
@@ -169,7 +169,7 @@ class ArrivalSearch:
     def _solve(
         self, solver: ArrivalSolver, goal: Vector, duration: float, guess: FirstOrderHold
     ) -> Arrival:
-        arrival = solver.solve(self._situation, goal, duration, guess, self._to_next_tick)
+        arrival = solver.solve(self._situation, goal, duration, guess, self._to_first_knot)
         self.work += arrival.work
         return arrival
 

@@ -22,6 +22,7 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver, Effort
+from sphere_nmpc.strategy.time_optimal.grid import to_first_knot
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 
 _PRECISE = Effort(max_iterations=40, max_step=0.05, miss=1e-6)
@@ -155,12 +156,13 @@ class TimeOptimalStrategy:
         plan = self._arrival.hold.starting_at(elapsed, self._arrival.hold.at(elapsed))
         plan = plan.delayed(-elapsed)
         goal = self._arrival.goal
+        first = self._first_knot(situation.time, anew=False)
         best: Arrival | None = None
         for stretch in _DELAYS:
             if best is not None and time.perf_counter() > deadline:
                 return best
             arrival = self._solver.solve(
-                situation, goal, stretch * left, plan, self._to_next_tick(situation.time)
+                situation, goal, stretch * left, plan, first
             )
             if arrival.miss <= _ON_TIME:
                 # Much later than planned: the robot is not what it seemed, plan with what it is.
@@ -179,23 +181,23 @@ class TimeOptimalStrategy:
         self, situation: Situation, arrival: Arrival, work: int, deadline: float
     ) -> Arrival:
         """Use what is left of the sample to look for an earlier arrival than the one in hand."""
-        to_next_tick = self._to_next_tick(situation.time)
+        first = self._first_knot(situation.time, anew=False)
         tick = self._settings.control_period
-        between_knots = tick < self._period and to_next_tick < self._period - 0.5 * tick
+        between_knots = tick < self._period and first < self._period - 0.5 * tick
         short = deadline - time.perf_counter() < _LEAST_SEARCH
         if arrival.duration < _TOO_NEAR or work == 0 or between_knots or short:
             return arrival
         self._plans += 1
         # What a first search had no time for is made up for here.
         work = max(work, self._unspent)
-        search = ArrivalSearch(self._drives, self._period, situation, to_next_tick, self._plans)
+        search = ArrivalSearch(self._drives, self._period, situation, first, self._plans)
         search.adopt(arrival)
         found = search.improve(work, deadline)
         self._unspent = max(0, self._unspent - search.work)
         if found is None or found is arrival:
             return arrival
         precise = self._solver.solve(
-            situation, found.goal, found.duration, found.hold, to_next_tick
+            situation, found.goal, found.duration, found.hold, first
         )
         return precise if precise.miss <= _ON_TIME else arrival
 
@@ -224,10 +226,10 @@ class TimeOptimalStrategy:
             return None
         if waited > 0.0:
             self._origin = situation.time
-        to_next_tick = self._to_next_tick(situation.time)
+        first = self._first_knot(situation.time, anew=True)
         for stretch in _DELAYS + _LONG_DELAYS:
             arrival = self._solver.solve(
-                situation, found.goal, stretch * found.duration, found.hold, to_next_tick
+                situation, found.goal, stretch * found.duration, found.hold, first
             )
             if arrival.miss <= _ON_TIME:
                 self._strict = False
@@ -239,15 +241,14 @@ class TimeOptimalStrategy:
     def _new_search(self, situation: Situation) -> ArrivalSearch:
         self._plans += 1
         signed = dataclasses.replace(situation, goal=nearer_sign(situation.goal, situation.state))
-        to_next_tick = self._to_next_tick(situation.time)
+        first = self._first_knot(situation.time, anew=True)
         return ArrivalSearch(
-            self._drives, self._period, signed, to_next_tick, self._plans, self._strict
+            self._drives, self._period, signed, first, self._plans, self._strict
         )
 
-    def _to_next_tick(self, now: float) -> float:
+    def _first_knot(self, now: float, anew: bool) -> float:
         origin = now if self._origin is None else self._origin
-        phase = float(np.mod(now - origin + 1e-9, self._period))
-        return self._period - max(0.0, phase - 1e-9)
+        return to_first_knot(now, origin, self._period, anew)
 
     def _hold(self, situation: Situation, error: float) -> Plan:
         """Rest at the goal, or undo what rolling alone can undo while there is noise."""

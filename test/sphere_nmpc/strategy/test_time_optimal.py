@@ -15,7 +15,7 @@ from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign, state_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_nmpc.strategy.time_optimal.grid import knot_durations
+from sphere_nmpc.strategy.time_optimal.grid import knot_durations, to_first_knot
 from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
@@ -48,7 +48,9 @@ def run(
         robot,
     )
     controller = Controller(settings, ROBOT)
-    return run_closed_loop(simulator, controller, scenario.goal, duration, PERIOD)
+    return run_closed_loop(
+        simulator, controller, scenario.goal, duration, settings.control_period
+    )
 
 
 def errors(found: Trajectory, goal: Vector) -> Vector:
@@ -69,6 +71,29 @@ def test_knots_lie_on_ticks_and_end_at_the_arrival(duration: float, to_next_tick
     knots = np.cumsum(durations)[:-1]
     phases = np.mod(knots - to_next_tick + 0.5 * PERIOD, PERIOD) - 0.5 * PERIOD
     np.testing.assert_allclose(phases, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("now", np.arange(0.0, 0.76, 0.01))
+def test_first_knot_is_that_of_the_grid_unless_a_new_plan_finds_it_too_near(now: float) -> None:
+    in_hand = to_first_knot(now, 0.0, PERIOD, anew=False)
+    assert 0.0 < in_hand <= PERIOD + 1e-9
+    assert abs(np.mod(now + in_hand + 0.1, PERIOD) - 0.1) < 1e-9
+    anew = to_first_knot(now, 0.0, PERIOD, anew=True)
+    assert anew >= 0.3 * PERIOD and np.isclose(anew - in_hand, [0.0, PERIOD], atol=1e-9).any()
+
+
+@pytest.mark.parametrize("case", [1, 3])
+@pytest.mark.parametrize("rate", [30.0, 100.0, 500.0])
+def test_plan_that_is_solved_again_between_its_knots_arrives_as_early(
+    case: int, rate: float
+) -> None:
+    """A knot that is near is a bend of the plan in hand: without it there is no way on time."""
+    scenario = PAPER_CASES[case]
+    at_knots = settling_time(run(scenario, 9.0), scenario.goal)
+    settings = ControllerSettings(strategy="time_optimal", control_rate=rate)
+    found = run(scenario, 9.0, settings=settings, pose_rate=rate)
+    assert settling_time(found, scenario.goal) <= at_knots + 0.5
+    assert errors(found, scenario.goal)[-1] < 1e-4
 
 
 def test_cruise_speed_is_what_the_plant_does() -> None:

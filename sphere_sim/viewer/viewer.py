@@ -95,8 +95,9 @@ class Viewer:
     def _show_goal(self) -> None:
         frame = self._frame
         if self._goal is None:
-            # A ghost of the right size needs to know the size; nothing is asked of no sphere.
-            if frame.state is None:
+            # A ghost of the right size needs to know the size; nothing is asked of no sphere, nor
+            # of one that was recorded without a goal.
+            if frame.state is None or (frame.goal is None and not self._live):
                 return
             moved = self._controls.put if self._live else None
             self._goal = GoalGizmo(self._server.scene, frame.radius, moved)

@@ -157,6 +157,7 @@ def main() -> int:
         tempfile.TemporaryDirectory() as logs,
         Children(Path(logs)) as children,
     ):
+        earlier = _shared_memory(domain)
         for verb, parameters in _parameters(given).items():
             options = [part for item in parameters for part in ("-p", item)]
             children.start(verb, ["--ros-args", *options])
@@ -179,7 +180,7 @@ def main() -> int:
         "counts": {k: soak.status[k] for k in ("failures", "missed_ticks", "late_poses")},
         **_first_and_last(soak, min(_MINUTE, 0.1 * duration)),
         "processes_left": left,
-        "shared_memory_left": _shared_memory(domain),
+        "shared_memory_left": sorted(set(_shared_memory(domain)) - set(earlier)),
     }
     for key, value in result.items():
         print(f"{key}: {value}")

@@ -125,8 +125,8 @@ _ALL = (
     _solver("wild", "wild"),
     _solver("nothing", "nothing", named_by=_FAILED),
     _solver("late", "late", named_by=("missed ticks rose", "longer than the control period")),
-    Fault("cpu_starved", "cpu", "throttle", {"share": 0.1},
-          named_by=("missed ticks rose", "longer than the control period"), quick=True),
+    # Often enough each tick is still in time, and there is nothing to name.
+    Fault("cpu_starved", "cpu", "throttle", {"share": 0.1}, quick=True),
     Fault("cpu_shared", "cpu", "hogs", {"number": 4}),
     Fault("disk_full", "disk", "disk_full", named_by=("recording stopped",), quick=True),
     # Two are seen to be two on the wall clock: what a diagnostic tells every 0.5 s.

@@ -45,7 +45,8 @@ class NodeProcess:
         return None if self._process is None else self._process.poll()
 
     def start(self, extra: Sequence[str] = ()) -> None:
-        """Start it, with further arguments."""
+        """Start it, with further arguments; one that still runs is ended first."""
+        self.stop()
         with self.log.open("ab") as output:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *self.command, *extra], stdin=subprocess.DEVNULL,

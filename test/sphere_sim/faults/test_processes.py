@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from sphere_sim.faults.processes import NodeProcess, stop_together
@@ -51,6 +52,13 @@ def test_killed_process_says_how_it_ended_and_lives_again(process) -> None:
     start(process, "again")
     assert process.code is None
     assert process.log.read_text().split() == ["up", "up", "again"]
+
+
+def test_process_that_is_started_twice_is_one(process) -> None:
+    start(process)
+    first = process.pid
+    start(process)
+    assert process.pid != first and not psutil.pid_exists(first)
 
 
 def test_process_is_ended_politely_even_where_it_is_held(process) -> None:

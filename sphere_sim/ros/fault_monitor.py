@@ -143,7 +143,7 @@ class FaultMonitor:
             return
         if value > self._counters.get(place, math.inf):
             # The status writes words with underscores, the log without.
-            self.said.append(f"{key} rose: {key.replace('_', ' ')}")
+            self.said.append(f"{key.replace('_', ' ')} rose ({key})")
         self._counters[place] = value
 
     def _take_log(self, message: Any) -> None:

@@ -68,7 +68,7 @@ class SentInputs:
         """
         joined = hold.starting_at(now, self.at(now))
         newest = self.newest
-        if newest is None or hold.start <= now + _SHORTEST:
+        if newest is None:
             return joined
         bends = _between(newest, now + _SHORTEST, hold.start - _SHORTEST)
         if not bends:

@@ -69,7 +69,6 @@ class ControllerNode(LivingNode):
         warn_of_unknown(self, [*declared.names, *robot.names])
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
-        self.urgent = not settings.lockstep
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
         self._aside = Background(lambda line: self._faults.report("learning failed", line))
         self.controller = Controller(
@@ -89,6 +88,11 @@ class ControllerNode(LivingNode):
         self._listen()
         tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
         self._diagnostics = Diagnostics(self, self._stamp, tasks)
+
+    @property
+    def urgent(self) -> bool:
+        """Whether time does not wait for this node."""
+        return not self._settings.lockstep
 
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""

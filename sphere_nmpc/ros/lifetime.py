@@ -39,8 +39,11 @@ class LivingNode(Node):
 
     lean = False
     """Whether the node is called so often that its executor matters."""
-    urgent = False
-    """Whether the node keeps pace with the wall clock, and is late when others run first."""
+
+    @property
+    def urgent(self) -> bool:
+        """Whether the node keeps pace with the wall clock, and is late when others run first."""
+        return False
 
     def work(self, executor: Executor) -> None:
         """Do one piece of work; called over and over until the node is asked to end."""

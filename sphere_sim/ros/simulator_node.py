@@ -68,7 +68,6 @@ class SimulatorNode(LivingNode):
             self, [*declared.names, *robot.names, *body.names, *pushing.names]
         )
         settings = self._settings = declared.settings
-        self.urgent = _keeps_pace(settings)
         start = as_state(settings.initial_state)
         plant = make_plant(settings.plant, robot.settings, start, body.settings)
         self.simulator = Simulator(settings, robot.settings, plant)
@@ -102,6 +101,12 @@ class SimulatorNode(LivingNode):
         self._partner = False
         self._served = self._told = time.monotonic()
         self._begin()
+
+    @property
+    def urgent(self) -> bool:
+        """Whether time is to pass as on the wall; faster, one processor would not suffice."""
+        settings = self._settings
+        return not settings.lockstep and 0.0 < settings.real_time_factor <= _LIFELIKE
 
     def work(self, executor: Executor) -> None:
         """Advance to the next instant if it is due, and serve the graph now and then."""
@@ -167,7 +172,6 @@ class SimulatorNode(LivingNode):
             now = self.simulator.now
             self._time.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
-        self.urgent = _keeps_pace(settings)
         self.simulator.change(settings)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -230,11 +234,6 @@ class SimulatorNode(LivingNode):
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
         counts = dict(self._faults.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
-
-
-def _keeps_pace(settings: SimulatorSettings) -> bool:
-    """Return whether time is to pass as on the wall; faster, one processor would not suffice."""
-    return not settings.lockstep and 0.0 < settings.real_time_factor <= _LIFELIKE
 
 
 _ABOUT = f"""{__doc__}

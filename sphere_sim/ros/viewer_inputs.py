@@ -24,7 +24,7 @@ from sphere_nmpc.ros.conversions import (
     stamp_from_ros,
 )
 from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
-from sphere_sim.viewer.health import POSE_SILENCE, Health
+from sphere_sim.viewer.health import Health
 
 _STANDSTILL = 0.5
 """Wall time without a newer stamp after which time is said to stand still [s]."""
@@ -59,7 +59,6 @@ class ViewerInputs:
         self._status_topic = f"{controller}/status"
         self._radius: float | None = None
         self._moved_at = time.monotonic()
-        self._stands = False
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for kind, topic, take, qos in (
@@ -75,10 +74,8 @@ class ViewerInputs:
     @property
     def stands_still(self) -> bool:
         """Whether poses arrive, or arrived last, but always that of the same instant."""
-        now, pose_at = time.monotonic(), self.health.pose_at
-        if pose_at is not None and now - pose_at < POSE_SILENCE:
-            self._stands = now - self._moved_at > _STANDSTILL
-        return self._stands
+        pose_at = self.health.pose_at
+        return pose_at is not None and pose_at - self._moved_at > _STANDSTILL
 
     def newest(self) -> Frame:
         """Return the frame, and forget that it was a fresh one."""

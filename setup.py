@@ -8,6 +8,10 @@ from setuptools import find_packages, setup
 
 NAME = "sphere_nmpc"
 SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs")
+VERBS = (
+    "demo", "simulator", "controller", "recorder", "goal", "viewer", "markers", "study",
+    "benchmark", "report", "faults",
+)
 EXTRAS = {
     "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6"],
     # The recorder flushes chunks through private members of rosbags, hence the tight pin.
@@ -55,13 +59,8 @@ setup(
     entry_points={
         "console_scripts": [
             "sphere_nmpc = sphere_sim.cli.main:main",
-            "simulator = sphere_sim.ros.simulator_node:main",
-            "controller = sphere_nmpc.ros.controller_node:main",
-            "recorder = sphere_sim.ros.recorder_node:main",
-            "viewer = sphere_sim.cli.viewer:main",
-            "markers = sphere_sim.ros.marker_node:main",
-            "goal = sphere_sim.ros.goal_publisher:main",
-            "demo = sphere_sim.cli.demo:main",
+            # Each verb too, for `ros2 run`; the command knows the verb by the name of the script.
+            *(f"{verb} = sphere_sim.cli.main:main" for verb in VERBS),
         ]
     },
 )

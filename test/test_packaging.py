@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is installed, by pip and by colcon, is complete."""
 
+import ast
 import os
 import re
 import shutil
@@ -10,16 +11,17 @@ import sys
 import zipfile
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
 from packaging.requirements import Requirement
 
+from sphere_sim.cli import main as cli
+
 ROOT = Path(__file__).parents[1]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
-EXECUTABLES = {
-    "sphere_nmpc", "simulator", "controller", "recorder", "goal", "demo", "viewer", "markers",
-}
+EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
 SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs")
 SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
 HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
@@ -98,6 +100,34 @@ def test_colcon_installs_executables_and_shared_files(tree, tmp_path, option) ->
     assert (prefix / "share/ament_index/resource_index/packages/sphere_nmpc").is_file()
     setup = f". {tmp_path}/install/local_setup.sh && {prefix}/lib/sphere_nmpc/sphere_nmpc"
     assert run("sh", "-c", f"{setup} --version").strip() == "sphere_nmpc 0.1.0"
+
+
+def test_setup_lists_the_verbs_of_the_command() -> None:
+    tree = ast.parse((ROOT / "setup.py").read_text())
+    (verbs,) = (
+        ast.literal_eval(node.value) for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "VERBS"
+    )
+    assert sorted(verbs) == sorted(cli.VERBS)
+
+
+@pytest.mark.parametrize("verb", ["simulator", "study", "report"])
+@pytest.mark.parametrize("suffix", ["", ".exe"])
+def test_executable_named_like_a_verb_runs_it(verb, suffix, monkeypatch) -> None:
+    given = []
+    module = SimpleNamespace(main=lambda arguments: given.append(arguments) or 7)
+    monkeypatch.setattr(cli, "import_module", {cli.VERBS[verb][0]: module}.__getitem__)
+    monkeypatch.setattr(sys, "argv", [f"/lib/sphere_nmpc/{verb}{suffix}", "--out", "x"])
+    assert cli.main() == 7
+    assert given == [["--out", "x"]]
+
+
+def test_executable_of_a_verb_tells_what_is_not_installed(monkeypatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    monkeypatch.setattr(cli, "import_module", lambda name: __import__("rosbags"))
+    monkeypatch.setattr(sys, "argv", ["/lib/sphere_nmpc/report", "bag"])
+    assert cli.main() == 1
+    assert "pip install 'sphere_nmpc[record]'" in capsys.readouterr().err
 
 
 def test_package_xml_agrees_with_setup() -> None:

@@ -3,13 +3,15 @@
 """The ``sphere_nmpc`` command: hands the arguments after a verb to the module of that verb.
 
 Modules are imported only when their verb is called, so that the command starts at once and
-needs no more than what the verb needs.
+needs no more than what the verb needs. Each verb is an executable of its own too, for
+``ros2 run``: started by the name of a verb, the command takes that for its first word.
 """
 
 import sys
 from collections.abc import Sequence
 from importlib import import_module, metadata
 from importlib.util import find_spec
+from pathlib import Path
 
 VERBS = {
     "demo": ("sphere_sim.cli.demo", "run one of the paper's cases and watch it"),
@@ -43,7 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        The verb and its arguments; those of the process by default.
+        The verb and its arguments; by default those of the process, whose own name may be the
+        verb.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The verb's exit code; 1 when it needs a package that is not installed and 2 when there
         is no such verb.
     """
-    verb, *rest = [*(sys.argv[1:] if argv is None else argv)] or ["--help"]
+    verb, *rest = (_of_process() if argv is None else [*argv]) or ["--help"]
     if verb in ("-h", "--help"):
         print(_usage())
         return 0
@@ -70,6 +73,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"sphere_nmpc {verb}: {_advice(missing)}", file=sys.stderr)
         return 1
     return code
+
+
+def _of_process() -> list[str]:
+    """Return the words of this process: `report ...` stands for `sphere_nmpc report ...`."""
+    name = Path(sys.argv[0]).stem  # on Windows a script has a suffix
+    return [name, *sys.argv[1:]] if name in VERBS else sys.argv[1:]
 
 
 def _available() -> list[str]:

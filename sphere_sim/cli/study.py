@@ -186,8 +186,8 @@ def _parser() -> argparse.ArgumentParser:
         "--no-bound", action="store_true", help="leave out the best known times"
     )
     parser.add_argument(
-        "--set", type=_assignment, action="append", default=[], metavar="NAME=VALUE",
-        help="any other setting, such as horizon=8 or simulator.sample_period=0.25",
+        "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+        help="one or several other settings, such as horizon=8 simulator.sample_period=0.25",
     )
     return parser
 

@@ -61,6 +61,21 @@ def test_what_cannot_be_run_exits_2_and_leaves_no_folder(
 
 
 @pytest.mark.parametrize(
+    "settings",
+    [
+        ["--set", "nothing=0", "horizon=3"],
+        ["--set", "horizon=3", "nothing=0"],
+        ["--set", "nothing=0", "--set", "horizon=3"],
+        ["--set", "horizon=3", "--set", "nothing=0"],
+    ],
+    ids=" ".join,
+)
+def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) -> None:
+    assert main(["--draw", "1", "--out", str(tmp_path / "out"), *settings]) == 2
+    assert "nothing: given '0'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     "arguments",
     [
         [],

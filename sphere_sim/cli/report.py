@@ -62,8 +62,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for run in runs:
         for note in run.notes:
             print(f"report: {run.name}: {note}", file=sys.stderr)
-        for name, value in describe(run.metrics()):
+        metrics = run.metrics()
+        for name, value in describe(metrics):
             print(f"{run.name}: {name} {value}")
+        if metrics is None:
+            print(f"{run.name}: no figures, as no goal was in force at any pose; see the notes")
     print(f"report in {page}")
     return 0
 
@@ -75,7 +78,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "SVG), a self-contained HTML page and, if asked for, tables.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG",
-                        help="folder of a bag, or a .mcap or .db3 file")
+                        help="folder of a bag, or a .mcap or .db3 file, also with .zstd behind")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where to write")
     parser.add_argument("--namespace", metavar="NS", help="which robot, if a bag has several")
     parser.add_argument("--animation", action="store_true",

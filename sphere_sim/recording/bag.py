@@ -18,10 +18,13 @@ from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
+from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.goals import read_goals
 from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.run import Run, without_sign_jumps
 from sphere_sim.recording.solves import SOLVE_TOPICS, read_solves
+from sphere_sim.recording.stamps import stamp_of, state_of
 
 POSE = "geometry_msgs/msg/PoseStamped"
 JOINTS = "sensor_msgs/msg/JointState"
@@ -39,8 +42,6 @@ _EXPECTED = {
     **SOLVE_TOPICS,
 }
 _NANO = 1e-9
-_CLOCKS_AGREE = 1.0
-"""Largest difference between the stamp of a goal and its arrival on the same clock [s]."""
 
 
 def read_run(path: Path, namespace: str | None = None, name: str | None = None) -> Run:
@@ -62,36 +63,32 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     Raises
     ------
     BagError
-        If there is no bag, it is empty, it holds another robot, or which robot is not clear.
+        If there is no bag, it is empty, it holds another robot, which robot is not clear, or the
+        files are of several bags.
     """
     messages = read_messages(path, _wanted)
     robot = _namespace(path, messages, namespace)
-    poses = messages.taken.get(f"{robot}/pose", [])
-    if not poses:
-        raise BagError(path, f"is empty: no message on {robot}/pose")
-    notes = list(messages.notes)
-    stamps, states = _states(poses, notes, f"{robot}/pose")
-    if not len(states):
-        raise BagError(path, f"no message on {robot}/pose holds a pose")
-    origin = float(stamps[0])
-    joint_times, speeds, torques = _joints(path, messages, robot, origin, notes)
-    goal_times, goals = _goals(messages, robot, origin, notes)
-    solves = read_solves(messages.taken, robot, origin)
+    notes = messages.notes
+    clock, times, states = _states(path, messages, f"{robot}/pose")
+    joint_times, speeds, torques = _joints(path, messages, robot, clock)
+    goal_times, goals = read_goals(messages.taken, robot, clock, float(times[-1]), notes)
+    solves = read_solves(messages.taken, robot, clock)
     if not solves.times.size:
         notes.append("nothing tells how the controller solved; no solve times")
+    plans = _plans(messages, robot, clock)
     parameters = _parameters(messages.custom_data, f"{robot}/controller")
     return Run(
         name=name or path.stem,
         path=path,
-        origin=origin,
-        times=stamps - origin,
+        origin=clock.origin * _NANO,
+        times=times,
         states=without_sign_jumps(states),
         joint_times=joint_times,
         rotor_speeds=speeds,
         rotor_torques=torques,
         goal_times=goal_times,
         goals=goals,
-        plans=_plans(messages, robot, origin, notes),
+        plans=plans,
         solves=solves,
         robot=_robot(parameters),
         custom_data=messages.custom_data,
@@ -118,6 +115,8 @@ def _namespace(path: Path, messages: Messages, given: str | None) -> str:
         raise BagError(path, f"no robot in namespace '{given}'; it has: {there}")
     if not found:
         topics = ", ".join(sorted(messages.types))
+        if messages.broken:
+            raise BagError(path, _so_far(messages, f"no topic 'pose' of type {POSE}"))
         if not topics:
             raise BagError(path, "is empty: it has no topic at all")
         raise BagError(path, f"no topic 'pose' of type {POSE}, so another robot's; has: {topics}")
@@ -127,39 +126,39 @@ def _namespace(path: Path, messages: Messages, given: str | None) -> str:
     return found[0]
 
 
-def _stamp(entry: tuple[int, Any]) -> float:
-    """Return when a message was made [s]: its own stamp, else when it was received."""
-    return _header_time(entry[1]) or entry[0] * _NANO
+def _so_far(messages: Messages, lacks: str) -> str:
+    """Say what a bag lacks of which there may have been more."""
+    return f"{lacks} in what can be read of it: {'; '.join(messages.notes)}"
 
 
-def _header_time(message: Any) -> float:
-    return float(message.header.stamp.sec + message.header.stamp.nanosec * _NANO)
-
-
-def _states(
-    entries: Sequence[tuple[int, Any]], notes: list[str], topic: str
-) -> tuple[Vector, Vector]:
-    """Return stamps [s] and states (n, 6) of poses in order of stamp, leaving out broken ones."""
-    stamps = np.array([_header_time(message) for _, message in entries])
-    states = np.array([_state(entry[1]) for entry in entries]).reshape(-1, 6)
+def _states(path: Path, messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector]:
+    """Return the run's clock, and times [s] and states (n, 6) of its poses in order of stamp."""
+    entries = messages.taken.get(topic, [])
+    if not entries:
+        lacks = f"no message on {topic}"
+        raise BagError(path, _so_far(messages, lacks) if messages.notes else f"is empty: {lacks}")
+    states = np.array([state_of(message) for _, message in entries])
     norms = np.linalg.norm(states[:, QUATERNION], axis=1)
     sound = np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE
     sound &= np.all(np.isfinite(states), axis=1)
+    if not np.any(sound):
+        raise BagError(path, f"no message on {topic} holds a pose")
     if not np.all(sound):
-        notes.append(f"{topic}: {int(np.sum(~sound))} poses are no poses and were left out")
+        told = f"{topic}: {int(np.sum(~sound))} poses are no poses and were left out"
+        messages.notes.append(told)
+    received, stamps = zip(
+        *((log, stamp_of(it)) for (log, it), use in zip(entries, sound, strict=True) if use),
+        strict=True,
+    )
+    clock = BagClock(received, stamps)
     states = states[sound] / np.where(np.arange(6) < 2, 1.0, norms[sound, None])
     # While simulated time stands still, the simulator repeats the instant it stands at.
-    times, first = np.unique(stamps[sound], return_index=True)
-    return times, states[first]
-
-
-def _state(message: Any) -> list[float]:
-    place, turn = message.pose.position, message.pose.orientation
-    return [place.x, place.y, turn.w, turn.x, turn.y, turn.z]
+    times, first = np.unique([clock.time(stamp) for stamp in stamps], return_index=True)
+    return clock, times, states[first]
 
 
 def _joints(
-    path: Path, messages: Messages, robot: str, origin: float, notes: list[str]
+    path: Path, messages: Messages, robot: str, clock: BagClock
 ) -> tuple[Vector, Vector, Vector]:
     """Return times [s], rotor speeds and torques (m, 2)."""
     topic = f"{robot}/joint_states"
@@ -173,7 +172,7 @@ def _joints(
             continue
         order = [names.index(name) for name in ROTORS]
         rows.append([
-            _header_time(message) - origin,
+            clock.time(stamp_of(message)),
             *_pick(message.velocity, order),
             *_pick(message.effort, order),
         ])
@@ -181,7 +180,7 @@ def _joints(
         names = list(entries[0][1].name)
         raise BagError(path, f"{topic} names {names}, not {list(ROTORS)}: a bag of another robot")
     if not rows:
-        notes.append(f"{topic} is missing; no rotor speeds and torques")
+        messages.notes.append(f"{topic} is missing; no rotor speeds and torques")
     table = np.array(rows, dtype=float).reshape(-1, 5)
     times, first = np.unique(table[:, 0], return_index=True)
     return times, table[first, 1:3], table[first, 3:5]
@@ -191,49 +190,17 @@ def _pick(values: Sequence[float], order: Sequence[int]) -> list[float]:
     return [float(values[i]) if i < len(values) else float("nan") for i in order]
 
 
-def _goals(
-    messages: Messages, robot: str, origin: float, notes: list[str]
-) -> tuple[Vector, Vector]:
-    """Return when goals came into force [s] and the goals (g, 6)."""
-    # What the controller accepted counts; what was asked for is second best.
-    accepted = next(
-        (t for t in sorted(messages.taken) if t.startswith(f"{robot}/") and
-         t.endswith("/active_goal")), None,
-    )
-    topic = accepted or f"{robot}/goal_pose"
+def _plans(messages: Messages, robot: str, clock: BagClock) -> tuple[FirstOrderHold, ...]:
+    topic = f"{robot}/rotor_trajectory"
     entries = messages.taken.get(topic, [])
     if not entries:
-        notes.append(f"{robot}/goal_pose and active_goal are missing; no errors can be told")
-        return np.empty(0), np.empty((0, 6))
-    if accepted is None:
-        notes.append("active_goal is missing; goal_pose is taken instead")
-    times, goals = [], []
-    for received, message in entries:
-        state = np.array(_state(message), dtype=float)
-        norm = float(np.linalg.norm(state[QUATERNION]))
-        if np.all(np.isfinite(state)) and abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
-            state[QUATERNION] /= norm
-            # The controller tells when it took the goal; what a user typed as a stamp does not.
-            # In simulated time the recorder has no clock yet when the first goal comes.
-            told, heard = _header_time(message), received * _NANO
-            soon = accepted is not None and abs(told - heard) < _CLOCKS_AGREE
-            times.append((told if soon else heard) - origin)
-            goals.append(state)
-    return np.array(times), np.array(goals).reshape(-1, 6)
-
-
-def _plans(
-    messages: Messages, robot: str, origin: float, notes: list[str]
-) -> tuple[FirstOrderHold, ...]:
-    topic = f"{robot}/rotor_trajectory"
-    if topic not in messages.taken:
-        notes.append(f"{topic} is missing; no plans")
+        messages.notes.append(f"{topic} is missing; no plans")
     plans = []
-    for entry in messages.taken.get(topic, []):
-        message, start = entry[1], _stamp(entry) - origin
+    for received, message in entries:
         names = list(message.joint_names)
         if set(names) != set(ROTORS):
             continue
+        start = clock.told(stamp_of(message), received, kept=True)
         order = [names.index(name) for name in ROTORS]
         after = [p.time_from_start.sec + p.time_from_start.nanosec * _NANO for p in message.points]
         speeds = [_pick(point.velocities, order) for point in message.points]
@@ -241,6 +208,9 @@ def _plans(
             plans.append(FirstOrderHold(start + np.array(after), np.array(speeds)))
         except InvalidInputError:
             continue  # refused by the simulator as well
+    if len(plans) < len(entries):
+        count = len(entries) - len(plans)
+        messages.notes.append(f"{topic}: {count} trajectories are no plans and were left out")
     return tuple(plans)
 
 

@@ -2,29 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller's status messages tell about its solves."""
 
+import math
 from typing import Any
 
 import numpy as np
 
+from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.run import Solves
+from sphere_sim.recording.stamps import NANOSECONDS
 
 SOLVE_TOPICS = {"status": "diagnostic_msgs/msg/DiagnosticStatus"}
-_NANO = 1e-9
-_CLOCKS_AGREE = 1.0
-"""Largest difference between a told sample instant and its arrival on the same clock [s]."""
 
 
-def read_solves(taken: dict[str, list[tuple[int, Any]]], robot: str, origin: float) -> Solves:
+def read_solves(taken: dict[str, list[tuple[int, Any]]], robot: str, clock: BagClock) -> Solves:
     """Return the solves of a robot's controller.
 
     Parameters
     ----------
     taken : dict of str to list of (int, Any)
-        Messages by topic with their time of reception [ns].
+        Messages by topic with their log time [ns].
     robot : str
         Namespace of the robot, without a slash at its end.
-    origin : float
-        Time of the run's start [s].
+    clock : BagClock
+        The run's clock.
     """
     rows: list[tuple[float, float, float, float, str]] = []
     for topic in sorted(taken):
@@ -35,11 +35,13 @@ def read_solves(taken: dict[str, list[tuple[int, Any]]], robot: str, origin: flo
             duration = _number(values.get("solve_time_s"))
             if "plan" not in values or not duration > 0.0:
                 continue  # nothing was solved
-            # Without simulated time the controller counts from its own start.
-            told, arrived = _number(values.get("time_s")), received * _NANO
-            time = told if abs(told - arrived) < _CLOCKS_AGREE else arrived
+            told = _number(values.get("time_s"))
+            time = clock.heard(received)
+            if math.isfinite(told):
+                # Without simulated time the controller counts from its own start.
+                time = clock.told(round(told * NANOSECONDS), received)
             rows.append((
-                time - origin, duration, _number(values.get("cost")),
+                time, duration, _number(values.get("cost")),
                 _number(values.get("arrival_s")) - told, values["plan"],
             ))
     table = np.array([row[:4] for row in rows], dtype=float).reshape(-1, 4)

@@ -1,15 +1,17 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Small bags of a sphere that rolls to its goal, made without ROS."""
+"""Small bags of a sphere that rolls to its goal, and bags laid out as rosbag2 does it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+import zstandard
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 
 from sphere_sim.recording.bag_writer import BagWriter
 
@@ -140,3 +142,88 @@ def make_bag(tmp_path: Path) -> Callable[..., Path]:
         return write_foreign(folder, entries, StoragePlugin[kind.upper()])
 
     return write
+
+
+def as_rosbag2(
+    folder: Path, entries: Sequence[Entry], kind: str, compression: str = "", parts: int = 2,
+) -> Path:
+    """Write messages, or raw bytes of them, as ``ros2 bag record`` leaves them.
+
+    The storage files are called folder_0, folder_1, …; with compression by file ``.zstd`` takes
+    the place of each; metadata.yaml names them in order, and the mode in capitals.
+    """
+    folder.mkdir()
+    yaml, descriptions, names = YAML(typ="safe"), [], []
+    for i in range(parts):
+        part = folder.parent / f"{folder.name}_part{i}"
+        writer = Writer(part, version=9, storage_plugin=StoragePlugin[kind.upper()])
+        if compression == "message":
+            writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+        with writer:
+            connections = {}
+            for topic, msgtype, _, _ in entries:
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, msgtype, typestore=STORE)
+            share = slice(len(entries) * i // parts, len(entries) * (i + 1) // parts)
+            for topic, msgtype, stamp, data in entries[share]:
+                raw = data if isinstance(data, bytes) else STORE.serialize_cdr(data, msgtype)
+                writer.write(connections[topic], stamp, raw)
+        described = yaml.load((part / "metadata.yaml").read_text())
+        descriptions.append(described["rosbag2_bagfile_information"])
+        file = next(file for file in part.iterdir() if file.suffix in (".mcap", ".db3"))
+        name = f"{folder.name}_{i}{file.suffix}"
+        names.append(f"{name}.zstd" if compression == "file" else name)
+        data = file.read_bytes()
+        (folder / names[-1]).write_bytes(
+            zstandard.compress(data) if compression == "file" else data
+        )
+    stamps = [entry[2] for entry in entries]
+    for i, topic in enumerate(descriptions[0]["topics_with_message_count"]):
+        topic["message_count"] = sum(
+            it["topics_with_message_count"][i]["message_count"] for it in descriptions
+        )
+    about = descriptions[0] | {
+        "relative_file_paths": names,
+        "starting_time": {"nanoseconds_since_epoch": min(stamps)},
+        "duration": {"nanoseconds": max(stamps) - min(stamps)},
+        "message_count": len(entries),
+        "compression_format": "zstd" if compression else "",
+        "compression_mode": compression.upper(),
+        "files": [
+            it["files"][0] | {"path": name} for it, name in zip(descriptions, names, strict=True)
+        ],
+        "ros_distro": "jazzy",
+    }
+    with (folder / "metadata.yaml").open("w") as stream:
+        yaml.default_flow_style = False
+        yaml.dump({"rosbag2_bagfile_information": about}, stream)
+    return folder
+
+
+@pytest.fixture
+def rosbag2(tmp_path: Path) -> Callable[..., Path]:
+    """Return `as_rosbag2` with the name of a folder for the folder."""
+    return lambda entries, *how, name="mine", **more: as_rosbag2(
+        tmp_path / name, list(entries), *how, **more
+    )
+
+
+def on_the_system_clock(entries: Sequence[Entry], wait: float = 3.0) -> list[Entry]:
+    """Return entries with the log times of a recorder without simulated time.
+
+    Time passes as unevenly as on a busy machine; while simulated time stands still before the run
+    the first pose is repeated, and half way through this `wait` [s] the goal is set.
+    """
+    rng = np.random.default_rng(7)
+    before = [entry for entry in entries if entry[0].endswith(("goal_pose", "active_goal"))]
+    after = [entry for entry in entries if entry not in before]
+    pose = next(entry for entry in entries if entry[0].endswith("/pose"))
+    order = [*[pose] * 15, *before, *[pose] * 15, *after]
+    steps = [wait / 30] * (30 + len(before)) + list(rng.exponential(3e-4, len(after)))
+    logs = 1_800_000_000_000_000_000 + np.round(np.cumsum(steps) * 1e9).astype(np.int64)
+    return [(*entry[:2], int(log), entry[3]) for entry, log in zip(order, logs, strict=True)]
+
+
+@pytest.fixture
+def on_system_clock() -> Callable[..., list[Entry]]:
+    return on_the_system_clock

@@ -1,0 +1,186 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One run gives the same figures, however and by whichever clock it was recorded.
+
+The run is one of the nodes themselves. Its bag, by the package's own recorder, is the measure of
+those that ``ros2 bag record`` makes of the same messages. Poses and joint states have the same
+stamps in all of them, and so has the goal that the controller accepted, so nothing but rounding
+may differ.
+"""
+
+import dataclasses
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from sphere_sim.cli.report import main
+from sphere_sim.recording.bag import read_run
+
+pytestmark = pytest.mark.slow
+STORE = get_typestore(Stores.ROS2_JAZZY)
+ROUNDING = 1e-9
+POSE_PERIOD = 0.01
+"""Of the simulator's poses [s]."""
+TOPICS = (
+    "/pose", "/joint_states", "/goal_pose", "/rotor_trajectory", "/controller/active_goal",
+    "/controller/status",
+)
+DEMO = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "demo", "--no-viewer"]
+KINDS = list(product(("sqlite3", "mcap"), ("", "file", "message")))
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory) -> Path:
+    """Return the bag of a run in lockstep."""
+    folder = tmp_path_factory.mktemp("own")
+    subprocess.run(
+        [*DEMO, "--rtf", "0", "--case", "3", "--strategy", "paper", "--no-compare",
+         "--out", str(folder)],
+        check=True, capture_output=True, timeout=120,
+    )
+    return folder / "bag"
+
+
+@pytest.fixture(scope="module")
+def entries(own):
+    """Return topic, type, log time and bytes of the messages that a user would record."""
+    with Reader(own) as reader:
+        wanted = [it for it in reader.connections if it.topic in TOPICS]
+        told = [(it.topic, it.msgtype, log, raw) for it, log, raw in reader.messages(wanted)]
+    there = []
+    for topic, msgtype, log, raw in told:
+        if topic == "/controller/active_goal":
+            # As a user types it, with any stamp; recorders may come too late for the real one.
+            goal = STORE.deserialize_cdr(raw, msgtype)
+            stamp = dataclasses.replace(goal.header.stamp, sec=12345)
+            goal.header = dataclasses.replace(goal.header, stamp=stamp)
+            typed = bytes(STORE.serialize_cdr(goal, msgtype))
+            there.append(("/goal_pose", msgtype, log, typed))
+        if topic != "/goal_pose":
+            there.append((topic, msgtype, log, raw))
+    assert {entry[0] for entry in there} == set(TOPICS)
+    return there
+
+
+def figures(run) -> dict[str, float]:
+    metrics = run.metrics()
+    assert metrics is not None, run.notes
+    return dataclasses.asdict(metrics)
+
+
+def same(given, expected) -> bool:
+    return given == pytest.approx(expected, rel=ROUNDING, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("clock", ["system", "simulated"])
+@pytest.mark.parametrize(("kind", "compression"), KINDS)
+def test_every_bag_of_a_run_has_its_figures(
+    own, entries, rosbag2, on_system_clock, kind, compression, clock
+) -> None:
+    expected = read_run(own)
+    logged = on_system_clock(entries) if clock == "system" else entries
+    bag = rosbag2(logged, kind, compression)
+    for missing in (False, True):
+        if missing:
+            (bag / "metadata.yaml").unlink()
+        run = read_run(bag)
+        told = ["metadata.yaml is missing, the storage was read without it"]
+        assert list(run.notes) == told * missing
+        assert same(figures(run), figures(expected))
+        assert same(run.times, expected.times) and same(run.goal_times, expected.goal_times)
+        assert same(run.solves.times, expected.solves.times)
+        assert same([it.start for it in run.plans], [it.start for it in expected.plans])
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+def test_report_tells_the_same_figures(
+    own, entries, rosbag2, on_system_clock, tmp_path, kind
+) -> None:
+    bags = [own, rosbag2(on_system_clock(entries), kind, "file")]
+    assert main([*map(str, bags), "--out", str(tmp_path / "out")]) == 0
+    told = list(json.loads((tmp_path / "out" / "summary.json").read_text()).values())
+    assert told[0]["metrics"]["settled"] and len(told[0]["metrics"]) == 9
+    assert same(told[1]["metrics"], told[0]["metrics"])
+    assert told[1]["notes"] == []
+
+
+@pytest.mark.parametrize("clock", ["system", "simulated"])
+def test_a_goal_without_a_stamp_is_right_within_a_pose_period(
+    own, entries, rosbag2, on_system_clock, clock
+) -> None:
+    logged = [entry for entry in entries if entry[0] != "/controller/active_goal"]
+    run = read_run(rosbag2(on_system_clock(logged) if clock == "system" else logged, "mcap"))
+    told, expected = figures(run), figures(read_run(own))
+    assert told["settle_time_s"] == pytest.approx(expected["settle_time_s"], abs=POSE_PERIOD)
+    assert told["final_error"] == pytest.approx(expected["final_error"], rel=ROUNDING)
+
+
+@pytest.mark.parametrize("left_out", TOPICS[1:])
+def test_every_topic_but_the_poses_may_be_missing(
+    own, entries, rosbag2, on_system_clock, left_out
+) -> None:
+    logged = on_system_clock([entry for entry in entries if entry[0] != left_out])
+    run = read_run(rosbag2(logged, "mcap", parts=1))
+    expected = figures(read_run(own))
+    lost = {"/joint_states": "max_rotor", "/controller/status": "solve_ms"}.get(left_out, "-")
+    for name, value in figures(run).items():
+        assert (value != value) if name.startswith(lost) else same(value, expected[name])
+    word = {"/controller/status": "no solve times", "/goal_pose": ""}.get(left_out)
+    word = left_out.rpartition("/")[2] if word is None else word
+    assert word in " ".join(run.notes) and bool(run.notes) == bool(word)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_one_file_of_several_is_read_and_told(
+    own, entries, rosbag2, on_system_clock, number
+) -> None:
+    bag = rosbag2(on_system_clock(entries), "sqlite3", "file")
+    run = read_run(bag / f"mine_{number}.db3.zstd")
+    assert f"mine_{1 - number}.db3.zstd beside it" in run.notes[0]
+    assert 300 < len(run.times) < 600 < len(read_run(own).times)
+
+
+@pytest.mark.parametrize(("kind", "compression"), KINDS)
+def test_other_readers_take_these_bags(
+    entries, rosbag2, on_system_clock, kind, compression
+) -> None:
+    logged = on_system_clock(entries)
+    bag = rosbag2(logged, kind, compression)
+    with Reader(bag) as reader:
+        assert [log for _, log, _ in reader.messages()] == [entry[2] for entry in logged]
+
+
+def test_databases_are_those_of_rosbag2(entries, rosbag2) -> None:
+    bag = rosbag2(entries, "sqlite3")
+    poses = 0
+    for number in range(2):
+        with sqlite3.connect(bag / f"mine_{number}.db3") as connection:
+            poses += connection.execute(
+                "SELECT count(*) FROM messages JOIN topics ON topics.id = topic_id "
+                "WHERE name = '/pose' AND type = 'geometry_msgs/msg/PoseStamped'"
+            ).fetchone()[0]
+    assert poses == sum(entry[0] == "/pose" for entry in entries)
+
+
+def test_mcap_files_decode_elsewhere(entries, rosbag2, own) -> None:
+    bag, stamps = rosbag2(entries, "mcap"), set()
+    for number in range(2):
+        with (bag / f"mine_{number}.mcap").open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            for message in reader.iter_decoded_messages(topics=["/pose"]):
+                stamp = message.decoded_message.header.stamp
+                stamps.add(stamp.sec + 1e-9 * stamp.nanosec)
+    assert same(sorted(stamps), read_run(own).times)

@@ -37,6 +37,8 @@ from sphere_sim.cli.domain import own_domain
 PATIENCE = 60.0
 """How long nodes on a busy machine may take to come up [s]."""
 _RADIUS = 0.3
+_FIRST = {"thread_priority": 1}
+"""Of the nodes that are measured, where the system allows it."""
 
 
 @dataclass
@@ -120,8 +122,8 @@ def running(
     """Run both nodes with these parameters; yield their observer, time still paused."""
     # ROS takes over the processes' environment: a domain of its own keeps others out.
     with own_domain(), tempfile.TemporaryDirectory() as logs, Children(Path(logs)) as children:
-        children.start("simulator", _arguments({"start_paused": True, **simulator}))
-        children.start("controller", _arguments({"use_sim_time": True, **controller}))
+        children.start("simulator", _arguments({**_FIRST, "start_paused": True, **simulator}))
+        children.start("controller", _arguments({**_FIRST, "use_sim_time": True, **controller}))
         rclpy.init()
         try:
             yield Observer(children, keep_poses)

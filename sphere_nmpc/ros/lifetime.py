@@ -24,14 +24,16 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.loopback import stay_on_this_machine
-from sphere_nmpc.ros.precedence import schedule
+from sphere_nmpc.ros.loopback import audience, heed_localhost_only
+from sphere_nmpc.ros.precedence import refusal, schedule
 
 _LOOK_UP = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
 _TURN = 5e-4
 """Longest turn of a thread beside the control loop [s]; rather than 5 ms."""
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
+_OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
+"""In a namespace a robot has a clock of its own; a remapping that the user gives goes before."""
 
 
 class LivingNode(Node):
@@ -41,9 +43,9 @@ class LivingNode(Node):
     """Whether the node is called so often that its executor matters."""
 
     @property
-    def urgent(self) -> bool:
-        """Whether the node keeps pace with the wall clock, and is late when others run first."""
-        return False
+    def thread_priority(self) -> int:
+        """Real-time priority that the node's threads ask for; 0 is ordinary scheduling."""
+        return 0
 
     def work(self, executor: Executor) -> None:
         """Do one piece of work; called over and over until the node is asked to end."""
@@ -83,8 +85,8 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
     if own:
         print(f"{own[0]}: not understood; parameters are given as\n{_HOW_TO}", file=sys.stderr)
         return 2
-    stay_on_this_machine()
-    rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    heed_localhost_only()
+    rclpy.init(args=[*given, *_OWN_CLOCK], signal_handler_options=SignalHandlerOptions.NO)
     try:
         return _live(make_node)
     finally:
@@ -110,12 +112,14 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
             # The other one knows no guard conditions; it looks up often enough.
             stop.wake = node.create_guard_condition(lambda: None).trigger
         executor.add_node(node)
+        node.get_logger().info(audience())
         try:
-            first = False
+            priority = 0
             while not stop.requested:
-                if node.urgent is not first:
-                    first = node.urgent
-                    schedule(first)
+                if node.thread_priority != priority:
+                    priority = node.thread_priority
+                    if not schedule(priority):
+                        node.get_logger().warning(refusal(priority))
                 node.work(executor)
         finally:
             # From here on nothing may interrupt: launch's second SIGINT arrives about now.

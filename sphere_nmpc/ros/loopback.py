@@ -1,39 +1,82 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes are heard on this machine only, unless whoever starts them says otherwise.
+"""Who can hear a node: what the environment of ROS says, and how to stay on the loopback.
 
-ROS itself looks for nodes in the whole network. With its range ``LOCALHOST`` it looks on this
-machine only, but Fast DDS still opens its ports on all interfaces, for everybody to send to.
+A node does what its environment says. ``ROS_LOCALHOST_ONLY=1`` is taken at its word: ROS itself
+reads it as the discovery range ``LOCALHOST``, with which Fast DDS looks for nodes on this machine
+only but still opens its ports on all interfaces, for everybody to send to.
 """
 
 import os
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+SWITCH = "ROS_LOCALHOST_ONLY"
+PROFILES = Path(__file__).with_name("loopback.xml")
+"""Settings of Fast DDS with which it uses the loopback alone."""
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where Fast DDS looks for its settings, up to version 2 and from 3 on."""
-_WISHES = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS", *_PROFILES)
-"""Who sets one of these knows who is to be heard."""
+_PEERS, _SERVER = "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
+_GIVEN = (_PEERS, _SERVER, "FASTDDS_BUILTIN_TRANSPORTS", *_PROFILES)
+"""With one of these set, the user has chosen who is to be heard."""
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+_REACH = {
+    "SUBNET": f"by every machine of the network; {SWITCH}=1 keeps it on this machine",
+    "LOCALHOST": f"on this machine only; its ports are open on all interfaces, {SWITCH}=1 "
+    "closes them",
+    "OFF": "by nobody but this process",
+    "SYSTEM_DEFAULT": "as the middleware is set up",
+}
 
 
 def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Let nodes that start from now on listen on the loopback alone.
+    """Let nodes that start from now on use the loopback alone.
 
     Parameters
     ----------
     environment : mapping, optional
-        Of this process; left as it is where it says anything about the network.
+        Of this process; left as it is where it asks for more than this machine.
     """
-    if any(environment.get(name) for name in _WISHES):
+    if any(environment.get(name) for name in _GIVEN):
         return
     if environment.get(RANGE, "LOCALHOST").upper() != "LOCALHOST":
         return
+    # With it set, ROS adds transports of its own beside those of the file.
+    environment.pop(SWITCH, None)
     if environment.get("RMW_IMPLEMENTATION", "") not in _FAST_DDS:
         environment[RANGE] = "LOCALHOST"
         return
-    # In any other range ROS adds a transport of its own beside the one of the file.
+    # So it does in any other range.
     environment[RANGE] = "SYSTEM_DEFAULT"
     for name in _PROFILES:
-        environment[name] = str(Path(__file__).with_name("loopback.xml"))
+        environment[name] = str(PROFILES)
+
+
+def heed_localhost_only(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Stay on the loopback if ``ROS_LOCALHOST_ONLY`` is 1; else leave everything as it is."""
+    if environment.get(SWITCH) == "1":
+        environment.pop(RANGE, None)  # as in ROS, where the switch goes before the range
+        stay_on_this_machine(environment)
+
+
+def audience(environment: Mapping[str, str] = os.environ) -> str:
+    """Return in one line who can hear a node with this environment."""
+    given = next((environment[name] for name in _PROFILES if environment.get(name)), "")
+    reach = environment.get(RANGE, "").upper()
+    if environment.get(SWITCH) == "1":
+        reach = "LOCALHOST"
+    if given == str(PROFILES) and reach == "SYSTEM_DEFAULT":
+        heard = "on this machine only, over the loopback"
+    elif server := environment.get(_SERVER):
+        heard = f"by the nodes of the discovery server {server}"
+    else:
+        heard = _REACH.get(reach, _REACH["SUBNET"])
+        if given:
+            heard += f"; transports as in {given}"
+        if peers := environment.get(_PEERS):
+            heard += f"; also by {peers}"
+    secured = environment.get("ROS_SECURITY_ENABLE") == "true"
+    return f"ROS domain {environment.get('ROS_DOMAIN_ID') or '0'}: heard {heard}" + (
+        "; SROS 2 is on" if secured else ""
+    )

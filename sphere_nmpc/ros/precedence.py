@@ -1,23 +1,50 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Who goes first where processors are few: what is controlled before what is seen."""
+"""Scheduling of a node's process: real-time priority where asked for, niceness for viewers."""
 
 import contextlib
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
-REAL_TIME_PRIORITY = 1
-"""The lowest there is: ahead of everything that has no deadlines, behind all else that has."""
-_COURTESY = 5
-"""Niceness of what may stutter."""
+from sphere_nmpc.quantity import quantity, validate
+
+_NICENESS = 5
+"""Of a process that only shows what others do."""
 _TASKS = Path("/proc/self/task")
 _OF_SESSION = Path("/proc/self/autogroup")
 
 
-def schedule(in_real_time: bool) -> bool:
-    """Schedule this process in real time (SCHED_FIFO) where the system allows that, or as usual.
+@dataclass(frozen=True)
+class SchedulingSettings:
+    """How the threads of a node are scheduled.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not in its range.
+    """
+
+    thread_priority: int = quantity(
+        0, "-",
+        "Real-time priority (SCHED_FIFO) while time runs with the wall clock; 0 is ordinary "
+        "scheduling",
+        minimum=0, maximum=99, live=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+def schedule(priority: int) -> bool:
+    """Schedule all threads of this process with a real-time priority, or as usual.
 
     It takes Linux and root, CAP_SYS_NICE or `rtprio` in limits.conf; without, all stays as it is.
+
+    Parameters
+    ----------
+    priority : int
+        Of SCHED_FIFO, 1 to 99; 0 is ordinary scheduling.
 
     Returns
     -------
@@ -25,23 +52,32 @@ def schedule(in_real_time: bool) -> bool:
         Whether it was allowed.
     """
     try:
-        policy = os.SCHED_FIFO if in_real_time else os.SCHED_OTHER
-        priority = os.sched_param(REAL_TIME_PRIORITY if in_real_time else 0)
+        policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+        wanted = os.sched_param(priority)
         # Each thread has its own, and the middleware has begun some.
         for task in _TASKS.iterdir():
-            os.sched_setscheduler(int(task.name), policy, priority)
+            os.sched_setscheduler(int(task.name), policy, wanted)
     except (OSError, AttributeError):
         return False
     return True
 
 
-def stand_back() -> None:
-    """Let this process run behind the nodes.
+def refusal(priority: int) -> str:
+    """Return the one line about a priority that the system does not allow."""
+    return (
+        f"thread_priority: given {priority}, but this user may not schedule in real time, "
+        "expected root, CAP_SYS_NICE or rtprio in /etc/security/limits.conf; going on with "
+        "ordinary scheduling"
+    )
 
-    What is seen may stutter sooner than what is controlled. Within a session that is what niceness
-    does; between sessions Linux shares processors out by that of the session.
+
+def stand_back() -> None:
+    """Let this process run behind the nodes that control.
+
+    Within a session niceness does that; between sessions Linux shares processors out by the
+    niceness of the session.
     """
-    os.nice(_COURTESY)
+    os.nice(_NICENESS)
     with contextlib.suppress(OSError):
         if os.getsid(0) == os.getpid():
-            _OF_SESSION.write_text(str(_COURTESY))
+            _OF_SESSION.write_text(str(_NICENESS))

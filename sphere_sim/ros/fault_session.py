@@ -111,8 +111,11 @@ class FaultSession:
         parameters: dict[str, dict[str, object]] = {
             "controller": {
                 "use_sim_time": True, "command_rate": _RATE, "strategy": self.settings.strategy,
+                "thread_priority": 1,
             },
-            "simulator": {"real_time_factor": self.settings.pace, "pose_rate": _RATE},
+            "simulator": {
+                "real_time_factor": self.settings.pace, "pose_rate": _RATE, "thread_priority": 1,
+            },
             "recorder": {"use_sim_time": True},
         }
         if name == "recorder":
@@ -135,7 +138,7 @@ class FaultSession:
         """
         for name in self.processes:
             self.start(name)
-        self.goals.wait_for_controller(READY, listeners=2)
+        self.goals.wait_for_controller(READY)
         for client in self._clients.values():
             self.wait(client.service_is_ready, READY, f"the service {client.srv_name}")
         self.wait(lambda: self.monitor.time > 0.0, READY, "simulated time")

@@ -47,15 +47,13 @@ class GoalSender:
         self._publisher = node.create_publisher(PoseStamped, "goal_pose", 1)
         self._confirmation = node.create_subscription(PoseStamped, active, self._note, latched)
 
-    def wait_for_controller(self, timeout: float, listeners: int = 1) -> None:
-        """Wait until the controller is matched, and so many listen to the goal.
+    def wait_for_controller(self, timeout: float) -> None:
+        """Wait until the controller is matched, and everybody else who listens to the goal.
 
         Parameters
         ----------
         timeout : float
             Longest wait [s].
-        listeners : int, optional
-            How many subscribers the goal needs.
 
         Raises
         ------
@@ -63,7 +61,7 @@ class GoalSender:
             If that does not happen in time.
         """
         topic = self._publisher.topic_name
-        if not self._wait(timeout, lambda: self._is_matched(listeners)):
+        if not self._wait(timeout, self._is_matched):
             number = self._publisher.get_subscription_count()
             raise GoalNotAcceptedError(
                 f"no controller came up within {timeout:g} s: {number} subscribers of {topic}, "
@@ -88,11 +86,11 @@ class GoalSender:
                 f"{timeout:g} s; the controller's log says why"
             )
 
-    def _is_matched(self, listeners: int) -> bool:
+    def _is_matched(self) -> bool:
         matched = self._publisher.get_subscription_count()
         known = self._node.count_subscribers(self._publisher.topic_name)
         heard = self._node.count_publishers(self._confirmation.topic_name)
-        return matched >= max(listeners, known) and heard > 0
+        return matched >= max(1, known) and heard > 0
 
     def _is_accepted(self, goal: Vector) -> bool:
         accepted = self._accepted

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes listen on this machine only, unless whoever starts them says otherwise."""
+"""Nodes do what the environment of ROS says, and stay on the loopback where it asks for that."""
 
 import ipaddress
 import os
@@ -13,7 +13,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from sphere_nmpc.ros.loopback import RANGE, stay_on_this_machine
+from sphere_nmpc.ros.loopback import (
+    RANGE,
+    SWITCH,
+    audience,
+    heed_localhost_only,
+    stay_on_this_machine,
+)
 
 psutil = pytest.importorskip("psutil")
 
@@ -61,13 +67,54 @@ def test_other_middleware_is_asked_in_the_words_of_ros() -> None:
     assert environment == {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"}
 
 
+@pytest.mark.parametrize("given", [{}, {RANGE: "LOCALHOST"}, {SWITCH: "0"}, {SWITCH: ""}])
+def test_a_node_leaves_the_environment_alone_unless_asked(given) -> None:
+    environment = dict(given)
+    heed_localhost_only(environment)
+    assert environment == given
+
+
+@pytest.mark.parametrize("range_", ["", "SUBNET"])
+def test_localhost_only_means_the_loopback_alone_whatever_the_range(range_) -> None:
+    asked, wanted = {SWITCH: "1", RANGE: range_}, {}
+    heed_localhost_only(asked)
+    stay_on_this_machine(wanted)
+    assert asked == wanted
+
+
+@pytest.mark.parametrize(
+    ("environment", "told"),
+    [
+        ({}, "domain 0: heard by every machine of the network; ROS_LOCALHOST_ONLY=1 keeps"),
+        ({"ROS_DOMAIN_ID": "7", RANGE: "SUBNET"}, "domain 7: heard by every machine"),
+        ({RANGE: "LOCALHOST"}, "on this machine only; its ports are open on all interfaces"),
+        ({SWITCH: "1"}, "on this machine only"),
+        ({RANGE: "OFF"}, "heard by nobody"),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.7"}, "also by 10.0.0.7"),
+        ({"ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}, "discovery server 10.0.0.1:11811"),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}, "transports as in mine.xml"),
+        ({"ROS_SECURITY_ENABLE": "true"}, "SROS 2 is on"),
+    ],
+)
+def test_one_line_says_who_can_hear_a_node(environment, told) -> None:
+    assert told in audience(environment)
+
+
+def test_who_stays_on_the_loopback_says_so() -> None:
+    environment = {"ROS_DOMAIN_ID": "3"}
+    stay_on_this_machine(environment)
+    assert audience(environment) == (
+        "ROS domain 3: heard on this machine only, over the loopback"
+    )
+
+
 @pytest.fixture
 def nodes(tmp_path) -> Iterator[dict[str, psutil.Process]]:
-    """All nodes of the package, as they are installed and with no word about the network."""
+    """All nodes of the package, asked to stay on this machine."""
     plain = {
         name: value for name, value in os.environ.items()
         if not name.startswith(("ROS_", "FAST")) or name == "ROS_DOMAIN_ID"
-    }
+    } | {SWITCH: "1"}
     arguments = {"viewer": ["--port", "0"]}
     started = {
         verb: subprocess.Popen(

@@ -13,19 +13,21 @@ if not hasattr(os, "sched_getscheduler"):
 
 CODE = """
 import os, threading
-from sphere_nmpc.ros.precedence import schedule, stand_back
+from sphere_nmpc.ros.precedence import refusal, schedule, stand_back
 {first}
 idle = threading.Event()
 threading.Thread(target=idle.wait, daemon=True).start()
 policies = lambda: {{os.sched_getscheduler(int(task)) for task in os.listdir("/proc/self/task")}}
 usual = os.sched_getscheduler(0)
-allowed = schedule(True)
+allowed = schedule(7)
+assert not allowed or os.sched_getparam(0).sched_priority == 7
 assert policies() == {{os.SCHED_FIFO if allowed else usual}}, policies()
-schedule(False)
+schedule(0)
 assert policies() == {{os.SCHED_OTHER if allowed else usual}}, policies()
 before = os.nice(0)
 stand_back()
 assert os.nice(0) == min(19, before + 5)
+assert "given 7" in refusal(7)
 print(allowed)
 """
 

@@ -1,6 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is recorded unless somebody says otherwise, and which topics a pattern means."""
+"""What is recorded unless somebody says otherwise, and which topics a pattern means.
+
+``goal_pose`` is not among it: ``ros2 topic pub --once`` sends at its first matched subscription,
+and with a recorder among the subscribers the goal may never reach the controller. Accepted
+goals are on ``controller/active_goal``, refused ones in ``/rosout``.
+"""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -9,7 +14,6 @@ DEFAULT_TOPICS = (
     "pose",
     "odom",
     "joint_states",
-    "goal_pose",
     "rotor_trajectory",
     "rotor_commands",
     "controller/*",
@@ -27,17 +31,14 @@ KNOWN_TYPES = {
     "pose": "geometry_msgs/msg/PoseStamped",
     "odom": "nav_msgs/msg/Odometry",
     "joint_states": "sensor_msgs/msg/JointState",
-    "goal_pose": "geometry_msgs/msg/PoseStamped",
     "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",
     "rotor_commands": "std_msgs/msg/Float64MultiArray",
     "controller/active_goal": "geometry_msgs/msg/PoseStamped",
     "/clock": "rosgraph_msgs/msg/Clock",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
-"""Types of the topics that are awaited before anybody publishes them.
-
-A goal is published once; whoever subscribes only after having seen its publisher misses it.
-"""
+"""Types of the topics that are awaited before anybody publishes them, so that the first messages
+are not missed."""
 
 LATCHED = ("controller/active_goal",)
 """Those of them whose publisher keeps the last message for late subscribers."""

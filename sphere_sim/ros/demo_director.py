@@ -28,7 +28,7 @@ from sphere_nmpc.ros.conversions import (
 )
 from sphere_sim.ros.goal_sender import GoalSender
 
-_HEARD = ("/clock", "/pose", "/goal_pose", "/controller/active_goal")
+_HEARD = ("/clock", "/pose", "/controller/active_goal")
 """What the recorder must have heard before time starts; the simulator repeats while paused."""
 _MATCHED = ("/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands", "/controller/status")
 """What it must be ready for."""
@@ -107,8 +107,7 @@ class DemoDirector:
             If the nodes do not come together.
         """
         end = time.monotonic() + timeout
-        # The goal is published once: controller and recorder must both be listening.
-        self._sender.wait_for_controller(timeout, listeners=2)
+        self._sender.wait_for_controller(timeout)
         self._await(self._pause.service_is_ready, end, "the simulator's services")
         self._await(self._recorder.service_is_ready, end, "the recorder's services")
         self._sender.send(self._goal, self._radius, max(1.0, end - time.monotonic()))

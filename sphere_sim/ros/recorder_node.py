@@ -42,7 +42,6 @@ from sphere_sim.recording.topics import (
 from sphere_sim.ros.parameter_snapshots import ParameterSnapshots
 from sphere_sim.ros.qos import fitting_qos, qos_for_bag, same_demand
 
-_CLOCK = "/clock"
 _DISCOVERY_PERIOD = 0.2
 """Wall time between two looks at the graph [s]."""
 _KEPT = 2
@@ -78,6 +77,7 @@ class RecorderNode(LivingNode):
         super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
         declared = DeclaredSettings(self, RecorderSettings())
         self._settings = declared.settings
+        self._clock_topic = self.resolve_topic_name("/clock")
         self._patterns = self._declare_topics()
         warn_of_unknown(self, [*declared.names, "topics"])
         self._bag: BagWriter | None = None
@@ -91,10 +91,10 @@ class RecorderNode(LivingNode):
         self._snapshots = ParameterSnapshots(self)
         self._simulates = bool(self.get_parameter("use_sim_time").value)
         self._simulated = 0
-        if self._simulates and not is_wanted(_CLOCK, self._patterns):
-            self._patterns.append(_CLOCK)
+        if self._simulates and not is_wanted(self._clock_topic, self._patterns):
+            self._patterns.append(self._clock_topic)
         for name, msgtype in KNOWN_TYPES.items():
-            topic = absolute(name, self.get_namespace())
+            topic = self._full_name(name)
             if is_wanted(topic, self._patterns):
                 self._subscribe(topic, msgtype, fitting_qos((), name in LATCHED))
         if self._settings.record_on_start:
@@ -124,7 +124,11 @@ class RecorderNode(LivingNode):
         )
         topics = [str(topic) for topic in given or DEFAULT_TOPICS]
         self.declare_parameter(name, topics, about, ignore_override=True)
-        return [absolute(topic, self.get_namespace()) for topic in topics]
+        return [self._full_name(topic) for topic in topics]
+
+    def _full_name(self, topic: str) -> str:
+        """Return a topic or pattern as it is in the graph; a robot in a namespace has a clock."""
+        return self._clock_topic if topic == "/clock" else absolute(topic, self.get_namespace())
 
     def _discover(self) -> None:
         """Subscribe to what is new and adapt to what the publishers offer."""
@@ -188,7 +192,7 @@ class RecorderNode(LivingNode):
                     self._inbox.append((taken[1]["received_timestamp"], topic, bytes(taken[0])))
         inbox, self._inbox = self._inbox, []
         for arrival, topic, message in sorted(inbox, key=lambda entry: entry[0]):
-            if topic == _CLOCK:
+            if topic == self._clock_topic:
                 self._simulated = stamp_in_clock(message)
             self._write(topic, message, self._simulated if self._simulates else arrival)
 

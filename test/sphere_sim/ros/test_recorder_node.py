@@ -135,7 +135,8 @@ def test_killed_recorder_loses_at_most_a_second(graph, record) -> None:
 
 @pytest.mark.slow
 def test_simulated_time_stamps_messages_and_what_came_before_it_is_kept(graph, record) -> None:
-    recording = record("-p", "use_sim_time:=true")
+    # The clock is recorded in any case.
+    recording = record("-p", "use_sim_time:=true", "-p", "topics:=[goal_pose]")
     goal = graph.speaker(PoseStamped, "goal_pose")
     clock = graph.speaker(Clock, "/clock")
     goal.publish(PoseStamped())

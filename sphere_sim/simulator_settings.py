@@ -9,6 +9,8 @@ from sphere_nmpc.quantity import quantity, validate
 
 PLANTS = ("rolling", "rigid_body")
 """Plants that can be chosen by name."""
+CLOCKS = ("simulated", "system")
+"""Clocks that the simulated world can run on."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,17 @@ class SimulatorSettings:
         "Start at rest: x, y, then the quaternion w, x, y, z",
         minimum=-1e6,
         maximum=1e6,
+    )
+    clock: str = quantity(
+        "simulated",
+        "-",
+        "Time of its own, published on /clock, or the system clock, as on a real robot",
+        choices=CLOCKS,
+    )
+    frame_prefix: str = quantity(
+        "",
+        "-",
+        "What stands before base_link in frame names; if empty, the node's namespace",
     )
     real_time_factor: float = quantity(
         1.0,
@@ -119,11 +132,25 @@ class SimulatorSettings:
 
     def __post_init__(self) -> None:
         validate(self)
+        if self.is_on_system_clock:
+            for name, expected in (
+                ("real_time_factor", 1.0), ("lockstep", False), ("start_paused", False)
+            ):
+                if getattr(self, name) != expected:
+                    raise InvalidParameterError(
+                        name, getattr(self, name), f"{expected} with clock: system, which nobody "
+                        "can stop or hurry"
+                    )
         if self.lockstep and not self.is_sensor_plain:
             raise InvalidParameterError(
                 "lockstep", True, "false where sensor_rate, sensor_latency or sensor_dropout is "
                 "not 0: the answer to the pose of an instant would wait for ever",
             )
+
+    @property
+    def is_on_system_clock(self) -> bool:
+        """Whether time is that of the system clock."""
+        return self.clock == "system"
 
     @property
     def is_sensor_plain(self) -> bool:

@@ -29,6 +29,9 @@ class Timekeeper:
         Wall time after which such a wait is given up [s].
     paused : bool
         Whether time stands still at first.
+    keeps_up : bool
+        Whether lost time is made up at once: a world on the system clock runs on, whatever
+        becomes of the process that simulates it.
     """
 
     def __init__(
@@ -39,10 +42,12 @@ class Timekeeper:
         lockstep: bool = False,
         lockstep_timeout: float = 5.0,
         paused: bool = False,
+        keeps_up: bool = False,
     ) -> None:
         self._pose_period = pose_period
         self._sample_period = sample_period
         self._factor = real_time_factor
+        self._keeps_up = keeps_up
         self.lockstep = lockstep
         self._timeout = lockstep_timeout
         self.paused = paused
@@ -64,6 +69,18 @@ class Timekeeper:
     def upcoming(self, now: int) -> int:
         """Return the instant after `now` at which something is published [ns]."""
         return min((now // self._pose_period + 1) * self._pose_period, self.next_sample(now))
+
+    def due(self, now: int, wall: float) -> int:
+        """Return the instant to advance to from `now` [ns] when the steady clock shows `wall` [s].
+
+        That is the upcoming one, or the newest that has passed where time is made up.
+        """
+        instant = self.upcoming(now)
+        if not self._keeps_up:
+            return instant
+        start, wall_then = self._anchor
+        passed = start + round((wall - wall_then) * self._factor * NANOSECONDS)
+        return max(instant, passed // self._pose_period * self._pose_period)
 
     def restart(self, now: int, wall: float) -> None:
         """Count time from here on, as after a pause."""
@@ -131,7 +148,7 @@ class Timekeeper:
         """Take note that simulated time has reached `now` [ns]."""
         late = wall - self._ideal(now)
         self._last = (now, wall)
-        if self._factor > 0.0 and late > _LATEST:
+        if self._factor > 0.0 and late > _LATEST and not self._keeps_up:
             self.lost += late
             self.restart(now, wall)
         if self._stop_at is not None and now >= self._stop_at:

@@ -8,6 +8,7 @@ from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.sent_inputs import SentInputs
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.errors import InvalidStateError
@@ -39,11 +40,14 @@ _SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
 class Mode(Enum):
     """What the controller is doing, and why it does nothing where it does nothing."""
 
+    NO_CLOCK = "no clock yet"
+    STANDSTILL = "the clock stands still"
     NO_POSE = "no pose yet"
     NO_GOAL = "no goal yet"
     DISABLED = "disabled"
     BLIND = "no fresh pose, ramping to rest"
     TRACKING = "on the way to the goal"
+    AT_GOAL = "at the goal"
     FALLBACK = "solve failed, following the previous plan"
 
 
@@ -76,6 +80,11 @@ class Decision:
     angle_error: float = float("nan")
     pose_age: float = float("inf")
     covariance: Vector | None = None
+
+    @property
+    def solved(self) -> bool:
+        """Whether the plan is what the strategy found for this instant."""
+        return self.mode in (Mode.TRACKING, Mode.AT_GOAL)
 
     @property
     def position_deviation(self) -> float:
@@ -120,6 +129,7 @@ class Controller:
         self._sent = SentInputs()
         self._pose: tuple[float, Vector] | None = None
         self._goal: Vector | None = None
+        self._arrival = Arrival()
         self._aside = aside
         self._time_budget = float("inf")
         self.enabled = True
@@ -153,6 +163,11 @@ class Controller:
         return self._fusion
 
     @property
+    def at_goal(self) -> bool:
+        """Whether the error has stayed within ``goal_tolerance`` for a sample period."""
+        return self._arrival.reached
+
+    @property
     def goal(self) -> Vector | None:
         """The goal in force, shape (6,), or None."""
         return None if self._goal is None else self._goal.copy()
@@ -160,12 +175,18 @@ class Controller:
     def set_goal(self, goal: Vector) -> None:
         """Aim at another state, shape (6,), from the next sample instant on.
 
+        The goal that is in force already changes nothing: the plan in hand goes on.
+
         Raises
         ------
         InvalidStateError
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
-        self._goal = as_state(goal)
+        wanted = as_state(goal)
+        if self._goal is not None and np.array_equal(wanted, self._goal):
+            return
+        self._goal = wanted
+        self._arrival.reset()
         self._strategy.reset()
 
     def change(self, settings: ControllerSettings) -> None:
@@ -200,6 +221,7 @@ class Controller:
     def forget(self) -> None:
         """Forget poses, commands and plans, as after a jump of the clock; the goal stays."""
         self._lose_sight()
+        self._arrival.reset()
         self._learnt_up_to = None
         self._sent.clear()
         self._strategy.reset()
@@ -244,7 +266,17 @@ class Controller:
         else:
             mode, plan = self._plan(time, state, self._goal, belief)
             decision = self._decision(mode, plan, state, age)
+        decision = self._judge_arrival(time, decision)
         return decision if belief is None else replace(decision, covariance=belief.covariance)
+
+    def _judge_arrival(self, time: float, decision: Decision) -> Decision:
+        """Return the decision with the mode that tells an arrival."""
+        settings = self._settings
+        reached = self._arrival.update(
+            time, decision.error, settings.goal_tolerance, settings.period
+        )
+        arrived = reached and decision.mode is Mode.TRACKING
+        return replace(decision, mode=Mode.AT_GOAL) if arrived else decision
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return what to send at `now` [s] and count it as sent; None where nothing need be sent.
@@ -258,7 +290,7 @@ class Controller:
         limits = (self._robot.max_rotor_speed, self._robot.max_rotor_acceleration)
         hold = self._sent.leading_to(decision.plan.hold, now).limited(*limits)
         hold = hold.ending_at_rest(self._robot.max_rotor_acceleration)
-        planned = decision.mode in (Mode.TRACKING, Mode.FALLBACK)
+        planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not self._sent.moves_after(now):
             return None
         self._sent.record(hold)

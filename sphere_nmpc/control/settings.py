@@ -88,6 +88,15 @@ class ControllerSettings:
         0.5, "s", "Age of the newest pose at which the rotors are ramped to rest",
         minimum=1e-3, maximum=60.0, live=True,
     )
+    goal_tolerance: float = quantity(
+        1e-2, "-", "Error in R^6 below which, for a sample period, the goal counts as reached",
+        minimum=1e-9, maximum=10.0, live=True,
+    )
+    goal_memory: float = quantity(
+        30.0, "s",
+        "How long after the end of the controller a new one takes up its goal; 0 is never",
+        minimum=0.0, maximum=3600.0,
+    )
     command_rate: float = quantity(
         100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0
     )

@@ -3,8 +3,8 @@
 """The controller node: rolls the sphere to a goal position and orientation.
 
 subscribes  pose, goal_pose
-publishes   rotor_trajectory, rotor_commands, ~/active_goal, ~/predicted_path, ~/status,
-            /diagnostics
+publishes   rotor_trajectory, rotor_commands, ~/active_goal, ~/at_goal, ~/predicted_path,
+            ~/status, /diagnostics
 services    ~/enable
 """
 
@@ -16,13 +16,15 @@ from dataclasses import replace
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import JumpThreshold, TimeJump
+from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool
 
-from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.control.planning_time import PlanningTime
 from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.errors import InvalidStateError
@@ -32,6 +34,7 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.ros.background import Background
 from sphere_nmpc.ros.command_sender import CommandSender
 from sphere_nmpc.ros.controller_reports import ControllerReports
+from sphere_nmpc.ros.controller_watch import ControllerWatch
 from sphere_nmpc.ros.conversions import (
     NANOSECONDS,
     framed_pose_from_ros,
@@ -39,12 +42,19 @@ from sphere_nmpc.ros.conversions import (
     stamp_from_ros,
 )
 from sphere_nmpc.ros.diagnostics import Diagnostics
+from sphere_nmpc.ros.goal_file import goal_file
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
+from sphere_nmpc.ros.precedence import SchedulingSettings
 from sphere_nmpc.ros.sample_grid import SampleGrid
 from sphere_nmpc.ros.throttle import FaultLog
 
 AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
+_OTHER_CLOCK = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
+_LOOK_EVERY = 0.25
+"""Wall time between two looks at the surroundings [s]."""
+_REMEMBER_EVERY = 1.0
+"""Wall time between two notes of the goal in force [s]."""
 
 
 class ControllerNode(LivingNode):
@@ -66,7 +76,9 @@ class ControllerNode(LivingNode):
         )
         declared = DeclaredSettings(self, ControllerSettings(), on_change=self._change)
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
-        warn_of_unknown(self, [*declared.names, *robot.names])
+        self._scheduling = DeclaredSettings(self, SchedulingSettings())
+        parts = (declared, robot, self._scheduling)
+        warn_of_unknown(self, [name for part in parts for name in part.names])
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
@@ -75,13 +87,15 @@ class ControllerNode(LivingNode):
             settings, robot.settings, aside=None if settings.lockstep else self._aside.do
         )
         self._grid = SampleGrid(settings.control_period)
-        self._simulated = bool(self.get_parameter("use_sim_time").value)
-        self._planning = PlanningTime(settings.control_period, self._simulated)
         self._starting = True
-        self._epoch = 0 if self._simulated else self._stamp()
+        self._take_clock()
+        self._watch = ControllerWatch(self, self._faults)
+        path = goal_file(self)
+        self._memory = GoalMemory(path, settings.goal_memory) if path else None
+        self._recalled = False
         self._sender = CommandSender(self, settings.command_rate, self._now)
         self._reports = ControllerReports(
-            self, self.controller, self._grid, self._faults, robot.settings, settings
+            self, self.controller, self._grid, self._faults, robot.settings, settings, self._watch
         )
         self._answered: int | None = None
         self._ahead: PoseStamped | None = None
@@ -90,13 +104,15 @@ class ControllerNode(LivingNode):
         self._diagnostics = Diagnostics(self, self._stamp, tasks)
 
     @property
-    def urgent(self) -> bool:
-        """Whether time does not wait for this node."""
-        return not self._settings.lockstep
+    def thread_priority(self) -> int:
+        """As set, where time does not wait for this node."""
+        return 0 if self._settings.lockstep else self._scheduling.settings.thread_priority
 
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""
         now = self._now()
+        if now is not None:
+            self._remember()
         self.controller.enabled = False
         if now is not None:
             self._decide(now, now)
@@ -123,6 +139,47 @@ class ControllerNode(LivingNode):
         self._jumps = self.get_clock().create_jump_callback(
             backwards, post_callback=self._time_jumped
         )
+        # Wall time: what is missing must be told also where simulated time stands still.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._looks = [
+            self.create_timer(_LOOK_EVERY, self._look, clock=wall),
+            self.create_timer(_REMEMBER_EVERY, self._remember, clock=wall),
+        ]
+
+    def _take_clock(self) -> None:
+        """Count control time on the clock that the node follows now."""
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        self._planning = PlanningTime(self._settings.control_period, self._simulated)
+        self._epoch = 0 if self._simulated else self._stamp()
+
+    def _look(self) -> None:
+        now = self._now()
+        self._watch.look(now, self._simulated, self._settings.pose_timeout)
+        self._reports.look(now)
+        if now is not None and not self._recalled:
+            self._recall()
+
+    def _remember(self) -> None:
+        """Note the goal in force for a controller that is started after this one."""
+        if self._memory is None or self._now() is None or not self._recalled:
+            return
+        goal = self.controller.goal if self.controller.enabled else None
+        try:
+            self._memory.save(goal, self._stamp())
+        except OSError as error:
+            self._memory = None
+            self._faults.report("goal not kept", f"{error}; a restart will begin without a goal")
+
+    def _recall(self) -> None:
+        """Take up the goal of a controller that ended a moment ago, unless there is a new one."""
+        self._recalled = True
+        if self._memory is None or self.controller.goal is not None:
+            return
+        found = self._memory.recall(self._stamp())
+        if found is not None:
+            goal, age = found
+            self.get_logger().info(f"going on to the goal in force {age:.0f} s ago (goal_memory)")
+            self._aim(goal)
 
     def _stamp(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -160,7 +217,7 @@ class ControllerNode(LivingNode):
         took = time.perf_counter() - began
         self._planning.took(took)
         self._reports.tick(decision, instant, took, self._epoch)
-        self._starting = self._starting and decision.mode is not Mode.TRACKING
+        self._starting = self._starting and not decision.solved
 
     def _await_start(self) -> None:
         """Expect to plan anew, which for a search takes all the time there is."""
@@ -183,9 +240,10 @@ class ControllerNode(LivingNode):
 
     def _take_pose(self, message: PoseStamped, again: bool = False) -> None:
         state, now = self._state(message), self._now()
+        stamp = seconds(stamp_from_ros(message.header.stamp), self._epoch)
+        self._watch.heard(math.nan if now is None else now - stamp)
         if state is None or now is None:
             return
-        stamp = seconds(stamp_from_ros(message.header.stamp), self._epoch)
         if stamp - now > self._settings.pose_timeout:
             if not again:
                 # When this node was held up, the clock of that pose waits right behind it.
@@ -205,6 +263,7 @@ class ControllerNode(LivingNode):
 
     def _take_sample(self, message: PoseStamped) -> None:
         """Decide, in lockstep, when the pose of a sample instant arrives."""
+        self._watch.heard(math.nan)
         stamp, state = stamp_from_ros(message.header.stamp), self._state(message)
         if state is None or stamp % round(self._settings.control_period * NANOSECONDS):
             return
@@ -218,15 +277,21 @@ class ControllerNode(LivingNode):
 
     def _take_goal(self, message: PoseStamped) -> None:
         try:
-            self.controller.set_goal(framed_pose_from_ros(message))
+            goal = framed_pose_from_ros(message)
         except InvalidStateError as error:
             self._faults.report("goal_pose refused", f"{error}; the goal in force stays")
             return
-        goal = self.controller.goal
-        assert goal is not None
+        self._aim(goal)
+
+    def _aim(self, goal: Vector) -> None:
+        """Bring a goal, shape (6,), into force; the one that is in force is only confirmed."""
+        fresh = self.controller.goal is None or not np.array_equal(goal, self.controller.goal)
+        self.controller.set_goal(goal)
+        self._reports.goal(goal, self._stamp())
+        if not fresh:
+            return
         self.get_logger().info(f"goal: {[round(float(value), 4) for value in goal]}")
         self._answered = None
-        self._reports.goal(goal, self._stamp())
         self._await_start()
         self._start()
 
@@ -272,7 +337,8 @@ class ControllerNode(LivingNode):
         return SetParametersResult(successful=True)
 
     def _time_jumped(self, jump: TimeJump) -> None:
-        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        if jump.clock_change in _OTHER_CLOCK:
+            self._take_clock()
         self._faults.report("clock jumped", "poses and plans are forgotten, the goal stays")
         self.controller.forget()
         self._ahead = None

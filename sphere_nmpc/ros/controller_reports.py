@@ -13,20 +13,25 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Bool
 
 from sphere_nmpc.control.controller import Controller, Decision, Mode
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller_status import ControllerStatus
+from sphere_nmpc.ros.controller_watch import ControllerWatch
 from sphere_nmpc.ros.conversions import path_to_ros, pose_to_ros
-from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status
+from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
 from sphere_nmpc.ros.sample_grid import SampleGrid
 from sphere_nmpc.ros.throttle import FaultLog
 
 _LEVELS = {
     Mode.TRACKING: OK,
+    Mode.AT_GOAL: OK,
     Mode.NO_GOAL: OK,
+    Mode.NO_CLOCK: STALE,
+    Mode.STANDSTILL: WARN,
     Mode.DISABLED: OK,
     Mode.NO_POSE: STALE,
     Mode.BLIND: ERROR,
@@ -36,10 +41,12 @@ _KEPT = 1000
 """Ticks behind the percentiles."""
 _TELL_EVERY = 0.0499
 """Least control time between two statuses of the same mode [s]: 20 Hz."""
+_LONGEST_SILENCE = 0.4
+"""Wall time after which a status is published also where there was no sample instant [s]."""
 
 
 class ControllerReports:
-    """Publish the active goal, the predicted path and the status; report to diagnostics.
+    """Publish goal, arrival, predicted path and status; report to diagnostics.
 
     Parameters
     ----------
@@ -55,6 +62,8 @@ class ControllerReports:
         What is believed about the robot.
     settings : ControllerSettings
         Strategy, weights and rates.
+    watch : ControllerWatch
+        Who knows what is wrong around the node.
     """
 
     def __init__(
@@ -65,8 +74,10 @@ class ControllerReports:
         faults: FaultLog,
         robot: RobotParameters,
         settings: ControllerSettings,
+        watch: ControllerWatch,
     ) -> None:
         self._controller = controller
+        self._watch = watch
         self._grid = grid
         self._faults = faults
         self._radius = robot.shell_radius
@@ -82,15 +93,53 @@ class ControllerReports:
         self._last_told = (float("-inf"), Mode.NO_POSE)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._goal = node.create_publisher(PoseStamped, "~/active_goal", latched)
+        self._at_goal = node.create_publisher(Bool, "~/at_goal", latched)
+        self._arrived: bool | None = None
         self._path = node.create_publisher(Path, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
-        self._name = node.get_name()
-        self._node = node
-        self._time_told = 0
+        self._name = status_name(node)
+        self._values: dict[str, Any] = {}
+        self._status_at = perf_counter()
+        self._time_seen: float | None = None
+        self._standing = Mode.NO_CLOCK
+        self._tell_arrival()
 
     def goal(self, goal: Vector, stamp: int) -> None:
         """Publish the goal, shape (6,), that is now in force."""
         self._goal.publish(pose_to_ros(goal, stamp, self._radius))
+        self._tell_arrival()
+
+    def look(self, now: float | None) -> None:
+        """Publish a status where sample instants leave it silent; `now` is control time [s].
+
+        None stands for the time before the first message on /clock.
+        """
+        mode = Mode.NO_POSE if self._decision is None else self._decision.mode
+        if now is None:
+            mode = Mode.NO_CLOCK
+        elif now == self._time_seen:
+            mode = Mode.STANDSTILL
+        self._time_seen, self._standing = now, mode
+        if perf_counter() - self._status_at < _LONGEST_SILENCE:
+            return
+        # Nothing was solved since, and so it must not be counted once more.
+        values = {"time_s": "nan" if now is None else f"{now:.9g}", "strategy": self._strategy}
+        values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
+        self._publish_status(mode, mode.value, values)
+
+    def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
+        """Publish a status; what is wrong around the node goes before its own message."""
+        level, found = _LEVELS[mode], self._watch.complaints
+        if found:
+            message = f"{found[0].kind}: {found[0].message}"
+            level = ERROR if found[0].severe else max(level, WARN)
+        self._status_at = perf_counter()
+        self._status.publish(status(self._name, level, message, values))
+
+    def _tell_arrival(self) -> None:
+        if self._controller.at_goal is not self._arrived:
+            self._arrived = self._controller.at_goal
+            self._at_goal.publish(Bool(data=self._arrived))
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running."""
@@ -113,18 +162,18 @@ class ControllerReports:
         self._gaps.append(wall - self._last_tick)
         self._last_tick = wall
         plan = decision.plan
-        if decision.mode is Mode.TRACKING:
+        if decision.solved:
             self._solve_times.append(plan.solve_time)
         if decision.mode is Mode.FALLBACK:
             self._faults.report("solve failed", plan.message)
         self._told.judge(decision, time)
+        self._tell_arrival()
         last, mode = self._last_told
         if decision.mode is mode and 0.0 <= time - last < _TELL_EVERY:
             return
         self._last_told = (time, decision.mode)
-        values = self._told.values(decision, time, duration, self._grid.missed)
-        message = plan.message or plan.status.value
-        self._status.publish(status(self._name, _LEVELS[decision.mode], message, values))
+        self._values = self._told.values(decision, time, duration, self._grid.missed)
+        self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
         if len(plan.states):
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
 
@@ -161,22 +210,12 @@ class ControllerReports:
             "pose age s": float("inf") if decision is None else decision.pose_age,
             **self._faults.counts,
         }
-        if decision is None:
-            return STALE, "no tick yet: is there a /clock?", values
-        now, told = self._node.get_clock().now().nanoseconds, self._time_told
-        self._time_told = now
-        if now == told:
-            # What was decided last says nothing about now: the simulator is paused or gone.
-            return WARN, f"the clock stands still at {now * 1e-9:.3f} s", values
-        senders = self._node.count_publishers("rotor_trajectory")
-        if senders > 1:
-            self._faults.report(
-                "other publisher",
-                f"given {senders} publishers of rotor_trajectory, expected this node alone; "
-                "what the rotors do is then not what is planned with",
-            )
-            return WARN, "other publisher of rotor_trajectory", values
-        return _LEVELS[decision.mode], decision.mode.value, values
+        mode, found = self._standing, self._watch.complaints
+        if found:
+            return ERROR if found[0].severe else WARN, found[0].kind, values
+        if mode is Mode.STANDSTILL:
+            return WARN, f"{mode.value} at {self._time_seen:.3f} s", values
+        return _LEVELS[mode], mode.value, values
 
 
 def _percentiles(times: Iterable[float]) -> tuple[float, float, float]:

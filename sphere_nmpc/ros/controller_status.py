@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller, Decision, Mode
+from sphere_nmpc.control.controller import Controller, Decision
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
@@ -57,7 +57,7 @@ class ControllerStatus:
         if time < self._judged_at:
             self._judged_at = self._looked_at = float("-inf")
         # The value function falls from one knot to the next, not within an interval.
-        if decision.mode is Mode.TRACKING and time >= self._judged_at + 0.99 * period:
+        if decision.solved and time >= self._judged_at + 0.99 * period:
             self._judged_at = time
             self._judge(decision, time)
         if decision.state is not None and time >= self._looked_at + _CONTROLLABILITY_EVERY:

@@ -98,9 +98,11 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     return pose_from_ros(message)
 
 
-def transform_from_pose(message: PoseStamped) -> TransformStamped:
+def transform_from_pose(
+    message: PoseStamped, body_frame: str = BODY_FRAME
+) -> TransformStamped:
     """Return the transform from the body to the frame of its pose."""
-    transform = TransformStamped(header=message.header, child_frame_id=BODY_FRAME)
+    transform = TransformStamped(header=message.header, child_frame_id=body_frame)
     place, shift = message.pose.position, transform.transform.translation
     shift.x, shift.y, shift.z = place.x, place.y, place.z
     transform.transform.rotation = message.pose.orientation
@@ -108,7 +110,8 @@ def transform_from_pose(message: PoseStamped) -> TransformStamped:
 
 
 def odometry_to_ros(
-    state: Vector, velocity: Vector, body_rate: Vector, stamp: int, shell_radius: float
+    state: Vector, velocity: Vector, body_rate: Vector, stamp: int, shell_radius: float,
+    body_frame: str = BODY_FRAME,
 ) -> Odometry:
     """Return pose and twist, the twist in the body frame as Odometry demands.
 
@@ -120,11 +123,13 @@ def odometry_to_ros(
         Velocity of the centre [m/s; world frame].
     body_rate : ndarray, shape (3,)
         Angular velocity [rad/s; body frame].
+    body_frame : str, optional
+        Name of the body frame.
     """
     message = Odometry()
     message.header.stamp = stamp_to_ros(stamp)
     message.header.frame_id = WORLD_FRAME
-    message.child_frame_id = BODY_FRAME
+    message.child_frame_id = body_frame
     _fill_pose(message.pose.pose, state, shell_radius)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     linear.x, linear.y, linear.z = _to_body(state[QUATERNION], velocity)

@@ -15,16 +15,20 @@ from sphere_nmpc.ros.conversions import stamp_to_ros
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 )
-HARDWARE_ID = "sphere"
+
+
+def status_name(node: Node) -> str:
+    """Return the name of a node in statuses: with its namespace, as robots share /diagnostics."""
+    return node.get_fully_qualified_name().lstrip("/")
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
-    """Return a status; numbers among the values are written with six digits."""
+    """Return a status of a node of that name; numbers are written with six digits."""
     return DiagnosticStatus(
         level=level,
         name=name,
         message=message,
-        hardware_id=HARDWARE_ID,
+        hardware_id=name.rpartition("/")[0] or "sphere",
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
     )
 
@@ -52,7 +56,7 @@ class Diagnostics:
         now: Callable[[], int],
         tasks: dict[str, Callable[[], tuple[bytes, str, Mapping[str, Any]]]],
     ) -> None:
-        self._name = node.get_name()
+        self._name = status_name(node)
         self._now = now
         self._tasks = tasks
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)

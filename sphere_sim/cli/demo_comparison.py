@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.cli.demo_plan import DemoPlan
@@ -56,7 +56,7 @@ def compute_other(plan: DemoPlan, recorded: Run) -> Run:
 
 
 def _as_run(trajectory: Trajectory, plan: DemoPlan, name: str) -> Run:
-    tracked = [d for d in trajectory.decisions if d.mode is Mode.TRACKING]
+    tracked = [d for d in trajectory.decisions if d.solved]
     starts = [decision.plan.hold.start for decision in tracked]
     return Run(
         name=name,

@@ -14,6 +14,7 @@ from typing import Any
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
+from sphere_nmpc.ros.precedence import SchedulingSettings
 from sphere_sim.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.simulator_settings import PushSettings, SimulatorSettings
 
@@ -22,10 +23,11 @@ NODES: dict[str, Any] = {"simulator": SimulatorSettings(), "controller": Control
 
 PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     "simulator": (
+        ("", "How the process is scheduled.", SchedulingSettings()),
         ("", "Where the plant can be pushed.", PushSettings()),
         ("rigid_body", "What the plant rigid_body is like.", RigidBodySettings()),
     ),
-    "controller": (),
+    "controller": (("", "How the process is scheduled.", SchedulingSettings()),),
 }
 """Further settings of a node: prefix, what they are for, values."""
 
@@ -147,7 +149,7 @@ def _literal(value: Any) -> str:
         mantissa, exponent = repr(value).split("e")
         point = mantissa if "." in mantissa else f"{mantissa}.0"
         return f"{point}e{int(exponent):+d}"
-    return repr(value) if not isinstance(value, str) else value
+    return repr(value) if not isinstance(value, str) else value or '""'
 
 
 def _range(about: Quantity) -> str:

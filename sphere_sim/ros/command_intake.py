@@ -34,6 +34,8 @@ class CommandIntake:
         Whether stamp 0 means the first instant, as it does in lockstep, rather than at once.
     on_trajectory : callable
         Called with the stamp [ns] of each trajectory that was accepted.
+    epoch : callable
+        Returns the stamp [ns] of simulated time 0.
     """
 
     def __init__(
@@ -45,6 +47,7 @@ class CommandIntake:
         faults: FaultLog,
         literal: bool,
         on_trajectory: Callable[[int], object],
+        epoch: Callable[[], int],
     ) -> None:
         self._simulator = simulator
         self._max_speed = max_speed
@@ -52,6 +55,7 @@ class CommandIntake:
         self._faults = faults
         self._literal = literal
         self._on_trajectory = on_trajectory
+        self._epoch = epoch
         self.heard = 0
         """Messages that came, accepted or not."""
         self._trajectories = node.create_subscription(
@@ -65,7 +69,9 @@ class CommandIntake:
         self.heard += 1
         simulator = self._simulator
         try:
-            hold = hold_from_trajectory(message, 0 if self._literal else simulator.now)
+            epoch = self._epoch()
+            at_once = 0 if self._literal else epoch + simulator.now
+            hold = hold_from_trajectory(message, at_once, epoch)
         except InvalidInputError as error:
             self._faults.report("rotor_trajectory refused", str(error))
             return
@@ -73,8 +79,9 @@ class CommandIntake:
         if ahead > self._horizon:
             self._faults.report(
                 "rotor_trajectory refused",
-                f"given a start {ahead:.6g} s ahead of simulated time, expected at most "
-                f"{self._horizon:g} s; does its sender run with use_sim_time?",
+                f"given a start {ahead:.6g} s ahead of the simulator's time, expected at most "
+                f"{self._horizon:g} s; its sender needs the simulator's clock: "
+                "use_sim_time:=true, or false with clock: system",
             )
             return
         if hold.end < simulator.time - 1e-9 and not simulator.follower.is_newer(hold):
@@ -84,7 +91,8 @@ class CommandIntake:
                 "the one in force, expected a newer one",
             )
             return
-        if hold.end < simulator.time - 1e-9:
+        idle = not hold.speeds.any() and not simulator.speed_reference.any()
+        if hold.end < simulator.time - 1e-9 and not idle:
             # It may be a ramp to rest that was held up: what it replaces must not go on.
             self._faults.report(
                 "rotor_trajectory late",

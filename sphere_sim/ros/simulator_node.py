@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node: a sphere with two rotors, its drives and its clock.
 
-publishes   pose, odom, joint_states, /clock, /diagnostics
+publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics
 subscribes  rotor_trajectory, rotor_commands
 services    ~/reset, ~/pause, ~/step, ~/push where the plant can be pushed
 """
@@ -17,10 +17,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
+from sphere_nmpc.ros.conversions import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
+from sphere_nmpc.ros.precedence import SchedulingSettings
+from sphere_nmpc.ros.surroundings import several
 from sphere_nmpc.ros.throttle import FaultLog
+from sphere_nmpc.ros.watch import Watch
 from sphere_sim.plant.factory import make_plant
 from sphere_sim.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.plant.rigid_body.settings import RigidBodySettings
@@ -41,6 +45,8 @@ _SLOW = 0.95
 
 _LIFELIKE = 2.0
 """Real-time factor up to which the node may run before others."""
+_CLOCK_JUMP = 1_000_000_000
+"""Difference between the simulator's stamps and the system clock that is a jump of it [ns]."""
 
 
 class SimulatorNode(LivingNode):
@@ -64,9 +70,9 @@ class SimulatorNode(LivingNode):
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
         body = DeclaredSettings(self, RigidBodySettings(), prefix="rigid_body")
         pushing = DeclaredSettings(self, PushSettings())
-        warn_of_unknown(
-            self, [*declared.names, *robot.names, *body.names, *pushing.names]
-        )
+        self._scheduling = DeclaredSettings(self, SchedulingSettings())
+        parts = (declared, robot, body, pushing, self._scheduling)
+        warn_of_unknown(self, [name for part in parts for name in part.names])
         settings = self._settings = declared.settings
         start = as_state(settings.initial_state)
         plant = make_plant(settings.plant, robot.settings, start, body.settings)
@@ -79,13 +85,20 @@ class SimulatorNode(LivingNode):
             self._settings.lockstep,
             self._settings.lockstep_timeout,
             self._settings.start_paused,
+            keeps_up=settings.is_on_system_clock,
         )
+        self._epoch = 0
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
-        self._world = WorldPublisher(self, robot.settings.shell_radius)
+        self._watch = Watch(self, self._faults)
+        prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
+        self._world = WorldPublisher(
+            self, robot.settings.shell_radius, prefix + BODY_FRAME,
+            clocked=not settings.is_on_system_clock,
+        )
         self._intake = CommandIntake(
             self, self.simulator, robot.settings.max_rotor_speed,
             self._settings.command_timeout, self._faults, self._settings.lockstep,
-            lambda stamp: self._time.answer(stamp, time.monotonic()),
+            lambda stamp: self._time.answer(stamp, time.monotonic()), lambda: self._epoch,
         )
         self._offers = [
             self.create_service(Trigger, "~/reset", self._reset),
@@ -95,7 +108,7 @@ class SimulatorNode(LivingNode):
         if isinstance(plant, RigidBodyPlant):
             self._offers.append(self.create_service(Trigger, "~/push", self._push))
         self._diagnostics = Diagnostics(
-            self, lambda: self.simulator.now,
+            self, lambda: self._epoch + self.simulator.now,
             {"clock": self._report_clock, "commands": self._report_commands},
         )
         self._partner = False
@@ -103,10 +116,11 @@ class SimulatorNode(LivingNode):
         self._begin()
 
     @property
-    def urgent(self) -> bool:
-        """Whether time is to pass as on the wall; faster, one processor would not suffice."""
+    def thread_priority(self) -> int:
+        """As set, while time passes as on the wall; faster, one processor would not suffice."""
         settings = self._settings
-        return not settings.lockstep and 0.0 < settings.real_time_factor <= _LIFELIKE
+        lifelike = not settings.lockstep and 0.0 < settings.real_time_factor <= _LIFELIKE
+        return self._scheduling.settings.thread_priority if lifelike else 0
 
     def work(self, executor: Executor) -> None:
         """Advance to the next instant if it is due, and serve the graph now and then."""
@@ -127,13 +141,29 @@ class SimulatorNode(LivingNode):
     def _begin(self) -> None:
         wall = time.monotonic()
         self._time.achieved(0, wall)
+        if self._settings.is_on_system_clock:
+            self._set_epoch(time.time_ns())
         self._world.publish(self.simulator)
         if not self._time.paused:
             self._time.resume(0, wall)
 
+    def _set_epoch(self, epoch: int) -> None:
+        self._epoch = self._world.epoch = epoch
+
+    def _follow_system_clock(self) -> None:
+        """Move the stamps along when somebody sets the system clock."""
+        ahead = time.time_ns() - self._epoch - self.simulator.now
+        if self._settings.is_on_system_clock and abs(ahead) > _CLOCK_JUMP:
+            self._set_epoch(self._epoch + ahead)
+            self._faults.report(
+                "system clock jumped", f"given a jump of {ahead * 1e-9:.3f} s, expected a clock "
+                "that is slewed; stamps jump with it",
+            )
+
     def _advance(self) -> None:
-        instant = self._time.upcoming(self.simulator.now)
+        instant = self._time.due(self.simulator.now, time.monotonic())
         self.simulator.advance_to(instant)
+        self._follow_system_clock()
         self._time.ran(instant, time.monotonic())
         self._world.publish(self.simulator)
         self._told = time.monotonic()
@@ -182,6 +212,9 @@ class SimulatorNode(LivingNode):
         return response
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if self._settings.is_on_system_clock:
+            response.message = "given clock: system, which nobody can stop, expected simulated"
+            return response
         if request.data:
             self._time.pause()
         elif self._time.paused:
@@ -211,7 +244,16 @@ class SimulatorNode(LivingNode):
         response.message = f"pushed with {list(impulse)} N s at t = {self.simulator.time:.3f} s"
         return response
 
+    def _look_around(self) -> None:
+        pose = self.resolve_topic_name("pose")
+        found = several(pose, self._watch.publishers(pose), "the pose jumps between them")
+        clock = self.resolve_topic_name("/clock")
+        if not self._settings.is_on_system_clock:
+            found += several(clock, self._watch.publishers(clock), "time jumps between them")
+        self._watch.update(found)
+
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        self._look_around()
         keeper, wanted = self._time, self._settings.real_time_factor
         achieved = keeper.achieved(self.simulator.now, time.monotonic())
         values = {
@@ -223,6 +265,8 @@ class SimulatorNode(LivingNode):
             "lockstep": keeper.lockstep,
             "lockstep time-outs": keeper.timeouts,
         }
+        if self._watch.complaints:
+            return WARN, self._watch.complaints[0].kind, values
         if keeper.paused:
             return OK, "paused", values
         if keeper.awaited is not None and achieved == 0.0:

@@ -55,7 +55,7 @@ class ViewerInputs:
         self.heard = 0
         """Number of messages so far."""
         self._node = node
-        self._controller = controller
+        self._reporter = f"{node.get_namespace()}/{controller}:".lstrip("/")
         self._status_topic = f"{controller}/status"
         self._radius: float | None = None
         self._moved_at = time.monotonic()
@@ -81,6 +81,7 @@ class ViewerInputs:
         """Return the frame, and forget that it was a fresh one."""
         frame, self.frame = self.frame, replace(self.frame, fresh=False)
         self.health.controllers = self._node.count_publishers(self._status_topic)
+        self.health.pose_sources = self._node.count_publishers("pose")
         return replace(frame, alerts=self.health.alerts(time.monotonic()))
 
     def _take_pose(self, message: PoseStamped) -> None:
@@ -146,7 +147,7 @@ class ViewerInputs:
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         now = self._note()
-        if any(status.name.startswith(f"{self._controller}:") for status in message.status):
+        if any(status.name.startswith(self._reporter) for status in message.status):
             self.health.controller_at = now
 
     def _note(self) -> float:

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_sim.closed_loop import Trajectory, run_closed_loop
@@ -67,7 +67,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
 
 
 def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:
-    planned = [d.plan.solve_time for d in trajectory.decisions if d.mode is Mode.TRACKING]
+    planned = [d.plan.solve_time for d in trajectory.decisions if d.solved]
     solve_times = np.array(planned)
     speeds = np.vstack((trajectory.speeds, inputs.speeds))
     measured = measure(

@@ -5,7 +5,7 @@
 import itertools
 import math
 
-from sphere_nmpc.control.controller import Decision, Mode
+from sphere_nmpc.control.controller import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.model.state import Vector
 from sphere_sim.study.conditions import StudyConditions
@@ -39,7 +39,7 @@ def stability_of(
     """
     if conditions.controller.strategy == "paper":
         return _value_decrease(decisions, goal, conditions)
-    arrivals = [d.plan.arrival for d in decisions if d.mode is Mode.TRACKING]
+    arrivals = [d.plan.arrival for d in decisions if d.solved]
     known = [a for a in arrivals if not math.isnan(a)]
     pairs = list(itertools.pairwise(known))
     broken = sum(b > a + _ROUNDING for a, b in pairs)
@@ -53,7 +53,7 @@ def _value_decrease(
     settings = conditions.controller
     judged = broken = 0
     for k, decision in enumerate(decisions):
-        if decision.state is None or decision.mode is not Mode.TRACKING:
+        if decision.state is None or not decision.solved:
             continue
         report = monitor.update(
             Sample(

@@ -262,7 +262,9 @@ def test_nothing_is_sent_before_the_clock(robot) -> None:
     robot.ask()
     robot.pose_sender.publish(robot.pose)
     robot.graph.spin_for(0.7)
-    assert not robot.trajectories and not robot.commands and not robot.statuses
+    assert not robot.trajectories and not robot.commands
+    assert {value.value for told in robot.statuses for value in told.values
+            if value.key == "mode"} <= {"no clock yet"}
 
 
 def test_disable_ramps_to_rest_at_once_and_enable_goes_on(robot) -> None:

@@ -1,0 +1,62 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The goal in force, kept in a file for a controller that is started again on the way."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+from sphere_nmpc.model.state import Vector, as_state
+
+
+class GoalMemory:
+    """Keep the goal in a small file, with the time at which it was last in force.
+
+    The goal is taken up again only by a controller that starts soon after the end of the last
+    one, on a clock that has gone on since: a simulation that begins anew begins without a goal.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder is made when it is first written.
+    keep : float
+        For how long after the end of a controller its goal is taken up [s, wall].
+    """
+
+    def __init__(self, path: Path, keep: float) -> None:
+        self._path = path
+        self._keep = keep
+
+    def save(self, goal: Vector | None, stamp: int) -> None:
+        """Write the goal, shape (6,), in force at `stamp` [ns]; without one forget the last.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
+        """
+        if self._keep <= 0.0:
+            return
+        if goal is None:
+            self._path.unlink(missing_ok=True)
+            return
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        # A process that is killed while it writes must leave the old file or the new one.
+        fresh = self._path.with_suffix(f".{os.getpid()}")
+        fresh.write_text(json.dumps({"goal": goal.tolist(), "stamp": stamp}), encoding="ascii")
+        fresh.replace(self._path)
+
+    def recall(self, stamp: int) -> tuple[Vector, float] | None:
+        """Return the goal of a controller that has just ended, and how long ago [s, wall].
+
+        None where there is none, it ended too long ago, or the clock, which shows `stamp` [ns],
+        has begun anew since.
+        """
+        try:
+            age = max(0.0, time.time() - self._path.stat().st_mtime)
+            content = json.loads(self._path.read_text(encoding="ascii"))
+            goal, then = as_state(content["goal"]), int(content["stamp"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return (goal, age) if age <= self._keep and then <= stamp else None

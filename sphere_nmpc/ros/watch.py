@@ -1,0 +1,82 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Looking at a node's surroundings, and telling once what is wrong there."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from sphere_nmpc.ros.surroundings import Complaint, incompatible
+from sphere_nmpc.ros.throttle import FaultLog
+
+_CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+_OF_EVERY_NODE = ("/rosout", "/parameter_events")
+
+
+class Watch:
+    """Keep what is wrong, log each thing once when it begins, and say when it is over.
+
+    Parameters
+    ----------
+    node : Node
+        The node whose surroundings these are.
+    faults : FaultLog
+        Who writes and counts.
+    """
+
+    def __init__(self, node: Node, faults: FaultLog) -> None:
+        self._node = node
+        self._faults = faults
+        self.complaints: list[Complaint] = []
+        """What is wrong now, the gravest first."""
+
+    def update(self, found: Sequence[Complaint]) -> None:
+        """Take note of what is wrong now, and log what is new."""
+        found = [*found, *self._incompatible()]
+        before = {complaint.kind for complaint in self.complaints}
+        self.complaints = found
+        for complaint in found:
+            if complaint.kind not in before:
+                self._faults.report(complaint.kind, complaint.message)
+        for kind in before - {complaint.kind for complaint in found}:
+            self._node.get_logger().info(f"{kind}: over")
+
+    def publishers(self, topic: str) -> list[str]:
+        """Return the full names of the nodes that publish a topic, one an endpoint."""
+        return [_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
+
+    def clock_topics(self) -> list[str]:
+        """Return the topics on which somebody publishes a clock."""
+        return [
+            topic for topic, kinds in self._node.get_topic_names_and_types()
+            if _CLOCK_TYPE in kinds and self._node.count_publishers(topic) > 0
+        ]
+
+    def _incompatible(self) -> list[Complaint]:
+        """Return the complaints about publishers and subscriptions whose messages cannot pass."""
+        node, found = self._node, []
+        ends: list[Any] = [*node.subscriptions, *node.publishers]
+        for end in ends:
+            topic, own = end.topic_name, end.qos_profile
+            if topic in _OF_EVERY_NODE:
+                continue
+            if isinstance(end, Subscription):
+                others = node.get_publishers_info_by_topic(topic)
+                fits = [qos_check_compatible(other.qos_profile, own) for other in others]
+            else:
+                others = node.get_subscriptions_info_by_topic(topic)
+                fits = [qos_check_compatible(own, other.qos_profile) for other in others]
+            found += [
+                incompatible(topic, _name(other), reason)
+                for other, (fit, reason) in zip(others, fits, strict=True)
+                if fit is QoSCompatibility.ERROR
+            ]
+        return found
+
+
+def _name(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

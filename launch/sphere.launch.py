@@ -3,9 +3,15 @@
 """Simulator and controller, with a recording, RViz and the viewer where they are asked for.
 
 ros2 launch sphere_nmpc sphere.launch.py record:=true viewer:=true rviz:=true namespace:=second
+
+What is wrong with an argument is told in one line, and nothing is started.
 """
 
+import re
+import sys
+from collections.abc import Sequence
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 
 from ament_index_python.packages import (
@@ -14,87 +20,187 @@ from ament_index_python.packages import (
     get_package_share_directory,
 )
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
+from sphere_nmpc.control.settings import SAMPLE_PERIODS
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_sim.simulator_settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
 RECORDED = (
-    "pose", "odom", "joint_states", "goal_pose", "rotor_trajectory", "rotor_commands",
-    "controller/active_goal", "controller/predicted_path", "controller/status",
+    "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands",
+    "controller/active_goal", "controller/at_goal", "controller/predicted_path",
+    "controller/status",
 )
+"""Without goal_pose: `ros2 topic pub --once` sends to whoever listens first and leaves, which has
+to be the controller. What it accepted is its active_goal."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
+TRUE = ("true", "True", "1")
+BOOLEAN = ["true", "false", "True", "False", "1", "0"]
+OF_LAUNCH = (
+    "launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout",
+)
+"""Arguments that launch itself reads."""
 
 
 def generate_launch_description() -> LaunchDescription:
     config = str(Path(get_package_share_directory(PACKAGE), "config", "sphere.yaml"))
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("namespace", default_value="", description="Of all topics"),
-            DeclareLaunchArgument(
-                "params_file", default_value=config, description="Parameters of both nodes"
-            ),
-            DeclareLaunchArgument(
-                "use_sim_time", default_value="true",
-                description="Whether all nodes but the simulator follow its /clock",
-            ),
-            DeclareLaunchArgument("record", default_value="false", description="Write a bag"),
-            DeclareLaunchArgument("rviz", default_value="false", description="Start RViz"),
-            DeclareLaunchArgument(
-                "viewer", default_value="false", description="Serve the page of the viewer"
-            ),
-            OpaqueFunction(function=actions),
-        ]
-    )
+    arguments = [
+        DeclareLaunchArgument(
+            "strategy", default_value="", choices=["", *SAMPLE_PERIODS],
+            description="What the controller solves; empty: as params_file says",
+        ),
+        DeclareLaunchArgument(
+            "plant", default_value="", choices=["", *PLANTS],
+            description="What the simulator simulates; empty: as params_file says",
+        ),
+        DeclareLaunchArgument(
+            "real_time_factor", default_value="",
+            description="Simulated over wall time, 0 is as fast as possible; empty: as "
+            "params_file says",
+        ),
+        DeclareLaunchArgument(
+            "clock", default_value="simulated", choices=["simulated", "system"],
+            description="What all nodes go by, whatever params_file says: the simulator's clock "
+            "or the system's",
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="", choices=["", *BOOLEAN],
+            description="Whether all nodes but the simulator follow its clock; empty: if there "
+            "is one",
+        ),
+        DeclareLaunchArgument(
+            "namespace", default_value="",
+            description="Of a whole robot: topics, clock, and frames, which it precedes",
+        ),
+        DeclareLaunchArgument(
+            "params_file", default_value=config, description="Parameters of both nodes"
+        ),
+        DeclareLaunchArgument(
+            "record", default_value="false", choices=BOOLEAN, description="Write a bag"
+        ),
+        DeclareLaunchArgument(
+            "rviz", default_value="false", choices=BOOLEAN, description="Start RViz"
+        ),
+        DeclareLaunchArgument(
+            "viewer", default_value="false", choices=BOOLEAN,
+            description="Serve the page of the viewer",
+        ),
+    ]
+    names = [argument.name for argument in arguments]
+    return LaunchDescription([*arguments, OpaqueFunction(function=actions, args=[names])])
 
 
-def actions(context: LaunchContext) -> list:
+def actions(context: LaunchContext, names: Sequence[str]) -> list:
     """Return what to start; what is not installed is told and left out."""
-    value = {
-        name: LaunchConfiguration(name).perform(context)
-        for name in ("namespace", "params_file", "use_sim_time", "record", "rviz", "viewer")
-    }
-    namespace, params = value["namespace"], value["params_file"]
-    clock = {"use_sim_time": is_true(value["use_sim_time"])}
-    common = {"namespace": namespace, "output": "screen"}
+    refuse_unknown(context.argv, names)
+    value = {name: context.launch_configurations[name] for name in names}
+    params = existing(value["params_file"])
+    # A file that includes this one may have pushed a namespace before.
+    outer = context.launch_configurations.get("ros_namespace", "")
+    place = valid_namespace(outer, value["namespace"])
+    prefix = {"frame_prefix": f"{place}/"} if place else {}
+    clock = {"use_sim_time": follows_clock(value["clock"], value["use_sim_time"])}
+    simulator = {"clock": value["clock"], **prefix, **unless_empty("plant", value["plant"])}
+    if pace := value["real_time_factor"]:
+        simulator["real_time_factor"] = real_time_factor(pace, value["clock"])
+    controller = {**clock, **unless_empty("strategy", value["strategy"])}
+    common = {"namespace": f"/{place}", "output": "screen"}
+    # The nodes of this package go by the clock of their namespace; others have to be told.
+    foreign = {**common, "remappings": [("/clock", "clock")]}
     started = [
         # The simulator makes the clock: it must not wait for it.
-        Node(package=PACKAGE, executable="simulator", parameters=[params], **common),
-        Node(package=PACKAGE, executable="controller", parameters=[params, clock], **common),
+        Node(package=PACKAGE, executable="simulator", parameters=[params, simulator], **common),
+        Node(package=PACKAGE, executable="controller", parameters=[params, controller], **common),
     ]
     share = Path(get_package_share_directory(PACKAGE))
-    urdf = share / "urdf" / "sphere.urdf"
-    if is_installed("robot_state_publisher") and urdf.exists():
-        # Without a type launch takes the text for YAML, which the colon of a comment breaks.
-        text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
-        description = {"robot_description": text}
-        started.append(
-            Node(
-                package="robot_state_publisher", executable="robot_state_publisher",
-                parameters=[description, clock], **common,
-            )
-        )
-    if is_true(value["record"]):
-        started.append(recording(namespace, clock))
-    if is_true(value["viewer"]):
+    if is_installed("robot_state_publisher"):
+        urdf = share / "urdf" / "sphere.urdf"
+        started.append(state_publisher(urdf, {**clock, **prefix}, foreign))
+    if value["record"] in TRUE:
+        started.append(recording(clock, common, place))
+    if value["viewer"] in TRUE:
         started.append(Node(package=PACKAGE, executable="viewer", **common))
-    if is_true(value["rviz"]):
+    if value["rviz"] in TRUE:
         started.append(Node(package=PACKAGE, executable="markers", **common))
-        started.append(rviz(share / "rviz" / "sphere.rviz", clock, namespace))
+        started.append(rviz(share / "rviz" / "sphere.rviz", clock, foreign))
     return started
 
 
-def recording(namespace: str, clock: dict[str, bool]) -> ExecuteProcess:
-    """Return rosbag2's recorder, else the package's own; both write the same format."""
-    if not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
-        return Node(
-            package=PACKAGE, executable="recorder", namespace=namespace, parameters=[clock],
-            output="screen",
+def refuse_unknown(given: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse arguments that nothing reads, of which ros2 launch says nothing."""
+    # The command line of a file that includes this one has arguments of its own.
+    if not any(is_this_file(*words) for words in pairwise(sys.argv)):
+        return
+    names = (word.partition(":=")[0] for word in given)
+    unknown = [name for name in names if name not in (*known, *OF_LAUNCH)]
+    if unknown:
+        raise RuntimeError(f"{', '.join(unknown)}: not an argument; known are {', '.join(known)}")
+
+
+def is_this_file(package: str, file: str) -> bool:
+    """Whether two neighbours on a command line, or the second alone, name this file."""
+    here = Path(__file__)
+    return (package, file) == (PACKAGE, here.name) or (
+        Path(file).name == here.name and Path(file).exists() and here.samefile(file)
+    )
+
+
+def existing(params_file: str) -> str:
+    path = Path(params_file).expanduser()
+    if not path.is_file():
+        raise RuntimeError(f"params_file: given {params_file}, expected a file that exists")
+    return str(path)
+
+
+def unless_empty(name: str, value: str) -> dict[str, str]:
+    return {name: value} if value else {}
+
+
+def valid_namespace(outer: str, namespace: str) -> str:
+    """Return the whole namespace without slashes at its ends."""
+    place = (namespace if namespace.startswith("/") else f"{outer}/{namespace}").strip("/")
+    if place and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", place, re.ASCII):
+        expected = "letters, digits and _, not a digit first, with / between levels"
+        raise RuntimeError(f"namespace: given {namespace}, expected {expected}")
+    return place
+
+
+def follows_clock(clock: str, use_sim_time: str) -> bool:
+    if clock == "system" and use_sim_time in TRUE:
+        raise RuntimeError(
+            f"use_sim_time: given {use_sim_time}, expected false with clock:=system, where nobody "
+            "publishes a clock"
         )
-    prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
-    topics = [f"{prefix}/{topic}" for topic in RECORDED] + list(ABSOLUTE)
+    return use_sim_time in TRUE if use_sim_time else clock == "simulated"
+
+
+def real_time_factor(text: str, clock: str) -> float:
+    try:
+        return SimulatorSettings(clock=clock, real_time_factor=float(text)).real_time_factor
+    except InvalidParameterError as error:
+        raise RuntimeError(str(error)) from None
+    except ValueError:
+        raise RuntimeError(f"real_time_factor: given {text}, expected a number") from None
+
+
+def state_publisher(urdf: Path, own: dict[str, object], foreign: dict[str, object]) -> Node:
+    # Without a type launch takes the text for YAML, which the colon of a comment breaks.
+    text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
+    return Node(
+        package="robot_state_publisher", executable="robot_state_publisher",
+        parameters=[{"robot_description": text, **own}], **foreign,
+    )
+
+
+def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Node | ExecuteProcess:
+    """Return rosbag2's recorder, else the package's own; both write the same format."""
+    # rosbag2 knows the clock of no namespace.
+    if place or not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
+        return Node(package=PACKAGE, executable="recorder", parameters=[clock], **common)
+    topics = [f"/{topic}" for topic in RECORDED] + list(ABSOLUTE)
     folder = f"runs/{datetime.now():%Y-%m-%d_%H-%M-%S}"
     follow = ["--use-sim-time"] if clock["use_sim_time"] else []
     return ExecuteProcess(
@@ -103,14 +209,13 @@ def recording(namespace: str, clock: dict[str, bool]) -> ExecuteProcess:
     )
 
 
-def rviz(config: Path, clock: dict[str, bool], namespace: str) -> Node | LogInfo:
+def rviz(config: Path, clock: dict[str, bool], foreign: dict[str, object]) -> Node | LogInfo:
     """Return RViz, or the news that it is not installed."""
     if not is_installed("rviz2"):
         return LogInfo(msg="rviz:=true given, but rviz2 is not installed: going on without it")
-    arguments = ["-d", str(config)] if config.exists() else []
     return Node(
-        package="rviz2", executable="rviz2", arguments=arguments, parameters=[clock],
-        namespace=namespace,
+        package="rviz2", executable="rviz2", arguments=["-d", str(config)], parameters=[clock],
+        **foreign,
     )
 
 
@@ -120,7 +225,3 @@ def is_installed(package: str) -> bool:
     except PackageNotFoundError:
         return False
     return True
-
-
-def is_true(text: str) -> bool:
-    return text.lower() in ("true", "1")

@@ -1,0 +1,127 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the launch file where launch is not installed, with stand-ins that note what it makes."""
+
+import sys
+from collections.abc import Iterable, Sequence
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+ROOT = Path(__file__).parents[2]
+LAUNCH = ROOT / "launch" / "sphere.launch.py"
+ON_COMMAND_LINE = ("ros2", "launch", "sphere_nmpc", LAUNCH.name)
+KNOWN = {
+    "Node": {
+        "executable", "package", "name", "namespace", "exec_name", "parameters", "remappings",
+        "ros_arguments", "arguments", "output",
+    },
+    "ExecuteProcess": {"cmd", "output"},
+    "DeclareLaunchArgument": {"default_value", "description", "choices"},
+    "LogInfo": {"msg"},
+    "OpaqueFunction": {"function", "args"},
+    "ParameterValue": {"value_type"},
+}
+"""Keywords of launch and launch_ros in Jazzy."""
+
+
+class Made:
+    """What the launch file made: positional arguments, and the others by their names."""
+
+    def __init__(self, *values: Any, **named: Any) -> None:
+        kind = type(self).__name__
+        assert named.keys() <= KNOWN[kind], f"{kind} does not know all of {sorted(named)}"
+        self.values, self.named = values, named
+
+    def __getitem__(self, name: str) -> Any:
+        return self.named[name]
+
+    @property
+    def name(self) -> str:
+        """Name of an argument, as in launch."""
+        return self.values[0]
+
+
+class _NotFoundError(LookupError):
+    pass
+
+
+def _modules(installed: Iterable[str]) -> dict[str, ModuleType]:
+    def find(package: str) -> str:
+        if package not in installed:
+            raise _NotFoundError(package)
+        return "/opt/ros/jazzy"
+
+    made = {name: type(name, (Made,), {}) for name in KNOWN}
+    contents = {
+        "launch": {"LaunchContext": object, "LaunchDescription": list},
+        "launch.actions": made,
+        "launch_ros": {},
+        "launch_ros.actions": made,
+        "launch_ros.parameter_descriptions": made,
+        "ament_index_python": {},
+        "ament_index_python.packages": {
+            "PackageNotFoundError": _NotFoundError,
+            "get_package_prefix": find,
+            "get_package_share_directory": lambda package: str(ROOT),
+        },
+    }
+    modules = {name: ModuleType(name) for name in contents}
+    for name, content in contents.items():
+        vars(modules[name]).update(content)
+    return modules
+
+
+def started(
+    *words: str,
+    installed: Iterable[str] = (),
+    pushed: str = "",
+    command: Sequence[str] = ON_COMMAND_LINE,
+) -> list[Made]:
+    """Return what the launch file starts.
+
+    Parameters
+    ----------
+    words : str
+        The launch arguments, as ``name:=value``.
+    installed : iterable of str
+        ROS packages that are there besides this one.
+    pushed : str
+        Namespace that an including file has pushed.
+    command : sequence of str
+        What stands before the arguments on the command line.
+
+    Raises
+    ------
+    RuntimeError
+        If the file, or launch in its place, refuses an argument.
+    """
+    with patch.dict(sys.modules, _modules(installed)), patch.object(
+        sys, "argv", [*command, *words]
+    ):
+        *declared, function = _loaded().generate_launch_description()
+        given = dict(word.split(":=", 1) for word in words)
+        value = {}
+        for argument in declared:
+            value[argument.name] = given.pop(argument.name, argument["default_value"])
+            choices = argument.named.get("choices")
+            if choices and value[argument.name] not in choices:
+                raise RuntimeError(f"{argument.name}: expected one of {choices}")
+        configurations = {**given, **value, **({"ros_namespace": pushed} if pushed else {})}
+        context = SimpleNamespace(argv=list(words), launch_configurations=configurations)
+        return function["function"](context, *function["args"])
+
+
+def declared_arguments() -> list[str]:
+    """Return the names of the launch file's arguments."""
+    with patch.dict(sys.modules, _modules(())):
+        return [argument.name for argument in _loaded().generate_launch_description()[:-1]]
+
+
+def _loaded() -> ModuleType:
+    spec = spec_from_file_location("sphere_launch", LAUNCH)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

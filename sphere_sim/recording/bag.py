@@ -18,7 +18,7 @@ from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
-from sphere_sim.recording.bag_clock import BagClock
+from sphere_sim.recording.bag_clock import BagClock, longest_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.goals import read_goals
 from sphere_sim.recording.messages import Messages, read_messages
@@ -146,15 +146,31 @@ def _states(path: Path, messages: Messages, topic: str) -> tuple[BagClock, Vecto
     if not np.all(sound):
         told = f"{topic}: {int(np.sum(~sound))} poses are no poses and were left out"
         messages.notes.append(told)
-    received, stamps = zip(
-        *((log, stamp_of(it)) for (log, it), use in zip(entries, sound, strict=True) if use),
-        strict=True,
-    )
+    pairs = [
+        (log, stamp_of(it)) for (log, it), use in zip(entries, sound, strict=True) if use
+    ]
+    run = longest_run([stamp for _, stamp in pairs])
+    received, stamps = zip(*pairs[run], strict=True)
+    if len(stamps) < len(pairs):
+        told = f"{topic}: time goes back, so the bag holds several runs; only the longest is taken"
+        messages.notes.append(f"{told}, {len(stamps)} of {len(pairs)} poses")
+        following = [log for log, _ in pairs[run.stop :]]
+        _leave_out_others(messages, received[0], following[0] if following else None)
     clock = BagClock(received, stamps)
-    states = states[sound] / np.where(np.arange(6) < 2, 1.0, norms[sound, None])
+    states = (states[sound] / np.where(np.arange(6) < 2, 1.0, norms[sound, None]))[run]
     # While simulated time stands still, the simulator repeats the instant it stands at.
     times, first = np.unique([clock.time(stamp) for stamp in stamps], return_index=True)
     return clock, times, states[first]
+
+
+def _leave_out_others(messages: Messages, first: int, following: int | None) -> None:
+    """Leave out what was logged in other runs; a goal from before may still be in force."""
+    for topic, entries in messages.taken.items():
+        is_goal = topic.endswith(("/goal_pose", "/active_goal"))
+        messages.taken[topic] = [
+            (log, message) for log, message in entries
+            if (is_goal or log >= first) and (following is None or log < following)
+        ]
 
 
 def _joints(

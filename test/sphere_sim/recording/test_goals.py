@@ -1,0 +1,164 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals, plans and solves come at their time, whatever their stamps and whoever logged them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sphere_sim.cli.report import main
+from sphere_sim.recording.bag import read_run
+
+POSE_PERIOD = 0.01
+START = 5_000_000_000
+"""Stamp of the first pose of `messages` [ns]; the last comes 3 s later."""
+
+
+def stamped(entry, stamp: int):
+    """Return an entry with another stamp [ns] in its message, logged as before."""
+    message = entry[3]
+    time = dataclasses.replace(
+        message.header.stamp, sec=stamp // 10**9, nanosec=stamp % 10**9
+    )
+    header = dataclasses.replace(message.header, stamp=time)
+    return (*entry[:3], dataclasses.replace(message, header=header))
+
+
+def later(entries, topic: str, time: float, stamp: int):
+    """Return entries with the goals on `topic` at `time` [s] since the first pose, and stamped."""
+    goals = [stamped(entry, stamp) for entry in entries if entry[0] == topic]
+    rest = [entry for entry in entries if not entry[0].endswith(("goal_pose", "active_goal"))]
+    log = START + round(time * 1e9)
+    place = next((i for i, entry in enumerate(rest) if entry[2] > log), len(rest))
+    return [*rest[:place], *((*goal[:2], log, goal[3]) for goal in goals), *rest[place:]]
+
+
+def run_of(rosbag2, on_system_clock, entries):
+    """Return the run as ``ros2 bag record`` logs it, which knows nothing of simulated time."""
+    return read_run(rosbag2(on_system_clock(entries, goals_first=False), "mcap", parts=1))
+
+
+@pytest.mark.parametrize("stamp", [0, 12_345_000_000_000, 1_700_000_000_000_000_000])
+def test_what_a_user_typed_as_a_stamp_does_not_count(
+    rosbag2, on_system_clock, messages, stamp
+) -> None:
+    entries = later(list(messages()), "/goal_pose", 1.5, stamp)
+    run = run_of(rosbag2, on_system_clock, entries)
+    assert run.goal_times == pytest.approx([1.5], abs=POSE_PERIOD)
+    assert run.metrics() is not None
+
+
+@pytest.mark.parametrize(
+    ("stamp", "time", "tolerance"),
+    [
+        (START + 1_480_000_000, 1.48, 1e-9),  # when the controller took it
+        (0, 1.5, POSE_PERIOD),  # by a controller without a clock
+        (START - 4_000_000_000, -4.0, 1e-9),  # kept since before the recording
+        (START + 90_000_000_000, 1.5, POSE_PERIOD),  # of another clock
+        (1_800_000_000_000_000_000, 1.5, POSE_PERIOD),
+    ],
+)
+def test_what_the_controller_stamped_counts_where_it_can_be(
+    rosbag2, on_system_clock, messages, stamp, time, tolerance
+) -> None:
+    entries = later(list(messages()), "/controller/active_goal", 1.5, stamp)
+    run = run_of(rosbag2, on_system_clock, entries)
+    assert run.goal_times == pytest.approx([time], abs=tolerance)
+    assert np.all(np.isfinite(run.goals_in_force[run.times >= max(time, 0.0) + POSE_PERIOD]))
+
+
+def test_a_kept_goal_is_in_force_from_the_start(rosbag2, on_system_clock, messages) -> None:
+    kept = later(list(messages()), "/controller/active_goal", 0.7, START - 4_000_000_000)
+    run, whole = run_of(rosbag2, on_system_clock, kept), read_run(rosbag2(
+        messages(), "sqlite3", name="whole"
+    ))
+    assert run.metrics() == whole.metrics()
+
+
+def test_plans_without_a_stamp_start_when_they_came(rosbag2, on_system_clock, messages) -> None:
+    entries = [
+        stamped(entry, 0) if entry[0] == "/rotor_trajectory" else entry for entry in messages()
+    ]
+    run = run_of(rosbag2, on_system_clock, entries)
+    starts = [plan.start for plan in run.plans]
+    assert starts == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
+
+
+def test_solves_of_a_controller_that_counts_from_its_own_start(
+    rosbag2, on_system_clock, messages
+) -> None:
+    entries = []
+    for entry in messages():
+        if entry[0] == "/controller/status":
+            pairs = [
+                dataclasses.replace(it, value=str(float(it.value) + 70.0))
+                if it.key == "time_s" else it for it in entry[3].values
+            ]
+            entry = (*entry[:3], dataclasses.replace(entry[3], values=pairs))
+        entries.append(entry)
+    run = run_of(rosbag2, on_system_clock, entries)
+    assert run.solves.times == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
+    told = run_of(lambda *how, **more: rosbag2(*how, name="told", **more), on_system_clock,
+                  list(messages()))
+    np.testing.assert_allclose(told.solves.times, 0.5 * np.arange(7), atol=1e-9)
+
+
+def test_a_goal_after_the_last_pose_leaves_the_figures_of_the_one_before(
+    rosbag2, messages
+) -> None:
+    entries = list(messages())
+    goal = next(entry for entry in entries if entry[0] == "/controller/active_goal")
+    late = (*goal[:2], START + 3_500_000_000, goal[3])
+    run = read_run(rosbag2([*entries, late], "mcap"))
+    assert len(run.goals) == 1 and run.metrics() is not None
+    assert run.notes == (
+        "/controller/active_goal: goal at 3.5 s, poses from 0 to 3 s: left out",
+    )
+
+
+def test_a_run_without_a_goal_inside_says_so(rosbag2, messages, tmp_path, capsys) -> None:
+    entries = later(list(messages()), "/controller/active_goal", 7.25, 0)
+    bag, out = rosbag2(entries, "mcap", parts=1), tmp_path / "out"
+    assert main([str(bag), "--out", str(out)]) == 0
+    told = capsys.readouterr()
+    assert "mine: no figures, as no goal was in force at any pose" in told.out
+    reason = "goal at 7.25 s, poses from 0 to 3 s: no goal falls inside the recording"
+    assert reason in told.err
+    assert reason in (out / "summary.json").read_text()
+    assert reason in (out / "report.html").read_text()
+
+
+def test_goals_and_plans_that_are_none_are_told(rosbag2, messages) -> None:
+    entries = list(messages())
+    for i, entry in enumerate(entries):
+        if entry[0] == "/controller/active_goal":
+            pose = entry[3].pose
+            turn = dataclasses.replace(pose.orientation, w=0.3)
+            wrong = dataclasses.replace(entry[3], pose=dataclasses.replace(pose, orientation=turn))
+            entries.insert(i, (*entry[:3], wrong))
+            break
+    plan = next(entry for entry in entries if entry[0] == "/rotor_trajectory")
+    foreign = dataclasses.replace(plan[3], joint_names=["hip", "knee"])
+    run = read_run(rosbag2([*entries, (*plan[:3], foreign)], "mcap"))
+    assert len(run.goals) == 1 and len(run.plans) == 7
+    assert run.notes == (
+        "/controller/active_goal: 1 goals are no poses and were left out",
+        "/rotor_trajectory: 1 trajectories are no plans and were left out",
+    )
+
+
+def test_of_a_simulator_started_again_the_longest_run_is_taken(
+    rosbag2, on_system_clock, messages
+) -> None:
+    whole = list(messages())
+    short = [entry for entry in whole if entry[2] < START + 2_000_000_000]
+    logged = on_system_clock([*short, *whole, *short], goals_first=False)
+    run, expected = read_run(rosbag2(logged, "mcap")), read_run(rosbag2(
+        on_system_clock(whole, goals_first=False), "mcap", name="whole"
+    ))
+    assert run.metrics() == expected.metrics()
+    for name in ("times", "joint_times", "rotor_speeds", "goals_in_force"):
+        np.testing.assert_array_equal(getattr(run, name), getattr(expected, name))
+    assert len(run.plans) == len(expected.plans) == 7 and len(run.solves.times) == 7
+    assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")

@@ -118,16 +118,16 @@ def _read_sqlite(file: Path, storage: Storage, wanted: Wanted) -> None:
             for number, topic, msgtype in connection.execute("SELECT id, name, type FROM topics"):
                 storage.types[topic] = msgtype
                 topics[number] = topic, wanted(topic, msgtype)
-            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
-            if "metadata" in tables:
-                for (text,) in connection.execute("SELECT metadata FROM metadata ORDER BY id"):
-                    _take_metadata(storage, text)
             rows = connection.execute("SELECT topic_id, timestamp, data FROM messages")
             for number, stamp, data in rows:
                 storage.count += 1
                 topic, taken = topics.get(number, ("", False))
                 if taken and isinstance(data, bytes):
                     storage.messages.append((topic, int(stamp), data))
+            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+            if "metadata" in tables:  # since Iron; written last, so the first to be cut off
+                for (text,) in connection.execute("SELECT metadata FROM metadata ORDER BY id"):
+                    _take_metadata(storage, text)
         except Exception as error:
             # What SQLite makes of damaged pages may also be text that is none, or a lacking table.
             whole = not _is_cut(file)

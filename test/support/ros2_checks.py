@@ -1,0 +1,167 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Checks commands of ros2 against the documented topics and services, and their messages."""
+
+import re
+from array import array
+from collections.abc import Sequence
+from functools import reduce
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import yaml
+from command_checks import Options, WrongCommandError, check_value, settings_of
+
+TOPICS = Path(__file__).parents[2] / "msg_docs" / "topics.md"
+
+
+def offered() -> dict[str, str]:
+    """Return the type of each documented topic and service, by its full name."""
+    found, node = {}, ""
+    # A service may be told in the text, with its type behind it in brackets.
+    told = re.compile(
+        r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \||"
+        r"`(?P<name>~/\w+)`\s+\((?P<srv>\S+/srv/\w+)\)", re.MULTILINE,
+    )
+    for match in told.finditer(TOPICS.read_text("utf-8")):
+        node = match["node"] or node
+        if not match["node"]:
+            name = (match["row"] or match["name"]).replace("~", node).lstrip("/")
+            found[f"/{name}"] = match["type"] or match["srv"]
+    return found
+
+
+def check_topic(name: str, kind: str | None = None) -> str:
+    """Return the type of a topic or service, which may be that of a robot in a namespace."""
+    types = offered()
+    full = f"/{name.lstrip('/')}"
+    second = re.sub(r"^/\w+(?=/)", "", full)
+    actual = types.get(full) or types.get(second)
+    if actual is None:
+        raise WrongCommandError(f"{name}: not in msg_docs/topics.md")
+    if kind is not None and re.sub("/(msg|srv)/", "/", kind) != re.sub("/(msg|srv)/", "/", actual):
+        raise WrongCommandError(f"{name}: given the type {kind}, expected {actual}")
+    return actual
+
+
+def fill(message: Any, values: Any) -> None:
+    """Set the fields of a message as `ros2 topic pub` does."""
+    if not isinstance(values, dict):
+        raise WrongCommandError(f"{type(message).__name__}: given {values!r}, expected fields")
+    fields = message.get_fields_and_field_types()
+    for name, value in values.items():
+        if name not in fields:
+            raise WrongCommandError(f"{type(message).__name__} has no field {name}")
+        if (fields[name], value) in (
+            ("std_msgs/Header", "auto"), ("builtin_interfaces/Time", "now")
+        ):
+            continue
+        element = re.fullmatch(r"sequence<(\w+/\w+)(?:, \d+)?>|(\w+/\w+)(\[\d+\])?", fields[name])
+        if element is None:
+            current = getattr(message, name)
+            try:
+                if isinstance(current, array):
+                    value = array(current.typecode, value)
+                is_whole = isinstance(current, float) and type(value) is int
+                setattr(message, name, float(value) if is_whole else value)
+            except (AssertionError, TypeError, ValueError) as error:
+                raise WrongCommandError(f"{name}: given {value!r}: {error}") from None
+            continue
+        package, kind = (element[1] or element[2]).split("/")
+        nested = getattr(import_module(f"{package}.msg"), kind)
+        for part in value if element[1] or element[3] else [value]:
+            fill(nested(check_fields=True), part)
+
+
+def filled(kind: str, values: str) -> Any:
+    """Return a message, or the request of a service, with these values."""
+    package, group, name = kind.split("/")
+    found = getattr(import_module(f"{package}.{group}"), name)
+    message = getattr(found, "Request", found)(check_fields=True)
+    fill(message, yaml.safe_load(values))
+    return message
+
+
+def check_publication(words: Sequence[str]) -> None:
+    parser = Options()
+    for name in ("topic", "kind"):
+        parser.add_argument(name)
+    parser.add_argument("values", nargs="?", default="{}")
+    parser.add_argument("-1", "--once", action="store_true")
+    for short, name in (("-r", "--rate"), ("-t", "--times"), ("-w", "--wait"), ("-p", "--print")):
+        parser.add_argument(short, name, type=float)
+    for name in ("--qos-reliability", "--qos-durability", "--qos-profile", "--keep-alive"):
+        parser.add_argument(name)
+    given = parser.parse_args(words)
+    filled(check_topic(given.topic, given.kind), given.values)
+    if given.topic.endswith("goal_pose") and given.once and not given.wait:
+        raise WrongCommandError(
+            "--once: the goal is sent when anybody listens, perhaps before the controller does; "
+            "expected -t 3"
+        )
+
+
+def check_listening(words: Sequence[str]) -> None:
+    parser = Options()
+    parser.add_argument("topic")
+    parser.add_argument("kind", nargs="?")
+    for name in ("--once", "--no-arr", "--csv", "--verbose", "-v"):
+        parser.add_argument(name, action="store_true")
+    for name in ("--field", "--qos-reliability", "--qos-durability", "--qos-profile", "--window"):
+        parser.add_argument(name)
+    given = parser.parse_args(words)
+    message = filled(check_topic(given.topic, given.kind), "{}")
+    if given.field:
+        try:
+            reduce(getattr, given.field.split("."), message)
+        except AttributeError as error:
+            raise WrongCommandError(f"--field: {error}") from None
+
+
+def check_service_call(words: Sequence[str]) -> None:
+    parser = Options()
+    for name in ("service", "kind"):
+        parser.add_argument(name)
+    parser.add_argument("values", nargs="?", default="{}")
+    given = parser.parse_args(words)
+    filled(check_topic(given.service, given.kind), given.values)
+
+
+def check_parameter_set(words: Sequence[str]) -> None:
+    parser = Options()
+    for name in ("node", "name", "value"):
+        parser.add_argument(name)
+    given = parser.parse_args(words)
+    check_value(given.node.split("/")[-1], given.name, given.value, live=True)
+
+
+def check_parameter_get(words: Sequence[str]) -> None:
+    parser = Options()
+    for name in ("node", "name"):
+        parser.add_argument(name)
+    given = parser.parse_args(words)
+    if given.name != "use_sim_time":
+        settings_of(given.node.split("/")[-1], given.name)
+
+
+def check_recording(words: Sequence[str]) -> None:
+    parser = Options()
+    parser.add_argument("names", nargs="*", default=[])
+    parser.add_argument("--topics", nargs="+", action="extend", default=[])
+    parser.add_argument("-a", "--all", action="store_true")
+    parser.add_argument("--use-sim-time", action="store_true")
+    for short, name in (("-s", "--storage"), ("-o", "--output")):
+        parser.add_argument(short, name)
+    given = parser.parse_args(words)
+    topics = [*given.names, *given.topics]
+    if given.all or any(topic.endswith("goal_pose") for topic in topics):
+        raise WrongCommandError(
+            "records goal_pose, where nobody but the controller is to listen: "
+            "expected controller/active_goal"
+        )
+    if not topics:
+        raise WrongCommandError("no topics are given")
+    for topic in topics:
+        if topic not in ("/tf", "/tf_static", "/rosout", "/parameter_events"):
+            check_topic(topic)

@@ -1,0 +1,215 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every command that the documents print would be understood, as far as can be told without ROS.
+
+Nothing is run: arguments go through the parsers of the package, parameters through its settings,
+payloads into the messages, and launch arguments into the launch file.
+"""
+
+import shlex
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+sys.path.append(str(Path(__file__).parent / "support"))
+
+from command_checks import (
+    SETTINGS,
+    WrongCommandError,
+    check_for_some_node,
+    check_launch,
+    check_ros,
+    check_verb,
+)
+from document_commands import Command, all_commands, commands
+from launch_stand_in import declared_arguments
+from ros2_checks import (
+    check_listening,
+    check_parameter_get,
+    check_parameter_set,
+    check_publication,
+    check_recording,
+    check_service_call,
+)
+
+OF_A_VERB = ("sphere_nmpc", "ros2 run sphere_nmpc")
+CHECKS: dict[str, Callable[[tuple[str, ...]], None]] = {
+    "make demo": lambda words: check_make(words),
+    "ros2 launch sphere_nmpc": check_launch,
+    "ros2 topic pub": check_publication,
+    "ros2 topic echo": check_listening,
+    "ros2 topic hz": check_listening,
+    "ros2 topic info": check_listening,
+    "ros2 service call": check_service_call,
+    "ros2 param set": check_parameter_set,
+    "ros2 param get": check_parameter_get,
+    "ros2 bag record": check_recording,
+    "--ros-args": lambda words: check_ros(None, words),
+    "-p": lambda words: check_ros(None, ("-p", *words)),
+    "-r": lambda words: check_ros(None, ("-r", *words)),
+}
+"""What checks the commands that begin so; it gets the words behind that."""
+UNCHECKED = (
+    # Of ROS: their arguments are no business of the package.
+    "ros2 security", "ros2 pkg prefix", "ros2 topic list", "ros2 node list", "colcon", "rosdep",
+    # test_documents.py looks for the targets and the scripts.
+    "make", "python", "python3", ".venv/bin/python",
+    # Of the system.
+    ".", "apt", "done", "export", "for", "pip", ".venv-acados/bin/pip", "ssh",
+    # Not a command but a line of /etc/security/limits.conf.
+    "your_user - rtprio",
+)
+"""Beginnings of commands that are not checked."""
+
+
+def check_make(words: tuple[str, ...]) -> None:
+    for word in words:
+        name, _, value = word.partition("=")
+        if name == "ARGS":
+            check_verb(["demo", *shlex.split(value)], False)
+
+
+def check_assignment(word: str) -> None:
+    """Check name:=value in running text, which is an argument of launch or a parameter."""
+    name, _, value = word.partition(":=")
+    if name in declared_arguments():
+        check_launch(("sphere.launch.py", word))
+    elif not name.startswith("__"):
+        check_for_some_node(list(SETTINGS), name, value)
+
+
+def check(command: Command) -> None:
+    """Check a command by what knows the longest part of its beginning.
+
+    Raises
+    ------
+    WrongCommandError
+        If it would not be understood, or nothing here knows what it is.
+    """
+    words = command.words
+    checks = {**CHECKS, **dict.fromkeys(OF_A_VERB, partial(check_verb, inline=command.inline))}
+    for end in range(len(words), 0, -1):
+        beginning = " ".join(words[:end])
+        if beginning in checks:
+            # Such as `ros2 bag record -a` in a sentence about it.
+            is_a_mention = command.inline and all(w.startswith("-") for w in words[end:])
+            return None if is_a_mention else checks[beginning](words[end:])
+        if beginning in UNCHECKED:
+            return None
+    if ":=" in words[0]:
+        return check_assignment(words[0])
+    if command.inline and any(known.startswith(" ".join(words)) for known in checks):
+        return None  # such as `ros2 topic`
+    raise WrongCommandError("a new kind of command: add a check, or name it in UNCHECKED")
+
+
+@pytest.mark.parametrize("command", all_commands(), ids=str)
+def test_command_in_a_document_is_understood(command) -> None:
+    wrong = ""
+    try:
+        check(command)
+    except WrongCommandError as error:
+        wrong = f"{command}\n    {error}"
+    if wrong:
+        pytest.fail(wrong, pytrace=False)
+
+
+GOAL = "geometry_msgs/msg/PoseStamped"
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("ros2 run sphere_nmpc fly", "fly: no executable"),
+        ("ros2 run sphere_nmpc simulator --rtf 2", "takes ROS arguments only"),
+        ("sphere_nmpc demo --case 7", "invalid choice: 7"),
+        ("sphere_nmpc report bag", "required: --out"),
+        ("make demo ARGS='--case 9'", "invalid choice: 9"),
+        ("sphere_nmpc controller --ros-args -p strateggy:=paper", "no parameter strateggy"),
+        ("sphere_nmpc controller --ros-args -p strategy:=lqr", "strategy: given 'lqr'"),
+        ("sphere_nmpc controller --ros-args -p strategy=paper", "expected name:=value"),
+        ("sphere_nmpc controller --ros-args -p use_sim_time:=2", "expected true or false"),
+        ("sphere_nmpc simulator --ros-args -p robot.shell_mass:=0.0", "shell_mass: given 0.0"),
+        ("ros2 launch sphere_nmpc all.launch.py", "no launch file"),
+        ("ros2 launch sphere_nmpc sphere.launch.py rvis:=true", "rvis: not an argument"),
+        ("ros2 launch sphere_nmpc sphere.launch.py rviz:=yes", "rviz: expected one of"),
+        (f"ros2 topic pub -t 3 /goal {GOAL}", "/goal: not in"),
+        ("ros2 topic pub -t 3 /goal_pose geometry_msgs/msg/Pose", "expected geometry_msgs/msg"),
+        (f"ros2 topic pub -t 3 /goal_pose {GOAL} '{{position: 1}}'", "has no field position"),
+        (f"ros2 topic pub -t 3 /goal_pose {GOAL} '{{pose: {{position: {{x: a}}}}}}'", "x: given"),
+        (f"ros2 topic pub --once /goal_pose {GOAL} '{{}}'", "expected -t 3"),
+        ("ros2 topic pub /rotor_commands std_msgs/msg/Float64MultiArray '{data: x}'", "data: g"),
+        ("ros2 topic echo /controller/mood", "not in msg_docs"),
+        ("ros2 topic echo --field pose.x /pose", "--field"),
+        ("ros2 service call /simulator/stop std_srvs/srv/Trigger", "not in msg_docs"),
+        ("ros2 service call /simulator/pause std_srvs/srv/Trigger", "expected std_srvs/srv/Set"),
+        ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{on_: true}'", "no field on_"),
+        ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{data: a}'", "data: given"),
+        ("ros2 param set /controller horizon 5", "cannot be changed while it runs"),
+        ("ros2 param set /controller terminal_weight 1e9", "given '1e9', expected a finite"),
+        ("ros2 param set /controler horizon 5", "there is no node controler"),
+        ("ros2 param set /controller horizon", "required: value"),
+        ("ros2 param get /controller horizn", "no parameter horizn"),
+        ("ros2 bag record -o mine /pose /goal_pose", "records goal_pose"),
+        ("ros2 bag record -a", "records goal_pose"),
+        ("ros2 bag record /poses", "/poses: not in"),
+        ("ros2 weather", "a new kind of command"),
+        ("docker run ros", "a new kind of command"),
+    ],
+)
+def test_wrong_command_is_told(line, wrong) -> None:
+    (command,) = commands("a.md", f"```\n{line}\n```\n")
+    with pytest.raises(WrongCommandError) as caught:
+        check(command)
+    assert wrong in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "wrong"),
+    [
+        ("rviz:=yes", "rviz: expected one of"),
+        ("sample_period:=1000.0", "sample_period: given 1000.0"),
+        ("horizonn:=3", "has no parameter horizonn"),
+        ("-p strategy:=lqr", "strategy: given 'lqr'"),
+        ("sphere_nmpc demo --case 9", "invalid choice: 9"),
+        ("ros2 weather", "a new kind of command"),
+    ],
+)
+def test_wrong_command_in_text_is_told(words, wrong) -> None:
+    (command,) = commands("a.md", f"Say `{words}`.")
+    with pytest.raises(WrongCommandError, match=wrong):
+        check(command)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "ros2 topic", "ros2 bag record -a", "sphere_nmpc study", "sphere_nmpc study --scheduler",
+        "sphere_nmpc goal X Y --quaternion W X Y Z", "clock:=system", "plant:=rigid_body",
+        "params_file:=my.yaml", "-r __ns:=/left",
+    ],
+)
+def test_command_in_text_may_be_told_in_part(words) -> None:
+    (command,) = commands("a.md", f"Say `{words}`.")
+    check(command)
+
+
+def test_commands_are_found_in_blocks_and_in_text() -> None:
+    text = (
+        "Type `ros2 topic\necho /pose` or `pose`:\n\n"
+        "    make demo && . a/b   # here\n\n"
+        "```\n# no command\nFOO=1 sudo ros2 run \\\n    a 'b c' $(ros2 pkg prefix a)/d\n```\n"
+        "```python\nx = 1\n```\n    y = (x)\n"
+    )
+    found = {command.words: command.inline for command in commands("a.md", text)}
+    assert found == {
+        ("ros2", "pkg", "prefix", "a"): False,
+        ("ros2", "run", "a", "b c", "OUTPUT/d"): False,
+        ("make", "demo"): False,
+        (".", "a/b"): False,
+        ("ros2", "topic", "echo", "/pose"): True,
+    }

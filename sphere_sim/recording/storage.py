@@ -110,14 +110,15 @@ def _read_sqlite(file: Path, storage: Storage, wanted: Wanted) -> None:
     # What a recorder that was killed had not yet moved into the file is in a log beside it.
     beside = file.with_name(f"{file.name}-wal").exists()
     address = f"{file.absolute().as_uri()}?{'mode=ro' if beside else 'immutable=1'}"
-    with closing(sqlite3.connect(address, uri=True)) as connection:
-        try:
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as connection:
             # Otherwise SQLite refuses a file that breaks off, instead of reading up to there.
             connection.execute("PRAGMA writable_schema=ON")
             topics = {}
             for number, topic, msgtype in connection.execute("SELECT id, name, type FROM topics"):
-                storage.types[topic] = msgtype
-                topics[number] = topic, wanted(topic, msgtype)
+                if isinstance(topic, str) and isinstance(msgtype, str):  # damaged ones are none
+                    storage.types[topic] = msgtype
+                    topics[number] = topic, wanted(topic, msgtype)
             rows = connection.execute("SELECT topic_id, timestamp, data FROM messages")
             for number, stamp, data in rows:
                 storage.count += 1
@@ -125,13 +126,13 @@ def _read_sqlite(file: Path, storage: Storage, wanted: Wanted) -> None:
                 if taken and isinstance(data, bytes):
                     storage.messages.append((topic, int(stamp), data))
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
-            if "metadata" in tables:  # since Iron; written last, so the first to be cut off
+            if "metadata" in tables:  # written last, so the first to be cut off
                 for (text,) in connection.execute("SELECT metadata FROM metadata ORDER BY id"):
                     _take_metadata(storage, text)
-        except Exception as error:
-            # What SQLite makes of damaged pages may also be text that is none, or a lacking table.
-            whole = not _is_cut(file)
-            storage.problem = f"is damaged ({_words(error)})" if whole else _BREAKS_OFF
+    except Exception as error:
+        # What SQLite makes of damaged pages may also be text that is none, or a lacking table.
+        whole = not _is_cut(file)
+        storage.problem = f"is damaged ({_words(error)})" if whole else _BREAKS_OFF
 
 
 def _is_cut(file: Path) -> bool:

@@ -105,6 +105,18 @@ def test_a_file_cut_before_the_first_pose_is_no_empty_bag(rosbag2, messages, kin
     assert "another robot" not in str(it.value) and "is empty:" not in str(it.value)
 
 
+def test_a_folder_in_the_place_of_a_file_is_told(rosbag2, messages) -> None:
+    bag = rosbag2(messages(), "sqlite3")
+    (bag / "mine_1.db3").unlink()
+    (bag / "mine_1.db3").mkdir()
+    with pytest.raises(BagError, match=r"mine_1.db3 cannot be read: Is a directory"):
+        read_run(bag)
+
+
+def test_a_compressed_file_has_the_name_of_the_plain_one(rosbag2, messages) -> None:
+    assert read_run(rosbag2(messages(), "mcap", "file") / "mine_0.mcap.zstd").name == "mine_0"
+
+
 def test_a_damaged_chunk_is_not_taken_for_the_end(make_bag, messages) -> None:
     file = next(make_bag(list(messages()) * 30).glob("*.mcap"))
     with file.open("rb") as stream:

@@ -19,6 +19,7 @@ from sphere_sim.figures.contact_locus import contact_locus
 from sphere_sim.figures.paper_panels import paper_panels
 from sphere_sim.figures.style import save
 from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
 from sphere_sim.report.page import describe, write_page
 from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
@@ -46,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when it is written, 1 when a bag cannot be read.
+        0 when it is written, 1 when a bag cannot be read. A run without a goal has a report too,
+        which says that it has no figures.
     """
     given = _parse(arguments)
     try:
@@ -91,7 +93,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _names(bags: Sequence[Path]) -> list[str]:
     """Return a short name for each bag, all different; the demo calls every bag 'bag'."""
     resolved = [bag.resolve() for bag in bags]
-    names = [bag.parent.name if bag.name == "bag" else bag.stem for bag in resolved]
+    names = [bag.parent.name if bag.name == "bag" else Path(storage_name(bag)).stem
+             for bag in resolved]
     return [
         name if names.count(name) == 1 else f"{name}_{names[: i + 1].count(name)}"
         for i, name in enumerate(names)

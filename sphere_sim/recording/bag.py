@@ -19,6 +19,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
 from sphere_sim.recording.bag_clock import BagClock, longest_run
+from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.goals import read_goals
 from sphere_sim.recording.messages import Messages, read_messages
@@ -78,7 +79,7 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     plans = _plans(messages, robot, clock)
     parameters = _parameters(messages.custom_data, f"{robot}/controller")
     return Run(
-        name=name or path.stem,
+        name=name or Path(storage_name(path)).stem,
         path=path,
         origin=clock.origin * _NANO,
         times=times,

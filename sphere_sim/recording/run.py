@@ -50,7 +50,7 @@ class Run:
     path : Path
         The bag.
     origin : float
-        Time of the first pose on the clock of the recording [s].
+        Stamp of the first pose [s].
     times : ndarray, shape (n,)
         Times of the poses [s].
     states : ndarray, shape (n, 6)

@@ -86,7 +86,11 @@ def test_run_without_a_goal_has_a_page_that_says_so(tmp_path, capsys) -> None:
     bag = make_bag(tmp_path / "run", goal=False)
     assert main([str(bag), "--out", str(out), "--csv"]) == 0
     assert "nothing to measure" in (out / "report.html").read_text()
-    assert "goal_pose and active_goal are missing" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "goal_pose and active_goal are missing" in told.err
+    assert "run: no figures, as no goal was in force at any pose; see the notes" in told.out
+    notes = json.loads((out / "summary.json").read_text())["run"]["notes"]
+    assert any("goal_pose and active_goal are missing" in note for note in notes)
     table = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
     assert np.all(np.isnan(table["error"])) and np.all(np.isfinite(table["x"]))
 

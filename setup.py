@@ -26,7 +26,14 @@ EXTRAS = {
     "study": ["dask>=2024.8", "distributed>=2024.8"],
     "rigid": ["mujoco>=3.2,<5"],
     "viewer": ["viser>=1.0,<2"],
-    "report": ["rosbags==0.11.*", "matplotlib>=3.8,<4", "pyarrow>=16"],
+    "report": [
+        "rosbags==0.11.*",
+        "mcap>=1.2,<2",
+        "ruamel.yaml>=0.18",
+        "zstandard>=0.22",
+        "matplotlib>=3.8,<4",
+        "pyarrow>=16",
+    ],
     # launch_testing's pytest plugin breaks under pytest 9.
     "test": ["pytest>=7.4,<9", "hypothesis>=6.100", "ruff>=0.9", "mypy>=1.14", "packaging"],
 }

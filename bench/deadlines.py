@@ -3,6 +3,7 @@
 """Drawn goals one after another through the nodes in real time: is any command late?
 
     python bench/deadlines.py --draw 20 --seed 1
+    python bench/deadlines.py --draw 20 --seed 1 --clock system
 
 Each run starts where the one before ended, at rest. A miss is a sample instant at which no command
 was sent, as planning took longer or the machine was busy elsewhere.
@@ -18,6 +19,7 @@ from node_runs import Observer, machine, running, write_json
 from sphere_nmpc.control.settings import SAMPLE_PERIODS
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.simulator_settings import CLOCKS
 
 _ARRIVED = 1e-2
 _STAYS = 0.5
@@ -64,13 +66,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--strategy", choices=SAMPLE_PERIODS, default="time_optimal")
     parser.add_argument("--rtf", type=float, default=1.0, help="real-time factor")
+    parser.add_argument("--clock", choices=CLOCKS, default="simulated", help="of both nodes")
     parser.add_argument("--longest", type=float, default=40.0, help="time for a run [s]")
     parser.add_argument("--json", type=Path, help="file for the results")
     options = parser.parse_args()
     scenarios = draw_scenarios(options.draw, options.seed)
     about = machine()
     start = ", ".join(repr(float(value)) for value in scenarios[0].start)
-    world = {"initial_state": f"[{start}]", "real_time_factor": options.rtf}
+    world = {
+        "initial_state": f"[{start}]", "real_time_factor": options.rtf, "clock": options.clock
+    }
     runs = []
     print(f"{about['date']}, load {about['load_average']}\n{_HEADER}")
     with running(world, {"strategy": options.strategy}) as observer:

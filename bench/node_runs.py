@@ -84,7 +84,8 @@ class Observer:
         self.until(lambda: self._node.count_subscribers("rotor_trajectory") > 1, PATIENCE)
         future = self._pause.call_async(SetBool.Request(data=False))
         self.until(future.done, PATIENCE)
-        self.until(lambda: self.record.statuses, PATIENCE)
+        # Before there is a time, the status tells only that.
+        self.until(lambda: "missed_ticks" in (self.record.statuses or [{}])[-1], PATIENCE)
 
     def send(self, goal: Vector) -> float:
         """Send a goal; return the control time [s]."""
@@ -120,10 +121,12 @@ def running(
     simulator: dict[str, object], controller: dict[str, object], keep_poses: bool = True
 ) -> Iterator[Observer]:
     """Run both nodes with these parameters; yield their observer, time still paused."""
+    on_system_clock = simulator.get("clock") == "system"
+    paused, follow = {"start_paused": not on_system_clock}, {"use_sim_time": not on_system_clock}
     # ROS takes over the processes' environment: a domain of its own keeps others out.
     with own_domain(), tempfile.TemporaryDirectory() as logs, Children(Path(logs)) as children:
-        children.start("simulator", _arguments({**_FIRST, "start_paused": True, **simulator}))
-        children.start("controller", _arguments({**_FIRST, "use_sim_time": True, **controller}))
+        children.start("simulator", _arguments({**_FIRST, **paused, **simulator}))
+        children.start("controller", _arguments({**_FIRST, **follow, **controller}))
         rclpy.init()
         try:
             yield Observer(children, keep_poses)

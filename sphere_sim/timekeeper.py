@@ -176,6 +176,8 @@ class Timekeeper:
     def _due(self, instant: int) -> float:
         if self._factor <= 0.0:
             return -math.inf
+        if self._keeps_up:
+            return self._ideal(instant)
         last, wall = self._last
         soonest = wall + _MAKE_UP * (instant - last) / NANOSECONDS / self._factor
         return max(self._ideal(instant), soonest)

@@ -41,6 +41,13 @@ class Graph:
         if type(node).work is not LivingNode.work:
             self._busy.append(node)
 
+    def remove(self, node: LivingNode) -> None:
+        """Take a node away, as when its process ends."""
+        self._executor.remove_node(node)
+        self._nodes.remove(node)
+        self._busy = [busy for busy in self._busy if busy is not node]
+        node.destroy_node()
+
     def hear(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
         """Return a list that fills with what is published on `topic`."""
         heard: list[Any] = []

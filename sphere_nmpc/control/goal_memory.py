@@ -57,6 +57,6 @@ class GoalMemory:
             age = max(0.0, time.time() - self._path.stat().st_mtime)
             content = json.loads(self._path.read_text(encoding="ascii"))
             goal, then = as_state(content["goal"]), int(content["stamp"])
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, OverflowError):
             return None
         return (goal, age) if age <= self._keep and then <= stamp else None

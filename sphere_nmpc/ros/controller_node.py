@@ -47,10 +47,12 @@ from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.precedence import SchedulingSettings
 from sphere_nmpc.ros.sample_grid import SampleGrid
+from sphere_nmpc.ros.surroundings import OTHER_CLOCK
 from sphere_nmpc.ros.throttle import FaultLog
+from sphere_nmpc.ros.watch import NO_EVENTS
 
 AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
-_OTHER_CLOCK = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
+_CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
 _LOOK_EVERY = 0.25
 """Wall time between two looks at the surroundings [s]."""
 _REMEMBER_EVERY = 1.0
@@ -127,8 +129,10 @@ class ControllerNode(LivingNode):
         newest = QoSProfile(depth=1, reliability=reliability)
         take = self._take_sample if lockstep else self._take_pose
         self._inputs = [
-            self.create_subscription(PoseStamped, "pose", take, newest),
-            self.create_subscription(PoseStamped, "goal_pose", self._take_goal, 1),
+            self.create_subscription(PoseStamped, "pose", take, newest, event_callbacks=NO_EVENTS),
+            self.create_subscription(
+                PoseStamped, "goal_pose", self._take_goal, 1, event_callbacks=NO_EVENTS
+            ),
             self.create_service(SetBool, "~/enable", self._enable),
         ]
         if not lockstep:
@@ -173,7 +177,7 @@ class ControllerNode(LivingNode):
     def _recall(self) -> None:
         """Take up the goal of a controller that ended a moment ago, unless there is a new one."""
         self._recalled = True
-        if self._memory is None or self.controller.goal is not None:
+        if self._memory is None:
             return
         found = self._memory.recall(self._stamp())
         if found is not None:
@@ -250,11 +254,12 @@ class ControllerNode(LivingNode):
                 self._ahead = message
                 return
             # It would count as fresh for as long as it is ahead.
-            self._faults.report(
-                "pose refused",
-                f"given a stamp {stamp - now:.6g} s ahead of this node's clock, expected at most "
-                f"{self._settings.pose_timeout:g} s",
-            )
+            if stamp - now < OTHER_CLOCK:  # else the wrong clock is told
+                self._faults.report(
+                    "pose refused",
+                    f"given a stamp {stamp - now:.6g} s ahead of this node's clock, expected at "
+                    f"most {self._settings.pose_timeout:g} s; are the clocks synchronised?",
+                )
             return
         self.controller.observe(stamp, state)
         self._planning.read(now, time.monotonic())
@@ -287,6 +292,7 @@ class ControllerNode(LivingNode):
         """Bring a goal, shape (6,), into force; the one that is in force is only confirmed."""
         fresh = self.controller.goal is None or not np.array_equal(goal, self.controller.goal)
         self.controller.set_goal(goal)
+        self._recalled = True
         self._reports.goal(goal, self._stamp())
         if not fresh:
             return
@@ -337,7 +343,7 @@ class ControllerNode(LivingNode):
         return SetParametersResult(successful=True)
 
     def _time_jumped(self, jump: TimeJump) -> None:
-        if jump.clock_change in _OTHER_CLOCK:
+        if jump.clock_change in _CHANGED:
             self._take_clock()
         self._faults.report("clock jumped", "poses and plans are forgotten, the goal stays")
         self.controller.forget()

@@ -7,7 +7,13 @@ import time
 
 from rclpy.node import Node
 
-from sphere_nmpc.ros.surroundings import Complaint, Surroundings, complaints, several
+from sphere_nmpc.ros.surroundings import (
+    NO_POSE,
+    Complaint,
+    Surroundings,
+    complaints,
+    several,
+)
 from sphere_nmpc.ros.throttle import FaultLog
 from sphere_nmpc.ros.watch import Watch
 
@@ -32,6 +38,7 @@ class ControllerWatch:
         self._time = math.nan
         self._time_moved = self._pose_came = time.monotonic()
         self._pose_age = math.nan
+        self._heard = False
 
     @property
     def complaints(self) -> list[Complaint]:
@@ -40,13 +47,16 @@ class ControllerWatch:
 
     def heard(self, age: float) -> None:
         """Take note of a pose whose stamp is `age` [s] behind the node's clock, nan if unknown."""
-        self._pose_came, self._pose_age = time.monotonic(), age
+        self._heard, self._pose_age = True, age
 
     def look(self, now: float | None, follows_clock: bool, pose_timeout: float) -> None:
         """Look around at control time `now` [s], None before the first message on /clock."""
         wall, watch = time.monotonic(), self._watch
         if now is not None and now != self._time:
             self._time, self._time_moved = now, wall
+        # Seen at the same looks, clock and pose of a simulator that ends fall silent together.
+        if self._heard:
+            self._heard, self._pose_came = False, wall
         # The whole graph is searched only where the clock that is followed has no publisher.
         clocks = watch.publishers(self._clock_topic)
         others = watch.clock_topics() if follows_clock and not clocks else []
@@ -59,4 +69,8 @@ class ControllerWatch:
         )
         harm = "what the rotors do is then not what is planned with"
         senders = watch.publishers(self._command_topic)
-        watch.update(found + several(self._command_topic, senders, harm))
+        found += several(self._command_topic, senders, harm)
+        unfit = watch.incompatible()
+        if any(self._pose_topic in complaint.kind for complaint in unfit):
+            found = [complaint for complaint in found if complaint.kind != NO_POSE]
+        watch.update(unfit + found)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 PATIENCE = 1.25
 """Silence after which something is missing [s, wall]; with a look every half second it is told
 within two seconds, and nodes that start together have found each other by then."""
-_OTHER_CLOCK = 1e6
+NO_POSE = "no pose"
+OTHER_CLOCK = 1e6
 """Age of a pose beyond which its stamp is of another kind of clock, not merely late [s]."""
 _OWN_NAMESPACE = "a further robot takes a namespace of its own, -r __ns:=/second"
 _KILLED = "a node that was killed counts for up to 20 s"
@@ -169,23 +170,24 @@ def _no_pose(seen: Surroundings) -> list[Complaint]:
         given = f"no publisher of {seen.pose_topic}"
         cure = "start the simulator or the robot's estimator, or remap, -r pose:=/its/topic"
     return [
-        Complaint("no pose", f"given {given} for {PATIENCE:g} s, expected 20 Hz or more; {cure}")
+        Complaint(NO_POSE, f"given {given} for {PATIENCE:g} s, expected 20 Hz or more; {cure}")
     ]
 
 
 def _wrong_clock(seen: Surroundings) -> list[Complaint]:
     """Return the complaint about poses that are stamped on another clock than the node's."""
     age = seen.pose_age
-    if not abs(age) > seen.pose_timeout:  # also before the first pose, and in the dark
+    # A single pose from the future is refused, which is told by itself; nan is before the first.
+    if not (age > seen.pose_timeout or age < -OTHER_CLOCK):
         return []
     if seen.follows_clock and seen.clock_silence >= PATIENCE:
         return []  # paused
     where = "behind" if age > 0.0 else "ahead of"
     given = f"given poses with stamps {abs(age):.3g} s {where} this node's clock, expected at "
     given += f"most {seen.pose_timeout:g} s"
-    if not seen.follows_clock and age > _OTHER_CLOCK:
+    if not seen.follows_clock and age > OTHER_CLOCK:
         cure = "they are in simulated time: start this node with -p use_sim_time:=true"
-    elif seen.follows_clock and age < -_OTHER_CLOCK:
+    elif seen.follows_clock and age < -OTHER_CLOCK:
         cure = "they are on the system clock: start this node with -p use_sim_time:=false"
     else:
         cure = "synchronise the clocks of the machines (chrony), or raise pose_timeout"

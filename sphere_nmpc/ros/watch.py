@@ -3,18 +3,19 @@
 """Looking at a node's surroundings, and telling once what is wrong there."""
 
 from collections.abc import Sequence
-from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
-from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from sphere_nmpc.ros.surroundings import Complaint, incompatible
 from sphere_nmpc.ros.throttle import FaultLog
 
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
-_OF_EVERY_NODE = ("/rosout", "/parameter_events")
+NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""For subscriptions whose incompatible publishers a `Watch` tells, rather than rclpy too."""
+_OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
 class Watch:
@@ -36,9 +37,8 @@ class Watch:
 
     def update(self, found: Sequence[Complaint]) -> None:
         """Take note of what is wrong now, and log what is new."""
-        found = [*found, *self._incompatible()]
         before = {complaint.kind for complaint in self.complaints}
-        self.complaints = found
+        self.complaints = list(found)
         for complaint in found:
             if complaint.kind not in before:
                 self._faults.report(complaint.kind, complaint.message)
@@ -56,26 +56,26 @@ class Watch:
             if _CLOCK_TYPE in kinds and self._node.count_publishers(topic) > 0
         ]
 
-    def _incompatible(self) -> list[Complaint]:
+    def incompatible(self) -> list[Complaint]:
         """Return the complaints about publishers and subscriptions whose messages cannot pass."""
-        node, found = self._node, []
-        ends: list[Any] = [*node.subscriptions, *node.publishers]
-        for end in ends:
-            topic, own = end.topic_name, end.qos_profile
-            if topic in _OF_EVERY_NODE:
-                continue
-            if isinstance(end, Subscription):
-                others = node.get_publishers_info_by_topic(topic)
-                fits = [qos_check_compatible(other.qos_profile, own) for other in others]
-            else:
-                others = node.get_subscriptions_info_by_topic(topic)
-                fits = [qos_check_compatible(own, other.qos_profile) for other in others]
-            found += [
-                incompatible(topic, _name(other), reason)
-                for other, (fit, reason) in zip(others, fits, strict=True)
-                if fit is QoSCompatibility.ERROR
-            ]
-        return found
+        node, own = self._node, self._node.get_fully_qualified_name()
+        topics = {end.topic_name for end in node.subscriptions}
+        topics |= {end.topic_name for end in node.publishers}
+        found = {}
+        for topic in sorted(topics - _OF_EVERY_NODE):
+            # As the graph knows them: a node's own profiles leave open what the middleware fills.
+            for publisher in node.get_publishers_info_by_topic(topic):
+                for subscriber in node.get_subscriptions_info_by_topic(topic):
+                    ends = {_name(publisher), _name(subscriber)}
+                    if own not in ends or topic in found:
+                        continue
+                    fit, reason = qos_check_compatible(
+                        publisher.qos_profile, subscriber.qos_profile
+                    )
+                    if fit == QoSCompatibility.ERROR:
+                        other = ", ".join(ends - {own}) or own
+                        found[topic] = incompatible(topic, other, reason)
+        return list(found.values())
 
 
 def _name(info: TopicEndpointInfo) -> str:

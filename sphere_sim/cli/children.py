@@ -46,7 +46,9 @@ class _Child:
 
 
 class Children:
-    """Child processes, one a verb, each in a session of its own with its output in a file.
+    """Child processes, each in a session of its own with its output in a file.
+
+    Their names are those of their verbs, unless others are given.
 
     Leaving the context ends them all: SIGINT first, then less politely. A terminal's Ctrl-C
     reaches the parent only, which decides in which order they end.
@@ -68,12 +70,16 @@ class Children:
         with _deaf():
             self.stop(*self._children)
 
-    def start(self, verb: str, arguments: Sequence[str], within: Sequence[str] = ()) -> None:
+    def start(
+        self, verb: str, arguments: Sequence[str], within: Sequence[str] = (), name: str = ""
+    ) -> None:
         """Start ``sphere_nmpc VERB ARGUMENTS``, by a command such as ``nice`` where one is given.
 
-        That command has to become the node, not to start it: who ends it ends the node.
+        That command has to become the node, not to start it: who ends it ends the node. Several
+        children of one verb need a name each.
         """
-        log = self._logs / f"{verb}.log"
+        name = name or verb
+        log = self._logs / f"{name}.log"
         node = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb]
         with log.open("wb") as output:
             process = subprocess.Popen(
@@ -83,12 +89,12 @@ class Children:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        self._children[verb] = _Child(process, log)
+        self._children[name] = _Child(process, log)
 
     @property
     def pids(self) -> dict[str, int]:
-        """The process of each verb."""
-        return {verb: child.process.pid for verb, child in self._children.items()}
+        """The processes by name."""
+        return {name: child.process.pid for name, child in self._children.items()}
 
     def check(self) -> None:
         """Raise if one has ended.

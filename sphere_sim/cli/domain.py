@@ -17,17 +17,23 @@ _HIGHEST = 101
 
 
 @contextlib.contextmanager
-def own_domain() -> Iterator[int]:
+def own_domain(loopback: bool = True) -> Iterator[int]:
     """Set ``ROS_DOMAIN_ID`` to a free id, unless it is set, and stay on this machine.
 
     The id is held by a lock that goes with the process, however it ends.
+
+    Parameters
+    ----------
+    loopback : bool, optional
+        Whether to use the loopback alone, rather than what the environment says.
 
     Yields
     ------
     int
         The domain.
     """
-    stay_on_this_machine()
+    if loopback:
+        stay_on_this_machine()
     if os.environ.get("ROS_DOMAIN_ID"):
         yield int(os.environ["ROS_DOMAIN_ID"])
         return

@@ -250,7 +250,7 @@ class SimulatorNode(LivingNode):
         clock = self.resolve_topic_name("/clock")
         if not self._settings.is_on_system_clock:
             found += several(clock, self._watch.publishers(clock), "time jumps between them")
-        self._watch.update(found)
+        self._watch.update(self._watch.incompatible() + found)
 
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
         self._look_around()

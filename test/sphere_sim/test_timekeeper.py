@@ -120,3 +120,19 @@ def test_lockstep_asks_again_after_a_pause() -> None:
     made.answer(0, 0.0)
     made.resume(0, 5.0)
     assert made.awaited == 0
+
+
+def test_world_on_the_system_clock_keeps_up_after_a_standstill() -> None:
+    keeper = Timekeeper(10 * MS, 250 * MS, keeps_up=True)
+    keeper.restart(0, 100.0)
+    assert keeper.due(0, 100.0) == 10 * MS
+    assert keeper.due(10 * MS, 103.456) == 3450 * MS, "the newest instant that has passed"
+    keeper.ran(3450 * MS, 103.457)
+    assert keeper.lost == 0.0
+    assert keeper.wait(3450 * MS, 103.457) == pytest.approx(0.003)
+
+
+def test_simulated_time_is_advanced_one_instant_at_a_time() -> None:
+    keeper = Timekeeper(10 * MS, 250 * MS)
+    keeper.restart(0, 100.0)
+    assert keeper.due(10 * MS, 103.456) == 20 * MS

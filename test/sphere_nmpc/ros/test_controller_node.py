@@ -3,6 +3,7 @@
 """The controller over real DDS, in front of a robot that stands where it is told to stand."""
 
 import math
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -33,6 +34,14 @@ TICK = 10_000_000
 AT_REST = 1e-9
 """What a ramp may leave to rounding [rad/s]."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture(autouse=True)
+def _goals_of_others(monkeypatch, tmp_path) -> None:
+    """Keep the goals that controllers leave behind away from those of other tests."""
+    monkeypatch.setattr(
+        "sphere_nmpc.ros.controller_node.goal_file", lambda node: tmp_path / node.get_name()
+    )
 
 
 class Robot:
@@ -285,6 +294,110 @@ def test_disable_ramps_to_rest_at_once_and_enable_goes_on(robot) -> None:
     assert robot.status()["mode"] == "on the way to the goal"
 
 
+def test_arrival_is_told_until_there_is_another_goal(robot) -> None:
+    arrivals = robot.graph.hear(Bool, "controller/at_goal", LATCHED)
+    robot.graph.until(lambda: arrivals and not arrivals[-1].data)
+    robot.ask(CASE.start)
+    robot.pass_time(0.3)
+    assert not arrivals[-1].data, "not before it has stayed for a sample period"
+    robot.pass_time(0.7)
+    robot.graph.until(lambda: arrivals[-1].data)
+    assert robot.status()["mode"] == "at the goal"
+    assert robot.statuses[-1].level == DiagnosticStatus.OK
+    robot.ask()
+    robot.graph.until(lambda: not arrivals[-1].data)
+    robot.pass_time(0.6)
+    assert robot.status()["mode"] == "on the way to the goal"
+    assert [told.data for told in arrivals] == [False, True, False]
+
+
+def test_goal_that_is_in_force_is_confirmed_and_changes_nothing(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    plans = len(robot.trajectories)
+    robot.ask()
+    robot.ask()
+    robot.pass_time(0.3)
+    assert len(robot.goals) == 3
+    starts = [hold.start for hold in robot.holds()[plans:]]
+    assert all(start > 1.2 for start in starts) and len(starts) <= 1, "the grid of samples goes on"
+
+
+def test_status_goes_on_while_time_stands_still(robot) -> None:
+    robot.ask()
+    robot.pass_time(0.7)
+    heard = len(robot.statuses)
+
+    def stand(duration: float) -> None:
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            robot.pose_sender.publish(robot.pose)  # as a simulator does that is paused
+            robot.graph.spin_for(0.1)
+
+    stand(2.0)
+    assert len(robot.statuses) >= heard + 3
+    assert robot.status()["mode"] == "the clock stands still"
+    assert float(robot.status()["solve_time_s"]) == 0.0, "no solve is told twice"
+    assert "clock stopped" not in robot.statuses[-1].message
+    robot.graph.until(lambda: "clock stopped" in robot.statuses[-1].message)
+    assert robot.statuses[-1].level == DiagnosticStatus.ERROR
+    robot.pass_time(0.7)
+    assert robot.status()["mode"] == "on the way to the goal"
+
+
+def started_again(robot: Robot, **settings) -> ControllerNode:
+    """End the controller of a robot in good order and start another one."""
+    robot.node.finish()
+    robot.graph.remove(robot.node)
+    settings = {"use_sim_time": True, **settings}
+    robot.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+    robot.graph.add(robot.node)
+    robot.graph.until(lambda: robot.clock.get_subscription_count() > 0)
+    return robot.node
+
+
+def test_goal_in_force_survives_a_restart(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    second = started_again(robot)
+    robot.pass_time(0.3)
+    robot.graph.until(lambda: second.controller.goal is not None)
+    np.testing.assert_allclose(second.controller.goal, CASE.goal, atol=1e-12)
+    robot.graph.until(lambda: len(robot.goals) == 2)
+
+
+@pytest.mark.parametrize(
+    ("memory", "enabled", "began_anew"),
+    [(0.0, True, False), (30.0, False, False), (30.0, True, True)],
+    ids=["not wanted", "was disabled", "clock began anew"],
+)
+def test_goal_is_not_taken_up_where_it_does_not_belong(graph, memory, enabled, began_anew) -> None:
+    robot = Robot(graph, goal_memory=memory)
+    robot.ask()
+    robot.pass_time(1.2)
+    graph.call(SetBool, "controller/enable", SetBool.Request(data=enabled))
+    second = started_again(robot, goal_memory=memory)
+    robot.now = 0 if began_anew else robot.now
+    robot.pass_time(0.3)
+    graph.until(lambda: second._recalled)
+    assert second.controller.goal is None
+
+
+def test_forgotten_clock_can_be_given_while_the_node_runs(graph) -> None:
+    graph.probe.create_subscription(Clock, "/clock", lambda _: None, 10)
+    robot = Robot(graph, use_sim_time=False)
+    robot.ask()
+    robot.pose.header.stamp = stamp_to_ros(TICK)
+    robot.pose_sender.publish(robot.pose)
+    graph.until(lambda: any("wrong clock" in told.message for told in robot.statuses))
+    robot.node.set_parameters([Parameter("use_sim_time", value=True)])
+    graph.until(lambda: robot.clock.get_subscription_count() > 1)
+    robot.pass_time(1.2)
+    assert robot.status()["mode"] == "on the way to the goal"
+    assert 0.0 < float(robot.status()["time_s"]) < 3.0
+    assert robot.moved()
+
+
 def test_silence_after_rest_leaves_the_robot_to_others(robot) -> None:
     robot.ask()
     robot.pass_time(0.6)
@@ -408,4 +521,5 @@ def test_other_publisher_of_trajectories_is_told(robot, capfd) -> None:
         return bool(heard) and heard[-1].status[1].message.startswith("other publisher")
 
     robot.graph.until(is_told)
-    assert capfd.readouterr().err.count("other publisher: given 2 publishers") == 1
+    told = "other publisher of /rotor_trajectory: given 2 (/controller, /probe)"
+    assert capfd.readouterr().err.count(told) == 1

@@ -27,7 +27,7 @@ from sphere_sim.scenarios import PAPER_CASES
 
 DEMO = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "demo", "--no-viewer"]
 EVERY_TOPIC = {
-    "/pose", "/odom", "/joint_states", "/goal_pose", "/rotor_trajectory", "/rotor_commands",
+    "/pose", "/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands",
     "/controller/active_goal", "/controller/predicted_path", "/controller/status",
     "/diagnostics", "/clock",
 }

@@ -1,0 +1,121 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Does a goal that is sent with ``ros2 topic pub`` reach the controller, whoever else runs?
+
+    python bench/goals_arrive.py --goals 20
+
+Each goal is sent by a process that does what ``ros2 topic pub`` does: with ``--once`` it looks
+every 0.1 s for its first matched subscription, sends and leaves 0.1 s later; with ``-t 3``, as the
+documents print it, it sends three times, one second apart. Discovery is ROS's own, or with
+--loopback that of the package. The controller runs alone with the simulator, then with recorder
+and viewer, then with an echo of goal_pose too, as somebody who looks on would have it.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from node_runs import PATIENCE, machine, write_json
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from sphere_sim.cli.children import Children
+from sphere_sim.cli.domain import own_domain
+
+_SENDER = """
+import sys, time, rclpy
+from geometry_msgs.msg import PoseStamped
+times, x = int(sys.argv[1]), float(sys.argv[2])
+rclpy.init()
+node = rclpy.create_node("sender")
+publisher = node.create_publisher(PoseStamped, "/goal_pose", 10)
+while publisher.get_subscription_count() < 1:
+    time.sleep(0.1)
+message = PoseStamped()
+message.header.frame_id, message.pose.orientation.w, message.pose.position.x = "world", 1.0, x
+for number in range(times):
+    time.sleep(1.0 if number else 0.0)
+    publisher.publish(message)
+time.sleep(0.1)
+node.destroy_node()
+rclpy.shutdown()
+"""
+_COMPANY = {"alone": (), "recorder and viewer": ("recorder", "viewer")}
+_ECHO = "recorder, viewer and an echo"
+_FORMS = {"--once": 1, "-t 3": 3}
+
+
+def arrived(node: Node, heard: list[float], times: int, number: int) -> bool:
+    """Send a goal that is told by its number and return whether it came into force."""
+    goal = 0.01 * (number + 1)
+    subprocess.run([sys.executable, "-c", _SENDER, str(times), str(goal)], check=True)
+    end = time.monotonic() + 1.0
+    while goal not in heard and time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    return goal in heard
+
+
+def trial(company: str, goals: int, loopback: bool) -> dict[str, int]:
+    """Return how many of `goals` arrived, by the form in which they were sent."""
+    with own_domain(loopback), tempfile.TemporaryDirectory() as folder, Children(
+        Path(folder)
+    ) as children:
+        children.start("simulator", [])
+        children.start("controller", ["--ros-args", "-p", "use_sim_time:=true"])
+        for verb in _COMPANY.get(company, ("recorder", "viewer")):
+            own = ["--port", "0"] if verb == "viewer" else []
+            bag = ["-p", f"output:={folder}/bag"] if verb == "recorder" else []
+            children.start(verb, [*own, "--ros-args", *bag])
+        rclpy.init()
+        try:
+            node = rclpy.create_node("onlooker")
+            heard: list[float] = []
+            latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            node.create_subscription(
+                PoseStamped, "controller/active_goal",
+                lambda goal: heard.append(goal.pose.position.x), latched,
+            )
+            if company == _ECHO:
+                node.create_subscription(PoseStamped, "goal_pose", lambda _: None, 10)
+            wanted = 2 + len(_COMPANY.get(company, ("recorder", "viewer")))
+            end = time.monotonic() + PATIENCE
+            while len(node.get_node_names()) < wanted + 1 and time.monotonic() < end:
+                rclpy.spin_once(node, timeout_sec=0.1)
+            children.check()
+            counts = {}
+            for form, times in _FORMS.items():
+                first = len(counts) * goals
+                numbers = range(first, first + goals)
+                counts[form] = sum(arrived(node, heard, times, n) for n in numbers)
+            return counts
+        finally:
+            rclpy.try_shutdown()
+
+
+def main() -> int:
+    """Make the trials, print a table, and return 0 if every goal that should arrive did."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--goals", type=int, default=20, help="of each kind")
+    parser.add_argument("--loopback", action="store_true", help="stay on the loopback")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    options = parser.parse_args()
+    about, rows = machine(), {}
+    print(f"{about['date']}, load {about['load_average']}")
+    for company in (*_COMPANY, _ECHO):
+        rows[company] = trial(company, options.goals, options.loopback)
+        told = ", ".join(f"{form}: {n} of {options.goals}" for form, n in rows[company].items())
+        print(f"{company:28s} {told}", flush=True)
+    write_json(options, {"machine": about, "goals": options.goals, "arrived": rows})
+    # With somebody else on goal_pose, --once reaches whoever is matched first.
+    expected = [n for company, row in rows.items() for form, n in row.items()
+                if company != _ECHO or form != "--once"]
+    return 0 if min(expected) == options.goals else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,58 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""An arrival is an error that stays small, not one that passes through zero."""
+
+import math
+
+import pytest
+
+from sphere_nmpc.control.arrival import Arrival
+from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.settings import ControllerSettings
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.closed_loop import run_closed_loop
+from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.simulator import Simulator
+from sphere_sim.simulator_settings import SimulatorSettings
+
+TOLERANCE, DWELL = 0.01, 0.25
+
+
+def reached(*samples: tuple[float, float]) -> list[bool]:
+    """Return what is said at each (time, error)."""
+    arrival = Arrival()
+    return [arrival.update(time, error, TOLERANCE, DWELL) for time, error in samples]
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [
+        ([(0.0, 0.009), (0.24, 0.009), (0.25, 0.009)], [False, False, True]),
+        ([(0.0, 0.009), (0.1, 0.011), (0.3, 0.009)], [False, False, False]),
+        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.019), (0.5, 0.021)], [False, True, True, False]),
+        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.021), (0.5, 0.015)], [False, True, False, False]),
+        ([(0.0, math.nan), (0.3, math.nan)], [False, False]),
+        ([(5.0, 0.0), (0.0, 0.0), (0.1, 0.0), (0.3, 0.0)], [False, False, False, True]),
+    ],
+    ids=["stays", "passes by", "noise at the edge", "pushed out", "unknown", "clock goes back"],
+)
+def test_goal_is_reached_by_staying(samples, expected) -> None:
+    assert reached(*samples) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", PAPER_CASES)
+def test_paper_case_ends_at_the_goal_and_says_so_when_it_has_settled(case: int) -> None:
+    scenario, settings, robot = PAPER_CASES[case], ControllerSettings(), RobotParameters()
+    world = SimulatorSettings(
+        initial_state=tuple(scenario.start), sample_period=settings.control_period
+    )
+    controller = Controller(settings, robot)
+    run = run_closed_loop(
+        Simulator(world, robot), controller, scenario.goal, 12.0, settings.control_period
+    )
+    assert controller.at_goal and run.decisions[-1].mode is Mode.AT_GOAL
+    first = next(i for i, d in enumerate(run.decisions) if d.mode is Mode.AT_GOAL)
+    assert all(d.mode is Mode.AT_GOAL for d in run.decisions[first:]), "without flicker"
+    assert run.decisions[first - 1].error < settings.goal_tolerance
+    assert all(d.solved for d in run.decisions)

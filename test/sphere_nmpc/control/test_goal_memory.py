@@ -1,0 +1,73 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A goal is taken up again soon after, on a clock that has gone on, and never otherwise."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.goal_memory import GoalMemory
+from sphere_nmpc.model.state import as_state
+
+GOAL = as_state([1.0, -2.0, 0.0, 0.6, 0.8, 0.0])
+STAMP = 12_345_678_901
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "goals" / "0.controller.json"
+
+
+def test_goal_comes_back_as_it_was(path: Path) -> None:
+    GoalMemory(path, 30.0).save(GOAL, STAMP)
+    goal, age = GoalMemory(path, 30.0).recall(STAMP)
+    np.testing.assert_array_equal(goal, GOAL)
+    assert 0.0 <= age < 10.0
+
+
+def test_goal_is_forgotten_after_a_while(path: Path) -> None:
+    memory = GoalMemory(path, 30.0)
+    memory.save(GOAL, STAMP)
+    old = time.time() - 31.0
+    os.utime(path, (old, old))
+    assert memory.recall(STAMP) is None
+
+
+def test_simulation_that_begins_anew_begins_without_a_goal(path: Path) -> None:
+    memory = GoalMemory(path, 30.0)
+    memory.save(GOAL, STAMP)
+    assert memory.recall(STAMP - 1) is None
+    assert memory.recall(STAMP + 1) is not None
+
+
+def test_nothing_is_kept_where_that_is_not_wanted(path: Path) -> None:
+    GoalMemory(path, 0.0).save(GOAL, STAMP)
+    assert not path.exists()
+
+
+def test_without_a_goal_the_last_one_is_forgotten(path: Path) -> None:
+    memory = GoalMemory(path, 30.0)
+    memory.save(GOAL, STAMP)
+    memory.save(None, STAMP)
+    assert memory.recall(STAMP) is None and not list(path.parent.iterdir())
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "{", "[]", "null", '{"goal": [1, 2], "stamp": 0}', '{"goal": [0, 0, 9, 0, 0, 0]}',
+     '{"goal": [0, 0, NaN, 0, 0, 0], "stamp": 0}', '{"goal": [0,0,1,0,0,0], "stamp": "x"}',
+     '{"goal": [0,0,1,0,0,0], "stamp": Infinity}', "\ufffd" * 40],
+)
+def test_file_that_holds_no_goal_is_no_goal(path: Path, content: str) -> None:
+    path.parent.mkdir()
+    path.write_text(content, encoding="utf-8")
+    assert GoalMemory(path, 30.0).recall(STAMP) is None
+
+
+def test_folder_that_cannot_be_written_is_told_to_the_caller(tmp_path: Path) -> None:
+    (tmp_path / "goals").write_text("in the way")
+    with pytest.raises(OSError):
+        GoalMemory(tmp_path / "goals" / "file", 30.0).save(GOAL, STAMP)

@@ -1,0 +1,100 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A namespace makes a whole robot: clock, frames and names in the diagnostics."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
+
+from sphere_nmpc.model.state import as_state
+from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_sim.ros.simulator_node import SimulatorNode
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
+
+
+@contextmanager
+def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a node in a process of its own; it must end cleanly."""
+    code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, verb, "--ros-args", *options], stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 0
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_frames_carry_the_prefix_that_is_given(graph) -> None:
+    graph.add(SimulatorNode([Parameter("frame_prefix", value="left_")]))
+    odometry = graph.hear(Odometry, "odom")
+    graph.until(lambda: odometry)
+    assert odometry[-1].child_frame_id == "left_base_link"
+    assert odometry[-1].header.frame_id == "world", "which all robots share"
+
+
+@pytest.mark.slow
+def test_robot_in_a_namespace_has_a_clock_frames_and_names_of_its_own(graph) -> None:
+    clock, odometry = graph.hear(Clock, "second/clock"), graph.hear(Odometry, "second/odom")
+    reports = graph.hear(DiagnosticArray, "/diagnostics")
+    place = ("-r", "__ns:=/second")
+    follow = ("-p", "use_sim_time:=true", *place)
+    with started("simulator", *place), started("controller", *follow) as controller:
+        def names() -> set[str]:
+            return {status.name for report in reports for status in report.status}
+
+        graph.until(lambda: clock and odometry and len(names()) == 4)
+        assert graph.probe.count_publishers("/clock") == 0
+        assert odometry[-1].child_frame_id == "second/base_link"
+        assert names() == {
+            "second/simulator: clock", "second/simulator: commands", "second/controller: solver",
+            "second/controller: loop",
+        }
+        assert {status.hardware_id for status in reports[-1].status} == {"second"}
+        time.sleep(2.0)  # by now it would have told that something is missing
+    assert "[WARN]" not in controller.stderr.read()
+
+
+@pytest.mark.slow
+def test_clock_that_the_user_remaps_goes_before_that_of_the_namespace(graph) -> None:
+    clock = graph.probe.create_publisher(Clock, "/clock", 10)
+    with started(
+        "controller", "-r", "__ns:=/second", "-r", "/clock:=/clock", "-p", "use_sim_time:=true"
+    ):
+        graph.until(lambda: clock.get_subscription_count() > 0)
+
+
+@pytest.mark.slow
+def test_two_robots_reach_their_goals_at_the_same_time(graph) -> None:
+    places = ((), ("-r", "__ns:=/second"))
+    prefixes = ("", "second/")
+    arrivals = [graph.hear(Bool, f"{prefix}controller/at_goal", LATCHED) for prefix in prefixes]
+    with started("simulator", *places[0]), started("simulator", *places[1]), started(
+        "controller", "-p", "use_sim_time:=true", *places[0]
+    ) as first, started("controller", "-p", "use_sim_time:=true", *places[1]) as second:
+        for prefix, goal in zip(prefixes, GOALS, strict=True):
+            goal = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
+            graph.speaker(PoseStamped, f"{prefix}goal_pose").publish(goal)
+        graph.until(lambda: all(heard and heard[-1].data for heard in arrivals), 60.0)
+    for node in (first, second):
+        told = node.stderr.read()
+        assert "clock jumped" not in told and "other publisher" not in told

@@ -1,0 +1,96 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A simulator on the system clock: what it stamps, refuses and makes up."""
+
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.ros.conversions import hold_to_trajectory, stamp_from_ros
+from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_sim.simulator_settings import SimulatorSettings
+
+MS = 1_000_000
+OFF_THE_WALL = 100 * MS
+"""What a busy machine may take from stamp to arrival [ns]; the clocks differ by 1.8e9 s."""
+
+
+@pytest.fixture
+def node(graph) -> SimulatorNode:
+    made = SimulatorNode([Parameter("clock", value="system")])
+    graph.add(made)
+    return made
+
+
+def test_stamps_are_those_of_the_system_clock_and_there_is_no_other(graph, node) -> None:
+    poses, odometry = graph.hear(PoseStamped, "pose"), graph.hear(Odometry, "odom")
+    joints = graph.hear(JointState, "joint_states")
+    graph.until(lambda: len(poses) > 50 and odometry and joints)
+    graph.spin()
+    now = time.time_ns()
+    for message in (poses[-1], odometry[-1], joints[-1]):
+        assert abs(now - stamp_from_ros(message.header.stamp)) < OFF_THE_WALL
+    stamps = np.array([stamp_from_ros(message.header.stamp) for message in poses])
+    assert np.all(np.diff(stamps) > 0) and np.median(np.diff(stamps)) == 10 * MS
+    assert graph.probe.count_publishers("/clock") == 0
+
+
+def test_command_is_followed_at_its_stamp(graph, node) -> None:
+    joints = graph.hear(JointState, "joint_states")
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: joints)
+    start = time.time_ns() + 100 * MS
+    hold = FirstOrderHold(np.array([0.0, 0.2, 0.6]), np.array([[0.0, 0.0], [60, -40], [0, 0]]))
+    sender.publish(hold_to_trajectory(hold, start))
+    graph.until(lambda: stamp_from_ros(joints[-1].header.stamp) > start + 700 * MS)
+    for message in joints:
+        since = (stamp_from_ros(message.header.stamp) - start) / 1e9
+        expected = hold.at(since) if 0.0 < since < 0.6 else np.zeros(2)
+        np.testing.assert_allclose(message.velocity, expected, atol=1e-3, err_msg=f"{since}")
+
+
+def test_time_that_the_process_was_held_up_is_made_up(graph, node) -> None:
+    poses = graph.hear(PoseStamped, "pose")
+    graph.until(lambda: len(poses) > 10)
+    time.sleep(1.0)  # nobody serves the node
+    heard = len(poses)
+    graph.until(lambda: len(poses) > heard + 20)
+    late = time.time_ns() - stamp_from_ros(poses[-1].header.stamp)
+    assert late < OFF_THE_WALL
+    assert node._time.lost == 0.0
+    stamps = np.array([stamp_from_ros(message.header.stamp) for message in poses])
+    assert np.max(np.diff(stamps)) > 900 * MS, "one step over the gap, no burst"
+
+
+def test_stamps_follow_when_the_system_clock_is_set(graph, node, monkeypatch, capfd) -> None:
+    poses = graph.hear(PoseStamped, "pose")
+    graph.until(lambda: len(poses) > 10)
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9)
+    graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) > real() + 3500 * 10**9)
+    assert "system clock jumped: given a jump of 3600.0" in capfd.readouterr().err
+
+
+def test_nobody_stops_or_hurries_the_system_clock(graph, node) -> None:
+    answer = graph.call(SetBool, "simulator/pause", SetBool.Request(data=True))
+    assert not answer.success and "clock: system" in answer.message
+    assert not graph.call(Trigger, "simulator/step", Trigger.Request()).success
+    result = node.set_parameters([Parameter("real_time_factor", value=2.0)])[0]
+    assert not result.successful and "clock: system" in result.reason
+
+
+@pytest.mark.parametrize(
+    "settings", [{"lockstep": True}, {"real_time_factor": 0.0}, {"start_paused": True}]
+)
+def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
+    with pytest.raises(InvalidParameterError, match=f"{next(iter(settings))}.*clock: system"):
+        SimulatorSettings(clock="system", **settings)

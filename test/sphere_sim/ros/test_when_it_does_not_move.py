@@ -1,0 +1,275 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Each mistake of a beginner is told once, with cause and cure, as the document prints it."""
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.ros import controller_node, surroundings
+from sphere_nmpc.ros.controller_node import ControllerNode
+from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.throttle import FaultLog
+from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_sim.scenarios import PAPER_CASES
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "when_it_does_not_move.md"
+ROWS = [
+    row.strip() for row in re.findall(r"^\| ([^|]+?) \|", DOCUMENT.read_text(), re.MULTILINE)
+    if row.strip() != "the log says"
+]
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+CASE = PAPER_CASES[1]
+
+
+def pattern(row: str) -> re.Pattern[str]:
+    """Return what a log line has to be where the document prints a row."""
+    return re.compile(".*".join(map(re.escape, row.split("…"))))
+
+
+def controller(graph, **parameters) -> ControllerNode:
+    node = ControllerNode([Parameter(name, value=value) for name, value in parameters.items()])
+    graph.add(node)
+    return node
+
+
+def simulator(graph, **parameters) -> SimulatorNode:
+    node = SimulatorNode([Parameter(name, value=value) for name, value in parameters.items()])
+    graph.add(node)
+    return node
+
+
+def robot(graph, pose: Callable[[float], float | None], clock: Callable[[float], float | None],
+          qos: QoSProfile | int = 10, frame: str = "world") -> None:
+    """Publish pose and clock at 50 Hz; both get the wall time since now [s] and return a stamp.
+
+    None is nothing that is sent; a topic on which nothing is ever sent has no publisher.
+    """
+    began = time.monotonic()
+    ends = [(kind, topic, when, graph.probe.create_publisher(kind, topic, quality))
+            for kind, topic, when, quality in (
+                (PoseStamped, "pose", pose, qos), (Clock, "/clock", clock, 10))
+            if when is not silent]
+
+    def send() -> None:
+        for kind, _, when, publisher in ends:
+            seconds = when(time.monotonic() - began)
+            if seconds is None:
+                continue
+            stamp = round(seconds * 1e9)
+            message = Clock(clock=stamp_to_ros(stamp))
+            if kind is PoseStamped:
+                message = pose_to_ros(CASE.start, stamp, 0.3, frame)
+            publisher.publish(message)
+
+    graph.probe.create_timer(0.02, send)
+
+
+def silent(_: float) -> None:
+    """Stamp of a topic that nobody publishes."""
+
+
+def hushed(_: float) -> None:
+    """Stamp of a topic with a publisher that sends nothing."""
+
+
+def running(elapsed: float) -> float:
+    return 1.0 + elapsed
+
+
+def at_first(elapsed: float) -> float | None:
+    return 1.0 + elapsed if elapsed < 1.5 else None
+
+
+def on_the_wall(_: float) -> float:
+    return time.time()
+
+
+def forgotten_use_sim_time(graph) -> None:
+    simulator(graph)
+    controller(graph)
+
+
+def no_simulator(graph) -> None:
+    controller(graph, use_sim_time=True)
+
+
+def clock_of_another(graph) -> None:
+    graph.probe.create_publisher(Clock, "/second/clock", 10)
+    controller(graph, use_sim_time=True)
+
+
+def silent_clock(graph) -> None:
+    robot(graph, silent, hushed)
+    controller(graph, use_sim_time=True)
+
+
+def stopped_simulator(graph) -> None:
+    robot(graph, at_first, at_first)
+    controller(graph, use_sim_time=True)
+
+
+def clock_held_back(graph) -> None:
+    robot(graph, running, at_first)
+    controller(graph, use_sim_time=True)
+
+
+def needless_use_sim_time(graph) -> None:
+    robot(graph, on_the_wall, running)
+    controller(graph, use_sim_time=True)
+
+
+def clocks_apart(graph) -> None:
+    robot(graph, lambda _: time.time() - 5.0, silent)
+    controller(graph)
+
+
+def clock_ahead(graph) -> None:
+    robot(graph, lambda _: time.time() + 5.0, silent)
+    controller(graph)
+
+
+def no_pose(graph) -> None:
+    controller(graph)
+
+
+def silent_pose(graph) -> None:
+    robot(graph, hushed, silent)
+    controller(graph)
+
+
+def two_simulators(graph) -> None:
+    simulator(graph)
+    simulator(graph)
+    controller(graph, use_sim_time=True)
+
+
+def two_poses(graph) -> None:
+    robot(graph, on_the_wall, silent)
+    robot(graph, on_the_wall, silent)
+    controller(graph)
+
+
+def two_controllers(graph) -> None:
+    robot(graph, on_the_wall, silent)
+    graph.probe.create_publisher(JointTrajectory, "rotor_trajectory", 10)
+    controller(graph)
+
+
+def pose_sent_best_effort_in_lockstep(graph) -> None:
+    robot(graph, running, running, NEWEST)
+    controller(graph, use_sim_time=True, lockstep=True)
+
+
+def pose_in_another_frame(graph) -> None:
+    robot(graph, on_the_wall, silent, frame="map")
+    controller(graph)
+
+
+def goal_in_another_frame(graph) -> None:
+    robot(graph, on_the_wall, silent)
+    controller(graph)
+    goal = pose_to_ros(CASE.goal, 0, 0.3, "map")
+    graph.speaker(PoseStamped, "goal_pose").publish(goal)
+
+
+def lockstep_without_controller(graph) -> None:
+    simulator(graph, lockstep=True)
+
+
+def commands_on_another_clock(graph) -> None:
+    simulator(graph)
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    hold = FirstOrderHold.ramp_to_rest(0.0, CASE.start[:2] + 1.0, 400.0)
+    sender.publish(hold_to_trajectory(hold, time.time_ns()))
+
+
+MISTAKES: dict[Callable[..., None], str] = {
+    forgotten_use_sim_time: "in simulated time",
+    no_simulator: "expected one; start a simulator",
+    clock_of_another: "follows the clock that is there",
+    silent_clock: "that has sent nothing",
+    stopped_simulator: "expected a running simulator",
+    clock_held_back: "poses that go on",
+    needless_use_sim_time: "on the system clock",
+    clocks_apart: "synchronise the clocks of the machines",
+    clock_ahead: "are the clocks synchronised",
+    no_pose: "no publisher of … for",
+    silent_pose: "nothing that arrives",
+    two_simulators: "/clock: given …",
+    two_poses: "/pose: given …",
+    two_controllers: "/rotor_trajectory: given …",
+    pose_sent_best_effort_in_lockstep: "incompatible QoS",
+    pose_in_another_frame: ": pose refused: frame",
+    goal_in_another_frame: ": goal_pose refused: frame",
+    lockstep_without_controller: "time waits",
+    commands_on_another_clock: "rotor_trajectory refused",
+}
+"""What a beginner does wrong, and words of the row that tells it."""
+OF_THE_SIMULATOR = (lockstep_without_controller, commands_on_another_clock)
+
+
+def row_of(words: str) -> str:
+    (row,) = (row for row in ROWS if words in f": {row}")
+    return row
+
+
+def test_every_row_of_the_document_is_a_mistake_that_is_made_here() -> None:
+    assert sorted(map(row_of, MISTAKES.values())) == sorted(ROWS)
+
+
+def test_two_seconds_are_kept() -> None:
+    slack = 2.0 - surroundings.PATIENCE - 2.0 * controller_node._LOOK_EVERY
+    assert slack > 0.2
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.__name__)
+def test_mistake_is_told_once_as_documented(graph, capfd, mistake) -> None:
+    row = row_of(MISTAKES[mistake])
+    statuses = graph.hear(DiagnosticStatus, "controller/status")
+    mistake(graph)
+    said: list[str] = []
+
+    def told() -> list[str]:
+        said.append(capfd.readouterr().err)
+        lines = [line for line in "".join(said).splitlines() if "[WARN]" in line]
+        return [line for line in lines if f"[{teller}]" in line and pattern(row).search(line)]
+
+    teller = "simulator" if mistake in OF_THE_SIMULATOR else "controller"
+    graph.until(told)
+    graph.spin_for(0.6)
+    assert len(told()) == 1, "told once"
+    if teller == "controller" and "refused" not in row:
+        graph.until(lambda: pattern(row).search(statuses[-1].message))
+        assert statuses[-1].level != DiagnosticStatus.OK
+
+
+def test_what_is_over_is_told_too(graph, capfd) -> None:
+    robot(graph, lambda elapsed: time.time() if elapsed > 2.5 else None, silent)
+    controller(graph)
+    said: list[str] = []
+
+    def heard(words: str) -> bool:
+        said.append(capfd.readouterr().err)
+        return words in "".join(said)
+
+    graph.until(lambda: heard("no pose: given a publisher"))
+    graph.until(lambda: heard("no pose: over"))
+
+
+def test_fault_log_is_what_limits_the_lines() -> None:
+    lines: list[str] = []
+    log = FaultLog(lines.append, clock=lambda: 0.0)
+    for _ in range(3):
+        log.report("no pose", "given nothing")
+    assert lines == ["no pose: given nothing"]

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller, Decision
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector

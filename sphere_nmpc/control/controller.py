@@ -3,12 +3,12 @@
 """The control loop without its transport: poses and goals in, first-order holds out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 import numpy as np
 
 from sphere_nmpc.control.arrival import Arrival
+from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.sent_inputs import SentInputs
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.errors import InvalidStateError
@@ -35,66 +35,6 @@ _LEAST_POSE_NOISE = 1e-6
 """Noise [m, rad] that a pose has at the least once the other of the two is noisy."""
 _SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
 """Spacing of the poses that are learnt from [s]; predictions over longer gaps are poor."""
-
-
-class Mode(Enum):
-    """What the controller is doing, and why it does nothing where it does nothing."""
-
-    NO_CLOCK = "no clock yet"
-    STANDSTILL = "the clock stands still"
-    NO_POSE = "no pose yet"
-    NO_GOAL = "no goal yet"
-    DISABLED = "disabled"
-    BLIND = "no fresh pose, ramping to rest"
-    TRACKING = "on the way to the goal"
-    AT_GOAL = "at the goal"
-    FALLBACK = "solve failed, following the previous plan"
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """What a sample instant led to.
-
-    Attributes
-    ----------
-    mode : Mode
-        What the controller is doing.
-    plan : Plan
-        The plan, before it is joined to the speeds in force by `Controller.commit`.
-    state : ndarray of shape (6,), or None
-        State predicted to the sample instant; None while blind.
-    error, position_error, angle_error : float
-        Distance to the goal: in R^6, in the plane [m], and of orientation [rad]; nan if unknown.
-    pose_age : float
-        How old the newest pose was [s], negative for one from the future; inf without one.
-    covariance : ndarray of shape (5, 5), or None
-        Of the deviation of the true state from `state`: position [m; world frame], rotation
-        vector [rad; body frame]. None where poses are trusted exactly.
-    """
-
-    mode: Mode
-    plan: Plan
-    state: Vector | None
-    error: float = float("nan")
-    position_error: float = float("nan")
-    angle_error: float = float("nan")
-    pose_age: float = float("inf")
-    covariance: Vector | None = None
-
-    @property
-    def solved(self) -> bool:
-        """Whether the plan is what the strategy found for this instant."""
-        return self.mode in (Mode.TRACKING, Mode.AT_GOAL)
-
-    @property
-    def position_deviation(self) -> float:
-        """Standard deviation of the position, root of the trace of its part [m]; 0 if trusted."""
-        return _deviation(self.covariance, slice(0, 2))
-
-    @property
-    def angle_deviation(self) -> float:
-        """Standard deviation of the orientation, likewise [rad]."""
-        return _deviation(self.covariance, slice(2, 5))
 
 
 class Controller:
@@ -400,7 +340,3 @@ def _fusion_settings(settings: ControllerSettings) -> tuple[float, float, float,
         settings.pose_position_noise, settings.pose_orientation_noise, settings.drive_lag,
         settings.learning,
     )
-
-
-def _deviation(covariance: Vector | None, part: slice) -> float:
-    return 0.0 if covariance is None else float(np.sqrt(np.trace(covariance[part, part])))

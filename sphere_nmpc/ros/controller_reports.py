@@ -15,7 +15,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool
 
-from sphere_nmpc.control.controller import Controller, Decision, Mode
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller, Decision
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability

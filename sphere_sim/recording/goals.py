@@ -61,7 +61,13 @@ def read_goals(
     if len(entries) < len(taken[topic]):
         count = len(taken[topic]) - len(entries)
         notes.append(f"{topic}: {count} goals are no poses and were left out")
-    return _inside(sorted(entries, key=lambda entry: entry[0]), topic, end, notes)
+    entries.sort(key=lambda entry: entry[0])
+    # A goal that is sent again while it is in force is confirmed, and goes on from the first time.
+    fresh = [
+        entry for before, entry in zip([None, *entries], entries, strict=False)
+        if before is None or not np.array_equal(before[1], entry[1])
+    ]
+    return _inside(fresh, topic, end, notes)
 
 
 def _inside(

@@ -5,7 +5,7 @@
 import itertools
 import math
 
-from sphere_nmpc.control.controller import Decision
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.model.state import Vector
 from sphere_sim.study.conditions import StudyConditions

@@ -7,7 +7,8 @@ import math
 import pytest
 
 from sphere_nmpc.control.arrival import Arrival
-from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.closed_loop import run_closed_loop

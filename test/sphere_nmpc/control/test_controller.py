@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold

@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.control.controller import Controller, Mode
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.strategy.registry import make_strategy

@@ -109,7 +109,10 @@ def test_a_goal_after_the_last_pose_leaves_the_figures_of_the_one_before(
 ) -> None:
     entries = list(messages())
     goal = next(entry for entry in entries if entry[0] == "/controller/active_goal")
-    late = (*goal[:2], START + 3_500_000_000, goal[3])
+    pose = goal[3].pose
+    elsewhere = dataclasses.replace(pose, position=dataclasses.replace(pose.position, x=7.0))
+    other = dataclasses.replace(goal[3], pose=elsewhere)
+    late = (*goal[:2], START + 3_500_000_000, other)
     run = read_run(rosbag2([*entries, late], "mcap"))
     assert len(run.goals) == 1 and run.metrics() is not None
     assert run.notes == (
@@ -162,3 +165,20 @@ def test_of_a_simulator_started_again_the_longest_run_is_taken(
         np.testing.assert_array_equal(getattr(run, name), getattr(expected, name))
     assert len(run.plans) == len(expected.plans) == 7 and len(run.solves.times) == 7
     assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")
+
+
+def test_goal_that_is_sent_three_times_is_in_force_from_the_first(
+    rosbag2, on_system_clock, messages
+) -> None:
+    entries = later(list(messages()), "/controller/active_goal", 0.5, START + 500_000_000)
+    goals = [entry for entry in entries if entry[0].endswith("active_goal")]
+    assert goals
+    entries = list(entries)
+    for entry in goals:
+        for more in (1_000_000_000, 2_000_000_000):
+            again = stamped(entry, START + 500_000_000 + more)
+            log = entry[2] + more
+            place = next((i for i, one in enumerate(entries) if one[2] > log), len(entries))
+            entries.insert(place, (*again[:2], log, again[3]))
+    run = run_of(rosbag2, on_system_clock, entries)
+    assert run.goal_times == pytest.approx([0.5])

@@ -97,6 +97,12 @@ def test_policy_is_what_the_nodes_open(graph, tmp_path, monkeypatch) -> None:
             node.destroy_node()
 
 
+def test_nobody_but_the_controller_subscribes_to_goals() -> None:
+    # Who sends a goal with `ros2 topic pub --once` leaves after the first subscription.
+    takers = {name for name, rows in allowed().items() if "/goal_pose" in rows["subscriber"]}
+    assert takers == {"controller"}
+
+
 def test_document_tells_the_policy() -> None:
     text = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
     told = {}

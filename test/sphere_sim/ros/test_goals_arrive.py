@@ -1,0 +1,80 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals that are sent as ``ros2 topic pub`` sends them reach the controller."""
+
+import subprocess
+import sys
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from sphere_nmpc.ros.controller_node import ControllerNode
+from sphere_sim.ros.simulator_node import SimulatorNode
+
+GOALS = 4
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SENDER = """
+import sys, time, rclpy
+from geometry_msgs.msg import PoseStamped
+rclpy.init()
+node = rclpy.create_node("sender")
+publisher = node.create_publisher(PoseStamped, "/goal_pose", 10)
+while publisher.get_subscription_count() < 1:
+    time.sleep(0.1)
+message = PoseStamped()
+message.header.frame_id, message.pose.orientation.w = "world", 1.0
+message.pose.position.x = float(sys.argv[1])
+for number in range(int(sys.argv[2])):
+    time.sleep(1.0 if number else 0.0)
+    publisher.publish(message)
+time.sleep(0.1)
+"""
+"""What ``ros2 topic pub`` does: with ``--once`` it sends at its first matched subscription and is
+gone 0.1 s later; with ``-t 3`` it sends three times, one second apart."""
+
+
+def send(graph, goal: float, times: int) -> None:
+    process = subprocess.Popen([sys.executable, "-c", SENDER, str(goal), str(times)])
+    try:
+        graph.until(lambda: process.poll() is not None)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0
+
+
+@pytest.fixture
+def company(graph, tmp_path, monkeypatch) -> list[Node]:
+    """Everything else of the package that people let run."""
+    recorder = pytest.importorskip("sphere_sim.ros.recorder_node")
+    viewer = pytest.importorskip("sphere_sim.ros.viewer_node")
+    markers = pytest.importorskip("sphere_sim.ros.marker_node")
+    monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
+    nodes = [recorder.RecorderNode(), viewer.ViewerNode(0), markers.MarkerNode()]
+    for node in nodes:
+        graph._executor.add_node(node)
+    yield nodes
+    for node in nodes:
+        node.finish()
+        node.destroy_node()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("times", "echoes"), [(1, False), (3, True)],
+    ids=["--once beside recorder, viewer and markers", "-t 3, as printed, beside an echo too"],
+)
+def test_goal_that_is_sent_arrives(graph, company, times, echoes) -> None:
+    graph.add(SimulatorNode())
+    graph.add(ControllerNode([Parameter("use_sim_time", value=True)]))
+    accepted = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+    if echoes:
+        graph.hear(PoseStamped, "goal_pose")
+    goals = [0.1 * (number + 1) for number in range(GOALS if times == 1 else 1)]
+    for goal in goals:
+        send(graph, goal, times)
+        graph.until(lambda goal=goal: accepted and accepted[-1].pose.position.x == goal)
+    assert len(accepted) == len(goals) if times == 1 else 1 <= len(accepted) <= times

@@ -14,7 +14,8 @@ class GoalMemory:
     """Keep the goal in a small file, with the time at which it was last in force.
 
     The goal is taken up again only by a controller that starts soon after the end of the last
-    one, on a clock that has gone on since: a simulation that begins anew begins without a goal.
+    one, on the same clock, which has gone on since: a simulation that begins anew begins without
+    a goal.
 
     Parameters
     ----------
@@ -28,8 +29,10 @@ class GoalMemory:
         self._path = path
         self._keep = keep
 
-    def save(self, goal: Vector | None, stamp: int) -> None:
+    def save(self, goal: Vector | None, stamp: int, simulated: bool) -> None:
         """Write the goal, shape (6,), in force at `stamp` [ns]; without one forget the last.
+
+        `simulated` tells the clock of the stamp: simulated time, or that of the system.
 
         Raises
         ------
@@ -44,14 +47,15 @@ class GoalMemory:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         # A process that is killed while it writes must leave the old file or the new one.
         fresh = self._path.with_suffix(f".{os.getpid()}")
-        fresh.write_text(json.dumps({"goal": goal.tolist(), "stamp": stamp}), encoding="ascii")
+        content = {"goal": goal.tolist(), "stamp": stamp, "simulated": simulated}
+        fresh.write_text(json.dumps(content), encoding="ascii")
         fresh.replace(self._path)
 
-    def recall(self, stamp: int) -> tuple[Vector, float] | None:
+    def recall(self, stamp: int, simulated: bool) -> tuple[Vector, float] | None:
         """Return the goal of a controller that has just ended, and how long ago [s, wall].
 
-        None where there is none, it ended too long ago, or the clock, which shows `stamp` [ns],
-        has begun anew since.
+        None where there is none, it ended too long ago, or the clock is another one or, now that
+        it shows `stamp` [ns], has begun anew since.
         """
         try:
             age = max(0.0, time.time() - self._path.stat().st_mtime)
@@ -59,4 +63,5 @@ class GoalMemory:
             goal, then = as_state(content["goal"]), int(content["stamp"])
         except (OSError, ValueError, KeyError, TypeError, OverflowError):
             return None
-        return (goal, age) if age <= self._keep and then <= stamp else None
+        goes_on = content.get("simulated") is simulated and then <= stamp
+        return (goal, age) if goes_on and age <= self._keep else None

@@ -169,7 +169,7 @@ class ControllerNode(LivingNode):
             return
         goal = self.controller.goal if self.controller.enabled else None
         try:
-            self._memory.save(goal, self._stamp())
+            self._memory.save(goal, self._stamp(), self._simulated)
         except OSError as error:
             self._memory = None
             self._faults.report("goal not kept", f"{error}; a restart will begin without a goal")
@@ -179,7 +179,7 @@ class ControllerNode(LivingNode):
         self._recalled = True
         if self._memory is None:
             return
-        found = self._memory.recall(self._stamp())
+        found = self._memory.recall(self._stamp(), self._simulated)
         if found is not None:
             goal, age = found
             self.get_logger().info(f"going on to the goal in force {age:.0f} s ago (goal_memory)")

@@ -15,6 +15,10 @@ from sphere_nmpc.ros.throttle import FaultLog
 from sphere_sim.simulator import Simulator
 
 
+_AT_REST = 0.1
+"""Rotor speed that moves the sphere by less than a millimetre in a second [rad/s]."""
+
+
 class CommandIntake:
     """Subscribe to both command topics; a message that is wrong changes nothing.
 
@@ -91,8 +95,8 @@ class CommandIntake:
                 "the one in force, expected a newer one",
             )
             return
-        idle = not hold.speeds.any() and not simulator.speed_reference.any()
-        if hold.end < simulator.time - 1e-9 and not idle:
+        fastest = max(np.abs(hold.speeds).max(), np.abs(simulator.speed_reference).max())
+        if hold.end < simulator.time - 1e-9 and fastest > _AT_REST:
             # It may be a ramp to rest that was held up: what it replaces must not go on.
             self._faults.report(
                 "rotor_trajectory late",

@@ -22,37 +22,45 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_goal_comes_back_as_it_was(path: Path) -> None:
-    GoalMemory(path, 30.0).save(GOAL, STAMP)
-    goal, age = GoalMemory(path, 30.0).recall(STAMP)
+    GoalMemory(path, 30.0).save(GOAL, STAMP, True)
+    goal, age = GoalMemory(path, 30.0).recall(STAMP, True)
     np.testing.assert_array_equal(goal, GOAL)
     assert 0.0 <= age < 10.0
 
 
 def test_goal_is_forgotten_after_a_while(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP)
+    memory.save(GOAL, STAMP, True)
     old = time.time() - 31.0
     os.utime(path, (old, old))
-    assert memory.recall(STAMP) is None
+    assert memory.recall(STAMP, True) is None
 
 
 def test_simulation_that_begins_anew_begins_without_a_goal(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP)
-    assert memory.recall(STAMP - 1) is None
-    assert memory.recall(STAMP + 1) is not None
+    memory.save(GOAL, STAMP, True)
+    assert memory.recall(STAMP - 1, True) is None
+    assert memory.recall(STAMP + 1, True) is not None
+
+
+def test_clock_of_another_kind_is_another_clock(path: Path) -> None:
+    memory = GoalMemory(path, 30.0)
+    memory.save(GOAL, STAMP, True)
+    assert memory.recall(time.time_ns(), False) is None
+    memory.save(GOAL, STAMP, False)
+    assert memory.recall(STAMP, True) is None and memory.recall(STAMP, False) is not None
 
 
 def test_nothing_is_kept_where_that_is_not_wanted(path: Path) -> None:
-    GoalMemory(path, 0.0).save(GOAL, STAMP)
+    GoalMemory(path, 0.0).save(GOAL, STAMP, True)
     assert not path.exists()
 
 
 def test_without_a_goal_the_last_one_is_forgotten(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP)
-    memory.save(None, STAMP)
-    assert memory.recall(STAMP) is None and not list(path.parent.iterdir())
+    memory.save(GOAL, STAMP, True)
+    memory.save(None, STAMP, True)
+    assert memory.recall(STAMP, True) is None and not list(path.parent.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -64,10 +72,10 @@ def test_without_a_goal_the_last_one_is_forgotten(path: Path) -> None:
 def test_file_that_holds_no_goal_is_no_goal(path: Path, content: str) -> None:
     path.parent.mkdir()
     path.write_text(content, encoding="utf-8")
-    assert GoalMemory(path, 30.0).recall(STAMP) is None
+    assert GoalMemory(path, 30.0).recall(STAMP, True) is None
 
 
 def test_folder_that_cannot_be_written_is_told_to_the_caller(tmp_path: Path) -> None:
     (tmp_path / "goals").write_text("in the way")
     with pytest.raises(OSError):
-        GoalMemory(tmp_path / "goals" / "file", 30.0).save(GOAL, STAMP)
+        GoalMemory(tmp_path / "goals" / "file", 30.0).save(GOAL, STAMP, True)

@@ -215,6 +215,18 @@ def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
     assert len({stamp_from_ros(pose.header.stamp) for pose in poses}) <= 26
 
 
+def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_told(graph, capfd) -> None:
+    node = simulator(graph)
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: node.simulator.now > 500 * MS)
+    heard = node._intake.heard
+    sender.publish(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
+    graph.until(lambda: node._intake.heard > heard)
+    graph.spin_for(0.1)
+    assert "rotor_trajectory" not in capfd.readouterr().err
+    assert not node._faults.counts
+
+
 def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
     node = simulator(graph, lockstep=True)
     joints = graph.hear(JointState, "joint_states")

@@ -14,7 +14,6 @@ from sphere_nmpc.ros.conversions import hold_from_trajectory, stamp_from_ros
 from sphere_nmpc.ros.throttle import FaultLog
 from sphere_sim.simulator import Simulator
 
-
 _AT_REST = 0.1
 """Rotor speed that moves the sphere by less than a millimetre in a second [rad/s]."""
 

@@ -4,11 +4,10 @@
 
     python bench/goals_arrive.py --goals 20
 
-Each goal is sent by a process that does what ``ros2 topic pub`` does: with ``--once`` it looks
-every 0.1 s for its first matched subscription, sends and leaves 0.1 s later; with ``-t 3``, as the
-documents print it, it sends three times, one second apart. Discovery is ROS's own, or with
---loopback that of the package. The controller runs alone with the simulator, then with recorder
-and viewer, then with an echo of goal_pose too, as somebody who looks on would have it.
+Each goal is sent by a process of its own (topic_pub.py) as with ``--once``, and as with ``-t 3``,
+which the documents print. Discovery is ROS's own, or with --loopback that of the package. The
+controller runs alone with the simulator, then with recorder and viewer, then with an echo of
+goal_pose too, as somebody who looks on would have it.
 """
 
 import argparse
@@ -27,24 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sphere_sim.cli.children import Children
 from sphere_sim.cli.domain import own_domain
 
-_SENDER = """
-import sys, time, rclpy
-from geometry_msgs.msg import PoseStamped
-times, x = int(sys.argv[1]), float(sys.argv[2])
-rclpy.init()
-node = rclpy.create_node("sender")
-publisher = node.create_publisher(PoseStamped, "/goal_pose", 10)
-while publisher.get_subscription_count() < 1:
-    time.sleep(0.1)
-message = PoseStamped()
-message.header.frame_id, message.pose.orientation.w, message.pose.position.x = "world", 1.0, x
-for number in range(times):
-    time.sleep(1.0 if number else 0.0)
-    publisher.publish(message)
-time.sleep(0.1)
-node.destroy_node()
-rclpy.shutdown()
-"""
+_SENDER = Path(__file__).with_name("topic_pub.py")
 _COMPANY = {"alone": (), "recorder and viewer": ("recorder", "viewer")}
 _ECHO = "recorder, viewer and an echo"
 _FORMS = {"--once": 1, "-t 3": 3}
@@ -53,7 +35,7 @@ _FORMS = {"--once": 1, "-t 3": 3}
 def arrived(node: Node, heard: list[float], times: int, number: int) -> bool:
     """Send a goal that is told by its number and return whether it came into force."""
     goal = 0.01 * (number + 1)
-    subprocess.run([sys.executable, "-c", _SENDER, str(times), str(goal)], check=True)
+    subprocess.run([sys.executable, _SENDER, str(goal), str(times)], check=True)
     end = time.monotonic() + 1.0
     while goal not in heard and time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.05)

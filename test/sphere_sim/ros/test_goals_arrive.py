@@ -4,6 +4,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PoseStamped
@@ -16,28 +17,12 @@ from sphere_sim.ros.simulator_node import SimulatorNode
 
 GOALS = 4
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-SENDER = """
-import sys, time, rclpy
-from geometry_msgs.msg import PoseStamped
-rclpy.init()
-node = rclpy.create_node("sender")
-publisher = node.create_publisher(PoseStamped, "/goal_pose", 10)
-while publisher.get_subscription_count() < 1:
-    time.sleep(0.1)
-message = PoseStamped()
-message.header.frame_id, message.pose.orientation.w = "world", 1.0
-message.pose.position.x = float(sys.argv[1])
-for number in range(int(sys.argv[2])):
-    time.sleep(1.0 if number else 0.0)
-    publisher.publish(message)
-time.sleep(0.1)
-"""
-"""What ``ros2 topic pub`` does: with ``--once`` it sends at its first matched subscription and is
-gone 0.1 s later; with ``-t 3`` it sends three times, one second apart."""
+SENDER = Path(__file__).parents[3] / "bench" / "topic_pub.py"
+"""Does what ``ros2 topic pub`` does."""
 
 
 def send(graph, goal: float, times: int) -> None:
-    process = subprocess.Popen([sys.executable, "-c", SENDER, str(goal), str(times)])
+    process = subprocess.Popen([sys.executable, SENDER, str(goal), str(times)])
     try:
         graph.until(lambda: process.poll() is not None)
     finally:

@@ -1,0 +1,37 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Send a goal the way ``ros2 topic pub`` sends it, where that command is not installed.
+
+    python bench/topic_pub.py X TIMES
+
+With ``--once`` (TIMES 1) that command looks every 0.1 s for its first matched subscription, sends,
+and is gone 0.1 s later; with ``-t 3`` it sends three times, one second apart.
+"""
+
+import sys
+import time
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+
+
+def main(x: float, times: int) -> None:
+    """Send the goal, upright at x [m] on the x axis."""
+    rclpy.init()
+    node = rclpy.create_node("sender")
+    publisher = node.create_publisher(PoseStamped, "/goal_pose", 10)
+    while publisher.get_subscription_count() < 1:
+        time.sleep(0.1)
+    message = PoseStamped()
+    message.header.frame_id, message.pose.orientation.w = "world", 1.0
+    message.pose.position.x = x
+    for number in range(times):
+        time.sleep(1.0 if number else 0.0)
+        publisher.publish(message)
+    time.sleep(0.1)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]), int(sys.argv[2]))

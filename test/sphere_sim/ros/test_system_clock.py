@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulator on the system clock: what it stamps, refuses and makes up."""
 
+import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -9,16 +12,27 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros.conversions import hold_to_trajectory, stamp_from_ros
+from sphere_nmpc.model.state import state_error
+from sphere_nmpc.ros.conversions import (
+    hold_to_trajectory,
+    pose_from_ros,
+    pose_to_ros,
+    stamp_from_ros,
+)
 from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_sim.scenarios import PAPER_CASES
 from sphere_sim.simulator_settings import SimulatorSettings
 
+CASE = PAPER_CASES[1]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MS = 1_000_000
 OFF_THE_WALL = 100 * MS
 """What a busy machine may take from stamp to arrival [ns]; the clocks differ by 1.8e9 s."""
@@ -94,3 +108,31 @@ def test_nobody_stops_or_hurries_the_system_clock(graph, node) -> None:
 def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
     with pytest.raises(InvalidParameterError, match=f"{next(iter(settings))}.*clock: system"):
         SimulatorSettings(clock="system", **settings)
+
+
+@pytest.mark.slow
+def test_goal_is_reached_on_the_system_clock_as_on_a_real_robot(graph) -> None:
+    code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
+    started = [
+        subprocess.Popen([sys.executable, "-c", code, verb, "--ros-args", *options])
+        for verb, options in (("simulator", ("-p", "clock:=system")), ("controller", ()))
+    ]
+    try:
+        poses = graph.hear(PoseStamped, "pose")
+        arrivals = graph.hear(Bool, "controller/at_goal", LATCHED)
+        goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+        sender = graph.speaker(PoseStamped, "goal_pose")
+        graph.until(lambda: len(poses) > 10)
+        sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
+        graph.until(lambda: arrivals and arrivals[-1].data, 60.0)
+        took = (time.time_ns() - stamp_from_ros(goals[-1].header.stamp)) / 1e9
+        error = state_error(pose_from_ros(poses[-1]), CASE.goal)
+        for process in started:
+            process.send_signal(signal.SIGINT)
+        assert [process.wait(timeout=20) for process in started] == [0, 0]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+    assert error < 0.01
+    assert 5.0 < took < 40.0, "the best known time is 5.1 s; a busy machine may take more"

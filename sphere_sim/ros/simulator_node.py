@@ -43,6 +43,8 @@ _WORTH_WAITING = 5e-4
 _SLOW = 0.95
 """Share of the wanted pace below which the machine counts as too slow."""
 
+_LISTENERS_BEHIND = 1.0
+"""Longest wait of a pause for those who listen [s, wall]."""
 _LIFELIKE = 2.0
 """Real-time factor up to which the node may run before others."""
 _CLOCK_JUMP = 1_000_000_000
@@ -217,6 +219,7 @@ class SimulatorNode(LivingNode):
             return response
         if request.data:
             self._time.pause()
+            self._world.flush(_LISTENERS_BEHIND)
         elif self._time.paused:
             self._time.resume(self.simulator.now, time.monotonic())
             self._world.repeat()

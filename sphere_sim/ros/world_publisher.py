@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the simulated robot and its clock tell the graph."""
 
+import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -82,6 +84,16 @@ class WorldPublisher:
         if self._clock is not None:
             self._last.append((self._clock, Clock(clock=conversions.stamp_to_ros(now))))
         self.repeat()
+
+    def flush(self, timeout: float) -> None:
+        """Wait until every reliable listener has what was published, or `timeout` [s] has passed.
+
+        At full speed a listener is behind; what ends it then must not cost the end of the run.
+        """
+        end = time.monotonic() + timeout
+        for publisher in {publisher for publisher, _ in self._last}:
+            left = max(0.0, end - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
 
     def repeat(self) -> None:
         """Publish the last instant once more, for those who came late while time stood still."""

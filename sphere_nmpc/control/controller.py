@@ -189,6 +189,7 @@ class Controller:
                 # A pose from the future would shut out all true ones until then.
                 self._lose_sight()
             self._strategy.reset()
+            self._arrival.reset()  # nobody knows where the sphere is
             return self._rest(Mode.BLIND, time, age)
         failed: Exception | None = None
         try:

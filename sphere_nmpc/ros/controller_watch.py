@@ -71,6 +71,6 @@ class ControllerWatch:
         senders = watch.publishers(self._command_topic)
         found += several(self._command_topic, senders, harm)
         unfit = watch.incompatible()
-        if any(self._pose_topic in complaint.kind for complaint in unfit):
+        if any(complaint.kind.endswith(f" {self._pose_topic}") for complaint in unfit):
             found = [complaint for complaint in found if complaint.kind != NO_POSE]
         watch.update(unfit + found)

@@ -48,7 +48,7 @@ _LISTENERS_BEHIND = 1.0
 _LIFELIKE = 2.0
 """Real-time factor up to which the node may run before others."""
 _CLOCK_JUMP = 1_000_000_000
-"""Difference between the simulator's stamps and the system clock that is a jump of it [ns]."""
+"""How far somebody has to set the system clock for the stamps to follow [ns]."""
 
 
 class SimulatorNode(LivingNode):
@@ -89,7 +89,7 @@ class SimulatorNode(LivingNode):
             self._settings.start_paused,
             keeps_up=settings.is_on_system_clock,
         )
-        self._epoch = 0
+        self._epoch = self._set_at = 0
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
         self._watch = Watch(self, self._faults)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
@@ -144,21 +144,22 @@ class SimulatorNode(LivingNode):
         wall = time.monotonic()
         self._time.achieved(0, wall)
         if self._settings.is_on_system_clock:
-            self._set_epoch(time.time_ns())
+            self._set_epoch(time.time_ns() - self.simulator.now)
         self._world.publish(self.simulator)
         if not self._time.paused:
             self._time.resume(0, wall)
 
     def _set_epoch(self, epoch: int) -> None:
         self._epoch = self._world.epoch = epoch
+        self._set_at = time.time_ns() - time.monotonic_ns()
 
     def _follow_system_clock(self) -> None:
         """Move the stamps along when somebody sets the system clock."""
-        ahead = time.time_ns() - self._epoch - self.simulator.now
-        if self._settings.is_on_system_clock and abs(ahead) > _CLOCK_JUMP:
-            self._set_epoch(self._epoch + ahead)
+        jump = time.time_ns() - time.monotonic_ns() - self._set_at
+        if self._settings.is_on_system_clock and abs(jump) > _CLOCK_JUMP:
+            self._set_epoch(self._epoch + jump)
             self._faults.report(
-                "system clock jumped", f"given a jump of {ahead * 1e-9:.3f} s, expected a clock "
+                "system clock jumped", f"given a jump of {jump * 1e-9:.3f} s, expected a clock "
                 "that is slewed; stamps jump with it",
             )
 

@@ -311,6 +311,16 @@ def test_arrival_is_told_until_there_is_another_goal(robot) -> None:
     assert [told.data for told in arrivals] == [False, True, False]
 
 
+def test_arrival_is_taken_back_where_the_pose_is_lost(robot) -> None:
+    arrivals = robot.graph.hear(Bool, "controller/at_goal", LATCHED)
+    robot.ask(CASE.start)
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: arrivals and arrivals[-1].data)
+    robot.seeing = False
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: not arrivals[-1].data)
+
+
 def test_goal_that_is_in_force_is_confirmed_and_changes_nothing(robot) -> None:
     robot.ask()
     robot.pass_time(1.2)

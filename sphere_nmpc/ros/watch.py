@@ -79,4 +79,7 @@ class Watch:
 
 
 def _name(info: TopicEndpointInfo) -> str:
+    """Return the full name of an endpoint's node, of which the graph may not know it yet."""
+    if "UNKNOWN" in info.node_name:
+        return "a node that was just found"
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

@@ -81,7 +81,6 @@ class ViewerInputs:
         """Return the frame, and forget that it was a fresh one."""
         frame, self.frame = self.frame, replace(self.frame, fresh=False)
         self.health.controllers = self._node.count_publishers(self._status_topic)
-        self.health.pose_sources = self._node.count_publishers("pose")
         return replace(frame, alerts=self.health.alerts(time.monotonic()))
 
     def _take_pose(self, message: PoseStamped) -> None:

@@ -20,8 +20,6 @@ class Health:
         When a pose, and when anything from the controller, was heard last.
     controllers : int
         How many publishers of the controller's status the graph knows of.
-    pose_sources : int
-        How many publishers of the pose the graph knows of.
     refused : str
         Why the newest pose was not taken; empty if it was.
     """
@@ -29,13 +27,11 @@ class Health:
     pose_at: float | None = None
     controller_at: float | None = None
     controllers: int = 0
-    pose_sources: int = 0
     refused: str = ""
 
     def alerts(self, now: float) -> tuple[str, ...]:
         """Return what is amiss, in words."""
-        several = f"{self.pose_sources} publishers of pose" if self.pose_sources > 1 else ""
-        return tuple(filter(None, (self._pose(now), several, self._controller(now))))
+        return tuple(filter(None, (self._pose(now), self._controller(now))))
 
     def _pose(self, now: float) -> str:
         if self.refused:

@@ -34,11 +34,6 @@ def test_a_controller_that_left_is_told_sooner() -> None:
     assert health.alerts(10.7) == ("controller gone",)
 
 
-def test_two_robots_on_one_topic_are_told() -> None:
-    health = Health(pose_at=9.9, controller_at=9.9, controllers=1, pose_sources=2)
-    assert health.alerts(10.0) == ("2 publishers of pose",)
-
-
 def test_a_refused_pose_is_told_with_its_reason() -> None:
     health = Health(pose_at=9.0, controller_at=9.9, controllers=1, refused="frame: given 'map'")
     assert health.alerts(10.0) == ("pose refused: frame: given 'map'",)

@@ -2,8 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes under test beside a probe, all in this process and spun by hand."""
 
+import signal
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import rclpy
@@ -15,6 +19,23 @@ from sphere_nmpc.ros.lifetime import LivingNode
 
 PATIENCE = 20.0
 """How long a busy machine may take to deliver a message [s]; nothing waits that long otherwise."""
+
+
+@contextmanager
+def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subprocess.Popen[str]]:
+    """Run a node in a process of its own; it must end cleanly within `patience` [s]."""
+    code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, verb, "--ros-args", *options], stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=patience) == 0
+    finally:
+        process.kill()
+        process.wait()
 
 
 class Graph:

@@ -112,10 +112,10 @@ class Controller:
         """The goal in force, shape (6,), or None."""
         return None if self._goal is None else self._goal.copy()
 
-    def set_goal(self, goal: Vector) -> None:
+    def set_goal(self, goal: Vector) -> bool:
         """Aim at another state, shape (6,), from the next sample instant on.
 
-        The goal that is in force already changes nothing: the plan in hand goes on.
+        False if it is the goal in force, which changes nothing: the plan in hand goes on.
 
         Raises
         ------
@@ -124,10 +124,11 @@ class Controller:
         """
         wanted = as_state(goal)
         if self._goal is not None and np.array_equal(wanted, self._goal):
-            return
+            return False
         self._goal = wanted
         self._arrival.reset()
         self._strategy.reset()
+        return True
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running."""

@@ -113,8 +113,7 @@ class ControllerNode(LivingNode):
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""
         now = self._now()
-        if now is not None:
-            self._remember()
+        self._remember()
         self.controller.enabled = False
         if now is not None:
             self._decide(now, now)
@@ -159,7 +158,7 @@ class ControllerNode(LivingNode):
     def _look(self) -> None:
         now = self._now()
         self._watch.look(now, self._simulated, self._settings.pose_timeout)
-        self._reports.look(now)
+        self._reports.look()
         if now is not None and not self._recalled:
             self._recall()
 
@@ -290,8 +289,7 @@ class ControllerNode(LivingNode):
 
     def _aim(self, goal: Vector) -> None:
         """Bring a goal, shape (6,), into force; the one that is in force is only confirmed."""
-        fresh = self.controller.goal is None or not np.array_equal(goal, self.controller.goal)
-        self.controller.set_goal(goal)
+        fresh = self.controller.set_goal(goal)
         self._recalled = True
         self._reports.goal(goal, self._stamp())
         if not fresh:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the controller tells people and tools about itself."""
 
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 from time import perf_counter
@@ -101,8 +102,6 @@ class ControllerReports:
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
         self._status_at = perf_counter()
-        self._time_seen: float | None = None
-        self._standing = Mode.NO_CLOCK
         self._tell_arrival()
 
     def goal(self, goal: Vector, stamp: int) -> None:
@@ -110,21 +109,22 @@ class ControllerReports:
         self._goal.publish(pose_to_ros(goal, stamp, self._radius))
         self._tell_arrival()
 
-    def look(self, now: float | None) -> None:
-        """Publish a status where sample instants leave it silent; `now` is control time [s].
+    @property
+    def _mode(self) -> Mode:
+        """What there is to tell between sample instants."""
+        if math.isnan(self._watch.time):
+            return Mode.NO_CLOCK
+        if self._watch.stands_still:
+            return Mode.STANDSTILL
+        return Mode.NO_POSE if self._decision is None else self._decision.mode
 
-        None stands for the time before the first message on /clock.
-        """
-        mode = Mode.NO_POSE if self._decision is None else self._decision.mode
-        if now is None:
-            mode = Mode.NO_CLOCK
-        elif now == self._time_seen:
-            mode = Mode.STANDSTILL
-        self._time_seen, self._standing = now, mode
+    def look(self) -> None:
+        """Publish a status where sample instants leave it silent, after each look of the watch."""
         if perf_counter() - self._status_at < _LONGEST_SILENCE:
             return
+        mode = self._mode
         # Nothing was solved since, and so it must not be counted once more.
-        values = {"time_s": "nan" if now is None else f"{now:.9g}", "strategy": self._strategy}
+        values = {"time_s": f"{self._watch.time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
         self._publish_status(mode, mode.value, values)
 
@@ -211,11 +211,11 @@ class ControllerReports:
             "pose age s": float("inf") if decision is None else decision.pose_age,
             **self._faults.counts,
         }
-        mode, found = self._standing, self._watch.complaints
+        mode, found = self._mode, self._watch.complaints
         if found:
             return ERROR if found[0].severe else WARN, found[0].kind, values
         if mode is Mode.STANDSTILL:
-            return WARN, f"{mode.value} at {self._time_seen:.3f} s", values
+            return WARN, f"{mode.value} at {self._watch.time:.3f} s", values
         return _LEVELS[mode], mode.value, values
 
 

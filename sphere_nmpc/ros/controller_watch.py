@@ -30,12 +30,14 @@ class ControllerWatch:
     """
 
     def __init__(self, node: Node, faults: FaultLog) -> None:
-        self._node = node
         self._watch = Watch(node, faults)
         self._pose_topic = node.resolve_topic_name("pose")
         self._clock_topic = node.resolve_topic_name("/clock")
         self._command_topic = node.resolve_topic_name("rotor_trajectory")
-        self._time = math.nan
+        self.time = math.nan
+        """Control time at the last look [s]; nan before the first message on /clock."""
+        self.stands_still = False
+        """Whether it had not gone on since the look before."""
         self._time_moved = self._pose_came = time.monotonic()
         self._pose_age = math.nan
         self._heard = False
@@ -52,8 +54,10 @@ class ControllerWatch:
     def look(self, now: float | None, follows_clock: bool, pose_timeout: float) -> None:
         """Look around at control time `now` [s], None before the first message on /clock."""
         wall, watch = time.monotonic(), self._watch
-        if now is not None and now != self._time:
-            self._time, self._time_moved = now, wall
+        before, self.time = self.time, math.nan if now is None else now
+        self.stands_still = self.time == before
+        if now is not None and not self.stands_still:
+            self._time_moved = wall
         # Seen at the same looks, clock and pose of a simulator that ends fall silent together.
         if self._heard:
             self._heard, self._pose_came = False, wall
@@ -62,8 +66,8 @@ class ControllerWatch:
         others = watch.clock_topics() if follows_clock and not clocks else []
         found = complaints(
             Surroundings(
-                follows_clock, math.nan if now is None else now, wall - self._time_moved,
-                wall - self._pose_came, self._pose_age, pose_timeout, clocks,
+                follows_clock, self.time, wall - self._time_moved, wall - self._pose_came,
+                self._pose_age, pose_timeout, clocks,
                 watch.publishers(self._pose_topic), self._clock_topic, self._pose_topic, others,
             )
         )

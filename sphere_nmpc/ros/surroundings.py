@@ -89,6 +89,16 @@ def several(topic: str, nodes: Sequence[str], harm: str) -> list[Complaint]:
     ]
 
 
+def rivals(
+    pose_topic: str, poses: Sequence[str], clock_topic: str, clocks: Sequence[str]
+) -> list[Complaint]:
+    """Return the complaints about further publishers of the clock and of the pose."""
+    return [
+        *several(clock_topic, clocks, "time jumps between them"),
+        *several(pose_topic, poses, "the pose jumps between them"),
+    ]
+
+
 def incompatible(topic: str, node: str, reason: str) -> Complaint:
     """Return the complaint about another node's end of a topic, through which nothing passes.
 
@@ -112,9 +122,8 @@ def incompatible(topic: str, node: str, reason: str) -> Complaint:
 def complaints(seen: Surroundings) -> list[Complaint]:
     """Return what is wrong around a controller, the gravest first."""
     found = _standing_still(seen) or _no_pose(seen) or _wrong_clock(seen)
-    if seen.follows_clock:
-        found += several(seen.clock_topic, seen.clocks, "time jumps between them")
-    return found + several(seen.pose_topic, seen.poses, "the pose jumps between them")
+    clocks = seen.clocks if seen.follows_clock else ()
+    return found + rivals(seen.pose_topic, seen.poses, seen.clock_topic, clocks)
 
 
 def _standing_still(seen: Surroundings) -> list[Complaint]:

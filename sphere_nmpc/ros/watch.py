@@ -3,13 +3,14 @@
 """Looking at a node's surroundings, and telling once what is wrong there."""
 
 from collections.abc import Sequence
+from itertools import product
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from sphere_nmpc.ros.surroundings import Complaint, incompatible
+from sphere_nmpc.ros.surroundings import Complaint, incompatible, rivals
 from sphere_nmpc.ros.throttle import FaultLog
 
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
@@ -49,6 +50,12 @@ class Watch:
         """Return the full names of the nodes that publish a topic, one an endpoint."""
         return [_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
 
+    def rivals(self, clocked: bool) -> list[Complaint]:
+        """Return the complaints about further publishers of the pose, and if asked the clock."""
+        pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))
+        clocks = self.publishers(clock) if clocked else []
+        return rivals(pose, self.publishers(pose), clock, clocks)
+
     def clock_topics(self) -> list[str]:
         """Return the topics on which somebody publishes a clock."""
         return [
@@ -64,17 +71,16 @@ class Watch:
         found = {}
         for topic in sorted(topics - _OF_EVERY_NODE):
             # As the graph knows them: a node's own profiles leave open what the middleware fills.
-            for publisher in node.get_publishers_info_by_topic(topic):
-                for subscriber in node.get_subscriptions_info_by_topic(topic):
-                    ends = {_name(publisher), _name(subscriber)}
-                    if own not in ends or topic in found:
-                        continue
-                    fit, reason = qos_check_compatible(
-                        publisher.qos_profile, subscriber.qos_profile
-                    )
-                    if fit == QoSCompatibility.ERROR:
-                        other = ", ".join(ends - {own}) or own
-                        found[topic] = incompatible(topic, other, reason)
+            publishers = node.get_publishers_info_by_topic(topic)
+            subscribers = node.get_subscriptions_info_by_topic(topic) if publishers else []
+            for publisher, subscriber in product(publishers, subscribers):
+                ends = {_name(publisher), _name(subscriber)}
+                if own not in ends or topic in found:
+                    continue
+                fit, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
+                if fit == QoSCompatibility.ERROR:
+                    other = ", ".join(ends - {own}) or own
+                    found[topic] = incompatible(topic, other, reason)
         return list(found.values())
 
 

@@ -29,7 +29,6 @@ from std_srvs.srv import Trigger
 
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.surroundings import several
 from sphere_nmpc.ros.throttle import FaultLog
 from sphere_nmpc.ros.watch import Watch
 from sphere_sim.recording.bag_writer import BagWriter
@@ -137,7 +136,8 @@ class RecorderNode(LivingNode):
     def _discover(self) -> None:
         """Subscribe to what is new and adapt to what the publishers offer."""
         own = self.get_fully_qualified_name()
-        self._look_around()
+        # With a second clock or pose a recording has no figures.
+        self._watch.update(self._watch.rivals(clocked=self._simulates))
         for topic, msgtypes in self.get_topic_names_and_types():
             if not is_wanted(topic, self._patterns):
                 continue
@@ -154,16 +154,6 @@ class RecorderNode(LivingNode):
                     self._snapshots.ask(node)
         if self._bag is not None:
             self._bag.custom_data.update(self._snapshots.as_text())
-
-    def _look_around(self) -> None:
-        """Complain of a second clock or pose, with which a recording has no figures."""
-        jumps = {self._full_name("pose"): "the pose jumps between them"}
-        if self._simulates:
-            jumps[self._clock_topic] = "time jumps between them"
-        self._watch.update([
-            complaint for topic, harm in jumps.items()
-            for complaint in several(topic, self._watch.publishers(topic), harm)
-        ])
 
     def _subscribe(self, topic: str, msgtype: str, qos: QoSProfile) -> None:
         there = self._subscribed.get(topic)

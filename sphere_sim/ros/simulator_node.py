@@ -22,7 +22,6 @@ from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.precedence import SchedulingSettings
-from sphere_nmpc.ros.surroundings import several
 from sphere_nmpc.ros.throttle import FaultLog
 from sphere_nmpc.ros.watch import Watch
 from sphere_sim.plant.factory import make_plant
@@ -248,16 +247,9 @@ class SimulatorNode(LivingNode):
         response.message = f"pushed with {list(impulse)} N s at t = {self.simulator.time:.3f} s"
         return response
 
-    def _look_around(self) -> None:
-        pose = self.resolve_topic_name("pose")
-        found = several(pose, self._watch.publishers(pose), "the pose jumps between them")
-        clock = self.resolve_topic_name("/clock")
-        if not self._settings.is_on_system_clock:
-            found += several(clock, self._watch.publishers(clock), "time jumps between them")
-        self._watch.update(self._watch.incompatible() + found)
-
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        self._look_around()
+        rivals = self._watch.rivals(clocked=not self._settings.is_on_system_clock)
+        self._watch.update(self._watch.incompatible() + rivals)
         keeper, wanted = self._time, self._settings.real_time_factor
         achieved = keeper.achieved(self.simulator.now, time.monotonic())
         values = {

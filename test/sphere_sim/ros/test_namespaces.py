@@ -2,12 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A namespace makes a whole robot: clock, frames and names in the diagnostics."""
 
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -16,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import started
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 
@@ -25,23 +21,6 @@ from sphere_sim.ros.simulator_node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
-
-
-@contextmanager
-def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a node in a process of its own; it must end cleanly."""
-    code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, verb, "--ros-args", *options], stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield process
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) == 0
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_frames_carry_the_prefix_that_is_given(graph) -> None:

@@ -2,16 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator and controller as processes: they reach the goal, and lockstep repeats itself."""
 
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import started
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -27,30 +25,17 @@ from sphere_sim.simulator_settings import SimulatorSettings
 
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-NODES = {
-    "simulator": "sphere_sim.ros.simulator_node",
-    "controller": "sphere_nmpc.ros.controller_node",
-}
 
 
 @contextmanager
 def processes(**parameters: dict[str, object]) -> Iterator[None]:
     """Run both nodes; they must end cleanly."""
-    started = []
-    for name, module in NODES.items():
-        code = f"import sys; from {module} import main; sys.exit(main())"
-        given = [f"{key}:={str(value).lower()}" for key, value in parameters[name].items()]
-        options = [part for item in given for part in ("-p", item)]
-        started.append(subprocess.Popen([sys.executable, "-c", code, "--ros-args", *options]))
-    try:
+    with ExitStack() as nodes:
+        for name, given in parameters.items():
+            options = [f"{key}:={str(value).lower()}" for key, value in given.items()]
+            arguments = (part for item in options for part in ("-p", item))
+            nodes.enter_context(started(name, *arguments, patience=10.0))
         yield
-        for process in started:
-            process.send_signal(signal.SIGINT)
-        assert [process.wait(timeout=10) for process in started] == [0, 0]
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
 
 
 def run(

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulator on the system clock: what it stamps, refuses and makes up."""
 
-import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -13,6 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import started
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -112,12 +110,7 @@ def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
 
 @pytest.mark.slow
 def test_goal_is_reached_on_the_system_clock_as_on_a_real_robot(graph) -> None:
-    code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
-    started = [
-        subprocess.Popen([sys.executable, "-c", code, verb, "--ros-args", *options])
-        for verb, options in (("simulator", ("-p", "clock:=system")), ("controller", ()))
-    ]
-    try:
+    with started("simulator", "-p", "clock:=system"), started("controller"):
         poses = graph.hear(PoseStamped, "pose")
         arrivals = graph.hear(Bool, "controller/at_goal", LATCHED)
         goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
@@ -127,12 +120,5 @@ def test_goal_is_reached_on_the_system_clock_as_on_a_real_robot(graph) -> None:
         graph.until(lambda: arrivals and arrivals[-1].data, 60.0)
         took = (time.time_ns() - stamp_from_ros(goals[-1].header.stamp)) / 1e9
         error = state_error(pose_from_ros(poses[-1]), CASE.goal)
-        for process in started:
-            process.send_signal(signal.SIGINT)
-        assert [process.wait(timeout=20) for process in started] == [0, 0]
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
     assert error < 0.01
     assert 5.0 < took < 40.0, "the best known time is 5.1 s; a busy machine may take more"

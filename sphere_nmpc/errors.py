@@ -6,6 +6,9 @@
 class SphereNmpcError(Exception):
     """Base of every error this package raises on purpose."""
 
+    exit_code = 1
+    """Exit code of a command that ends with the error; 2 where the user gave something wrong."""
+
 
 class InvalidParameterError(SphereNmpcError, ValueError):
     """A parameter is outside what is physically or numerically sensible.
@@ -20,6 +23,8 @@ class InvalidParameterError(SphereNmpcError, ValueError):
         What would have been accepted, in words.
     """
 
+    exit_code = 2
+
     def __init__(self, name: str, given: object, expected: str) -> None:
         super().__init__(f"{name}: given {given!r}, expected {expected}")
         self.name = name
@@ -30,6 +35,10 @@ class InvalidParameterError(SphereNmpcError, ValueError):
 class InvalidStateError(SphereNmpcError, ValueError):
     """A pose, goal or state vector is not finite, not of the right shape or not a rotation."""
 
+    exit_code = 2
+
 
 class InvalidInputError(SphereNmpcError, ValueError):
     """Rotor speeds are not finite or their knots are not in order of time."""
+
+    exit_code = 2

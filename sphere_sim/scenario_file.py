@@ -38,6 +38,8 @@ class ScenarioFileError(SphereNmpcError, ValueError):
         Name of the column.
     """
 
+    exit_code = 2
+
     def __init__(
         self, path: Path, given: str, expected: str, line: int | None = None, column: str = ""
     ) -> None:

@@ -28,5 +28,5 @@ def end_with_parent(parent: int) -> None:
 
 
 if __name__ == "__main__":
-    end_with_parent(int(sys.argv[1]))
-    sys.exit(main(sys.argv[2:]))
+    end_with_parent(int(sys.argv.pop(1)))
+    sys.exit(main())

@@ -21,7 +21,7 @@ from sphere_sim.cli.demo_comparison import compute_other
 from sphere_sim.cli.demo_plan import DemoPlan, parse
 from sphere_sim.cli.demo_summary import summarise, table
 from sphere_sim.cli.domain import own_domain
-from sphere_sim.cli.interrupts import sigterm_interrupts
+from sphere_sim.cli.places import prepare_folder
 from sphere_sim.cli.progress_display import ProgressDisplay
 from sphere_sim.figures.paper_panels import paper_panels
 from sphere_sim.figures.side_by_side import side_by_side
@@ -48,25 +48,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when the sphere has arrived, 1 when it has not or something failed.
+        0 when the sphere has arrived, 1 when it has not.
+
+    Raises
+    ------
+    SphereNmpcError
+        If the run cannot be made.
+    KeyboardInterrupt
+        With words about what is left.
     """
     plan = parse(arguments)
-    console = Console()
     try:
-        with sigterm_interrupts(), own_domain() as domain:
-            return _demonstrate(plan, domain, console)
-    except (SphereNmpcError, OSError) as error:
-        print(f"demo: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("demo: interrupted; all nodes are stopped", file=sys.stderr)
-        return 1
+        with own_domain() as domain:
+            return _demonstrate(plan, domain, Console())
+    except KeyboardInterrupt as error:
+        kept = f"; {plan.bag} keeps what was recorded" if plan.bag.exists() else ""
+        raise KeyboardInterrupt(f"all nodes are stopped{kept}") from error
 
 
 def _demonstrate(plan: DemoPlan, domain: int, console: Console) -> int:
     if plan.bag.exists():
         raise BagError(plan.bag, "exists already and is not overwritten; choose another --out")
-    plan.folder.mkdir(parents=True, exist_ok=True)
+    prepare_folder(plan.folder)
     parameters = _write_parameters(plan)
     console.print(f"[bold]{plan.title}[/bold] (ROS domain {domain})")
     began = time.monotonic()

@@ -17,6 +17,7 @@ from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
+from sphere_sim.cli.arguments import finite, not_negative, positive, whole
 from sphere_sim.perturbation import perturbed
 from sphere_sim.scenarios import PAPER_CASES, Scenario
 
@@ -111,20 +112,21 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
         help="case of the paper; 4 has noise and a robot with other parameters (default: 1)",
     )
     state = ("X", "Y", "QW", "QX", "QY", "QZ")
-    parser.add_argument("--from", dest="start", nargs=6, type=float, metavar=state,
+    parser.add_argument("--from", dest="start", nargs=6, type=finite, metavar=state,
                         help="start in place of the case's [m, -]")
-    parser.add_argument("--goal", nargs=6, type=float, metavar=state,
+    parser.add_argument("--goal", nargs=6, type=finite, metavar=state,
                         help="goal in place of the case's [m, -]")
     parser.add_argument(
-        "--rtf", type=float, default=1.0, metavar="F",
+        "--rtf", type=not_negative, default=1.0, metavar="F",
         help="simulated over wall time; 0: lockstep, as fast as the nodes can (default: 1)",
     )
     parser.add_argument("--lockstep", action="store_true",
                         help="let time wait for the controller, so that runs repeat to the bit")
     parser.add_argument("--strategy", metavar="NAME",
                         help="what the controller solves: " + " or ".join(SAMPLE_PERIODS))
-    parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: 0)")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="S",
+    parser.add_argument("--seed", type=whole(0), default=0,
+                        help="of all that is random (default: 0)")
+    parser.add_argument("--duration", type=positive, default=60.0, metavar="S",
                         help="simulated time after which to give up (default: 60)")
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help="folder for bag, figure and summary (default: runs/<date and time>)")
@@ -132,10 +134,6 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
                         help="leave out the other strategy, which is computed without ROS")
     parser.add_argument("--no-viewer", action="store_true", help="show nothing in the browser")
     given = parser.parse_args(arguments)
-    if given.rtf < 0.0:
-        parser.error(f"--rtf: given {given.rtf:g}, expected 0 or more")
-    if given.duration <= 0.0:
-        parser.error(f"--duration: given {given.duration:g}, expected a positive time [s]")
     try:
         return make_plan(given)
     except InvalidStateError as error:

@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import math
 import shutil
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,8 +18,9 @@ from rich.table import Table
 from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.cli.arguments import whole
 from sphere_sim.cli.domain import own_domain
-from sphere_sim.cli.interrupts import sigterm_interrupts
+from sphere_sim.cli.places import prepare_folder
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
 from sphere_sim.ros.fault_session import SessionSettings, joined
@@ -35,24 +35,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when every trial was survived, 1 when one was not or the campaign could not be run.
+        0 when every trial was survived, 1 when one was not.
+
+    Raises
+    ------
+    SphereNmpcError
+        If the campaign cannot be run.
+    KeyboardInterrupt
+        With words about what is left.
     """
     given = _parse(arguments)
     console = Console()
+    singles = chosen(given.fault, given.quick)
+    trials = singles * given.repeat
+    if given.pairs:
+        trials += pairs(singles, given.pairs, given.seed)
+    prepare_folder(given.json.parent)
+    outcomes: list[Outcome] = []
     try:
-        singles = chosen(given.fault, given.quick)
-        trials = singles * given.repeat
-        if given.pairs:
-            trials += pairs(singles, given.pairs, given.seed)
-        with sigterm_interrupts(), _folder(given.out) as folder, own_domain():
-            table = rows(_tried(trials, _settings(given, folder), console))
+        with _folder(given.out) as folder, own_domain():
+            for outcome in _tried(trials, _settings(given, folder), console):
+                outcomes.append(outcome)
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(
+            f"all nodes are stopped; {given.json} has {len(outcomes)} of {len(trials)} trials"
+        ) from error
+    finally:
+        table = rows(outcomes)
         write_json(given.json, table)
-    except (SphereNmpcError, OSError) as error:
-        print(f"faults: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("faults: interrupted; all nodes are stopped", file=sys.stderr)
-        return 1
     _tell(table, console)
     return 0 if all(row.survived == len(row.outcomes) for row in table) else 1
 
@@ -70,11 +80,12 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="one fault or two of each group")
     parser.add_argument("--fault", nargs="+", action="extend", default=[], metavar="NAME",
                         help="only these faults")
-    parser.add_argument("--pairs", nargs="?", type=_count, const=_PAIRS, default=0, metavar="N",
+    parser.add_argument("--pairs", nargs="?", type=whole(1), const=_PAIRS, default=0, metavar="N",
                         help=f"then N pairs at once, drawn by the seed (default: {_PAIRS})")
-    parser.add_argument("--repeat", type=_count, default=1, metavar="N",
+    parser.add_argument("--repeat", type=whole(1), default=1, metavar="N",
                         help="try each fault N times, on the way to other goals")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: 0)")
+    parser.add_argument("--seed", type=whole(0), default=0,
+                        help="of all that is random (default: 0)")
     parser.add_argument("--rtf", type=float, default=2.0, metavar="F",
                         help="simulated over wall time (default: 2)")
     parser.add_argument("--strategy", choices=sorted(SAMPLE_PERIODS),
@@ -84,16 +95,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     given = parser.parse_args(arguments)
     if not 0.5 <= given.rtf <= 5.0:
         parser.error(f"--rtf: given {given.rtf:g}, expected 0.5 to 5")
-    if given.seed < 0:
-        parser.error(f"--seed: given {given.seed}, expected 0 or more")
     return given
-
-
-def _count(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"given {text}, expected 1 or more")
-    return number
 
 
 @contextlib.contextmanager

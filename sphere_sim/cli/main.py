@@ -5,13 +5,18 @@
 Modules are imported only when their verb is called, so that the command starts at once and
 needs no more than what the verb needs. Each verb is an executable of its own too, for
 ``ros2 run``: started by the name of a verb, the command takes that for its first word.
+``--debug``, before or after the verb, shows the traceback of what goes wrong.
 """
 
+import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module, metadata
+from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
+
+from sphere_sim.cli.exits import guarded
+from sphere_sim.cli.output import Output
+from sphere_sim.cli.signals import Signals
 
 VERBS = {
     "demo": ("sphere_sim.cli.demo", "run one of the paper's cases and watch it"),
@@ -26,17 +31,8 @@ VERBS = {
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
     "faults": ("sphere_sim.cli.faults", "inject faults and measure the recovery"),
 }
-
-# Extra of setup.py -> import names it brings, message packages apart.
-_EXTRAS = {
-    "ros": ("rclpy", "ament_index_python", "builtin_interfaces", "rcl_interfaces", "std_srvs"),
-    "record": ("rosbags", "mcap", "mcap_ros2", "ruamel", "zstandard"),
-    "sim": ("rich", "matplotlib"),
-    "study": ("dask", "distributed"),
-    "rigid": ("mujoco",),
-    "viewer": ("viser",),
-    "report": ("pyarrow",),
-}
+_DEBUG = "--debug"
+_ROS_ARGUMENTS = "--ros-args"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -45,39 +41,65 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        The verb and its arguments; by default those of the process, whose own name may be the
-        verb.
+        The verb and its arguments. By default those of the process, whose own name may be the
+        verb, and whose signals and standard streams are then the command's to handle.
 
     Returns
     -------
     int
-        The verb's exit code; 1 when it needs a package that is not installed and 2 when there
-        is no such verb.
+        The verb's exit code; 1 when it needs a package that is not installed or something else
+        goes wrong, 2 when there is no such verb, 130 after Ctrl-C.
     """
-    verb, *rest = (_of_process() if argv is None else [*argv]) or ["--help"]
+    signals, output = Signals(), Output()
+    if argv is not None:
+        return _run(argv, signals)
+    signals.install()
+    output.install()
+    try:
+        code = _run(_of_process(), signals)
+    finally:
+        signals.die()
+    failure = output.failure()
+    if failure:
+        print(f"sphere_nmpc: {failure}", file=sys.stderr)
+    return code or int(bool(failure))
+
+
+def _run(argv: Sequence[str], signals: Signals) -> int:
+    words, debug = _without_debug(argv)
+    verb, *rest = words or ["--help"]
     if verb in ("-h", "--help"):
         print(_usage())
         return 0
     if verb == "--version":
+        from importlib import metadata
+
         print(f"sphere_nmpc {metadata.version('sphere_nmpc')}")
         return 0
     if verb not in _available():
         print(f"sphere_nmpc: there is no '{verb}'\n\n{_usage()}", file=sys.stderr)
         return 2
-    try:
-        code: int = import_module(VERBS[verb][0]).main(rest)
-    except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if not missing or find_spec(missing):  # a wrong import, not a missing package
-            raise
-        print(f"sphere_nmpc {verb}: {_advice(missing)}", file=sys.stderr)
-        return 1
-    return code
+
+    def call() -> int:
+        module = import_module(VERBS[verb][0])
+        signals.interrupt()
+        code: int = module.main(rest)
+        return code
+
+    return guarded(f"sphere_nmpc {verb}", call, signals, debug)
+
+
+def _without_debug(argv: Sequence[str]) -> tuple[list[str], bool]:
+    """Return the words without ``--debug``, and whether it is there, ROS arguments apart."""
+    words = list(argv)
+    end = words.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in words else len(words)
+    ours = [word for word in words[:end] if word != _DEBUG]
+    return ours + words[end:], len(ours) < end
 
 
 def _of_process() -> list[str]:
     """Return the words of this process: `report ...` stands for `sphere_nmpc report ...`."""
-    name = Path(sys.argv[0]).stem  # on Windows a script has a suffix
+    name = os.path.basename(sys.argv[0])
     return [name, *sys.argv[1:]] if name in VERBS else sys.argv[1:]
 
 
@@ -97,18 +119,11 @@ def _usage() -> str:
     lines = (f"  {verb:<11} {VERBS[verb][1]}" for verb in _available())
     return "\n".join(
         (
-            "usage: sphere_nmpc [-h] [--version] VERB ...",
+            "usage: sphere_nmpc [-h] [--version] [--debug] VERB ...",
             "",
             *lines,
             "",
-            "'sphere_nmpc VERB --help' tells the arguments of a verb.",
+            "'sphere_nmpc VERB --help' tells the arguments of a verb; with --debug any verb shows",
+            "the traceback of what goes wrong.",
         )
     )
-
-
-def _advice(missing: str) -> str:
-    if missing.endswith("_msgs"):
-        missing_from = "ros"
-    else:
-        missing_from = next((e for e, names in _EXTRAS.items() if missing in names), "all")
-    return f"'{missing}' is not installed; it comes with pip install 'sphere_nmpc[{missing_from}]'"

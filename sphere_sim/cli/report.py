@@ -11,7 +11,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.cli.places import prepare_folder
 from sphere_sim.figures import analysis
 from sphere_sim.figures.animation import write_animation
 from sphere_sim.figures.comparison import comparison
@@ -47,20 +47,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when it is written, 1 when a bag cannot be read. A run without a goal has a report too,
-        which says that it has no figures.
+        0 when it is written. A run without a goal has a report too, which says that it has no
+        figures.
+
+    Raises
+    ------
+    BagError
+        If a bag cannot be read.
+    PlaceError, OSError
+        If the report cannot be written.
     """
     given = _parse(arguments)
-    try:
-        runs = [
-            read_run(path, given.namespace, name)
-            for path, name in zip(given.bags, _names(given.bags), strict=True)
-        ]
-        given.out.mkdir(parents=True, exist_ok=True)
-        page = _write(runs, given)
-    except (SphereNmpcError, OSError) as error:
-        print(f"report: {error}", file=sys.stderr)
-        return 1
+    prepare_folder(given.out)
+    runs = [
+        read_run(path, given.namespace, name)
+        for path, name in zip(given.bags, _names(given.bags), strict=True)
+    ]
+    page = _write(runs, given)
     for run in runs:
         for note in run.notes:
             print(f"report: {run.name}: {note}", file=sys.stderr)

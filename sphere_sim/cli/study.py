@@ -4,7 +4,6 @@
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
-from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.simulator_settings import PLANTS
 
 if TYPE_CHECKING:
@@ -23,8 +21,6 @@ if TYPE_CHECKING:
 _BOUND = "sphere_sim.study.bound"
 _KINDS = ("anywhere", "far", "circle", "half_turn")
 """The names in `sphere_sim.draws.DRAWS`, which would load SciPy; a test compares them."""
-_INTERRUPTED = 130
-"""What a shell reports of a program that Ctrl-C ended."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -38,33 +34,26 @@ def main(argv: Sequence[str]) -> int:
     Returns
     -------
     int
-        0 when all runs were made, 2 when the arguments are wrong, 1 when something else is, 130
-        after Ctrl-C.
+        0 when all runs were made, 1 when one crashed.
+
+    Raises
+    ------
+    SphereNmpcError
+        If the study cannot be made.
+    KeyboardInterrupt
+        With words about what is left.
     """
     arguments = _parser().parse_args(argv)
     # A library that starts a thread a core slows down small problems and other processes; read
     # by numpy when it is imported, hence the imports below.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    from sphere_sim.cli.interrupts import sigterm_interrupts
-    from sphere_sim.study.errors import WorkersError
-
     try:
-        with sigterm_interrupts():
-            return _run(arguments)
-    except WorkersError as error:
-        print(f"sphere_nmpc study: {error}", file=sys.stderr)
-        return 1
-    except SphereNmpcError as error:
-        print(f"sphere_nmpc study: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(
-            f"\nsphere_nmpc study: interrupted; {arguments.out} keeps the runs made so far and "
-            "the same command goes on from them",
-            file=sys.stderr,
-        )
-        return _INTERRUPTED
+        return _run(arguments)
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(
+            f"{arguments.out} keeps the runs made so far and the same command goes on from them"
+        ) from error
 
 
 def _run(arguments: argparse.Namespace) -> int:

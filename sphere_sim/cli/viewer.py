@@ -8,8 +8,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import POSITION
+from sphere_sim.cli.arguments import whole
 from sphere_sim.viewer.server import DEFAULT_PORT, free_port
 
 _ROS = "--ros-args"
@@ -21,7 +21,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 after Ctrl-C, 1 when a bag cannot be read.
+        0 after Ctrl-C.
+
+    Raises
+    ------
+    BagError
+        If a bag cannot be read.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     at = given.index(_ROS) if _ROS in given else len(given)
@@ -32,11 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sphere_sim.ros import viewer_node
 
         return viewer_node.main(given[at:], port)
-    try:
-        return _replay(own.replay, own.namespace, port)
-    except SphereNmpcError as error:
-        print(f"viewer: {error}", file=sys.stderr)
-        return 1
+    return _replay(own.replay, own.namespace, port)
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -46,15 +47,12 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         "heard, or with --replay a recorded one.",
         epilog="ROS arguments follow --ros-args, for example: --ros-args -r __ns:=/left",
     )
-    parser.add_argument("--port", type=int, default=DEFAULT_PORT, metavar="P",
+    parser.add_argument("--port", type=whole(0, 65535), default=DEFAULT_PORT, metavar="P",
                         help="of the page; a free one if it is taken (default: %(default)s)")
     parser.add_argument("--replay", type=Path, metavar="BAG",
                         help="folder of a bag, or a .mcap or .db3 file")
     parser.add_argument("--namespace", metavar="NS", help="which robot, if the bag has several")
-    given = parser.parse_args(arguments)
-    if not 0 <= given.port < 65536:
-        parser.error(f"--port: given {given.port}, expected 0 to 65535")
-    return given
+    return parser.parse_args(arguments)
 
 
 def _replay(bag: Path, namespace: str | None, port: int) -> int:

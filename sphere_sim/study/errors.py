@@ -18,6 +18,8 @@ class StudyFolderError(SphereNmpcError):
         Why not, in words.
     """
 
+    exit_code = 2
+
     def __init__(self, folder: Path, reason: str) -> None:
         super().__init__(f"{folder}: {reason}")
         self.folder = folder

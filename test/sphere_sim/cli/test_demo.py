@@ -70,6 +70,8 @@ def test_full_speed_means_lockstep_in_both_nodes() -> None:
         (["--case", "5"], "invalid choice"),
         (["--rtf", "-1"], "--rtf"),
         (["--duration", "0"], "--duration"),
+        (["--duration", "nan"], "--duration"),
+        (["--case", "4", "--seed", "-1"], "--seed"),
         (["--goal", "0", "0", "1", "1", "0", "0"], "norm"),
     ],
 )
@@ -172,7 +174,8 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         _, told = process.communicate(timeout=30.0)
-    assert process.returncode == 1 and "interrupted" in told
+    assert process.returncode == 130 and "interrupted" in told
+    assert told.count("\n") == 1 and str(folder / "bag") in told
     assert not [child for child in children if child.is_running()]
     assert len(read_run(folder / "bag").times) > 10
 

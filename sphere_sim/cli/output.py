@@ -1,0 +1,72 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Standard output and error that may be lost without losing the work.
+
+A pipe whose reader has gone (``| head -1``) or a full disk makes a write fail. The command then
+goes on, so that its results are kept, and what it prints is dropped.
+"""
+
+import errno
+import io
+import os
+import sys
+from typing import Any, TextIO
+
+
+class LossyFile(io.FileIO):
+    """An open file descriptor whose writes never fail.
+
+    Parameters
+    ----------
+    descriptor : int
+        Stays open.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "w", closefd=False)
+        self.failure: OSError | None = None
+        """Why output was lost, from the first lost write on."""
+
+    def write(self, data: Any, /) -> int:
+        """Write, or drop the data if that is not possible."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.failure = self.failure or error
+            return memoryview(data).nbytes
+
+
+class Output:
+    """The standard streams of a command's process."""
+
+    def __init__(self) -> None:
+        self._files: list[LossyFile] = []
+
+    def install(self) -> None:
+        """Replace ``sys.stdout`` and ``sys.stderr``.
+
+        What the encoding of the terminal does not know is written with backslashes.
+        """
+        sys.stdout = self._lossy(sys.stdout, 1)
+        sys.stderr = self._lossy(sys.stderr, 2)
+
+    def failure(self) -> str:
+        """Return in words why standard output was lost; nothing when its reader has gone."""
+        sys.stdout.flush()
+        error = self._files[0].failure if self._files else None
+        if error is None or error.errno == errno.EPIPE:
+            return ""
+        return f"standard output: {error.strerror}"
+
+    def _lossy(self, stream: TextIO | None, descriptor: int) -> TextIO:
+        if stream is None:
+            # Closed by the caller: the next file that is opened would take its place.
+            descriptor = os.open(os.devnull, os.O_WRONLY)
+        file = LossyFile(descriptor)
+        self._files.append(file)
+        return io.TextIOWrapper(
+            io.BufferedWriter(file),
+            encoding=getattr(stream, "encoding", "utf-8"),
+            errors="backslashreplace",
+            line_buffering=bool(getattr(stream, "line_buffering", False)),
+        )

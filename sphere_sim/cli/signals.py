@@ -1,0 +1,69 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""SIGINT and SIGTERM as KeyboardInterrupt, wherever they find the process."""
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+_EXIT_CODE = 128
+"""What a shell adds to the number of the signal that ended a program."""
+_AGAIN = 0.05
+"""Delay before a signal is repeated that a finaliser has swallowed [s]."""
+
+
+class Signals:
+    """The handlers of a command's process.
+
+    While modules are loaded a signal ends the process at once: nothing has been started yet, and
+    a KeyboardInterrupt in the middle of an import leaves as whatever the module makes of it.
+    After that it raises KeyboardInterrupt. A signal that is ignored from the start, as in the
+    background of a shell script, stays ignored.
+    """
+
+    def __init__(self) -> None:
+        self.received = 0
+        """Number of the signal that has come; 0 before."""
+
+    def install(self) -> None:
+        """End the process on a signal from now on."""
+        for number in STOPPING:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._exit)
+
+    def interrupt(self) -> None:
+        """Raise KeyboardInterrupt on a signal from now on."""
+        sys.unraisablehook = self._repeat_if_swallowed
+        for number in STOPPING:
+            if signal.getsignal(number) == self._exit:
+                signal.signal(number, self._raise)
+
+    def die(self) -> None:
+        """Leave further signals to the system: there is nothing to clean up any more."""
+        for number in STOPPING:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+
+    @property
+    def exit_code(self) -> int:
+        """What a shell reports of a program that the signal ended."""
+        return _EXIT_CODE + (self.received or signal.SIGINT)
+
+    def _exit(self, number: int, frame: FrameType | None) -> None:
+        os._exit(_EXIT_CODE + number)
+
+    def _raise(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+        raise KeyboardInterrupt
+
+    def _repeat_if_swallowed(self, unraisable: "sys.UnraisableHookArgs") -> None:
+        # An exception in a finaliser cannot be raised: the interrupt would be lost.
+        if isinstance(unraisable.exc_value, KeyboardInterrupt):
+            again = threading.Timer(_AGAIN, os.kill, (os.getpid(), self.received))
+            again.daemon = True
+            again.start()
+        elif not self.received:
+            sys.__unraisablehook__(unraisable)

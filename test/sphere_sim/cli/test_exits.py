@@ -1,0 +1,172 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How the command ends: one line and an exit code, whatever happens to it."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
+from sphere_sim.cli.exits import guarded, in_words
+from sphere_sim.cli.signals import Signals
+
+COMMAND = """
+import sys
+from sphere_sim.cli import main as cli
+cli.VERBS["roll"] = ("a_verb", "roll the sphere")
+sys.path.insert(0, sys.argv.pop(1))
+sys.exit(cli.main())
+"""
+
+
+@pytest.fixture
+def roll(tmp_path):
+    """Return a function that starts the verb `roll`, given by its source."""
+
+    def start(source: str, *arguments: str, **options) -> subprocess.Popen:
+        (tmp_path / "a_verb.py").write_text(textwrap.dedent(source))
+        command = [sys.executable, "-c", COMMAND, str(tmp_path), "roll", *arguments]
+        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
+        return subprocess.Popen(command, **options)
+
+    return start
+
+
+def raising(error: BaseException):
+    def call() -> int:
+        raise error
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (SphereNmpcError("no wheel"), 1, "no wheel"),
+        (InvalidParameterError("x", 1, "2"), 2, "x: given 1, expected 2"),
+        (FileNotFoundError(2, "No such file", "a.csv"), 1, "a.csv: No such file"),
+        (OSError("odd"), 1, "unexpected OSError: odd (--debug shows where)"),
+        (MemoryError(), 1, "there is not enough memory"),
+        (TypeError("two\nlines"), 1, "unexpected TypeError: two lines (--debug shows where)"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt("a bag is left"), 130, "interrupted; a bag is left"),
+    ],
+)
+def test_every_exception_is_a_line_and_a_code(error, code, told, capsys) -> None:
+    assert guarded("verb", raising(error), Signals()) == code
+    assert capsys.readouterr().err == f"verb: {told}\n"
+
+
+def test_traceback_is_shown_on_request(roll) -> None:
+    source = "def main(argv):\n    assert argv == ['--x', '--ros-args', '--debug']\n    int('a')\n"
+    process = roll(source, "--debug", "--x", "--ros-args", "--debug")
+    _, told = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "Traceback" in told and told.endswith("(--debug shows where)\n")
+
+
+WAITING = """
+import time
+{during_import}
+def main(argv):
+    print('up', flush=True)
+    {call}
+"""
+
+
+def interrupted(process: subprocess.Popen, number: int = signal.SIGINT) -> tuple[int, str]:
+    """Return exit code and standard error of a process that is interrupted once it is up."""
+    assert process.stdout.readline() == "up\n"
+    process.send_signal(number)
+    _, told = process.communicate(timeout=30)
+    return process.returncode, told
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_while_modules_are_loaded_is_silent(roll, number) -> None:
+    source = WAITING.format(during_import="print('up', flush=True); time.sleep(30)", call="pass")
+    assert interrupted(roll(source), number) == (128 + number, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_is_one_line(roll, number) -> None:
+    source = WAITING.format(during_import="", call="time.sleep(30)")
+    told = "sphere_nmpc roll: interrupted\n"
+    assert interrupted(roll(source), number) == (128 + number, told)
+
+
+def test_signal_that_a_library_turns_into_an_error_is_still_one(roll) -> None:
+    call = "\n    ".join(
+        ("try:", "    time.sleep(30)", "except BaseException:", "    raise RuntimeError('lost')")
+    )
+    source = WAITING.format(during_import="", call=call)
+    assert interrupted(roll(source)) == (130, "sphere_nmpc roll: interrupted\n")
+
+
+def test_signal_that_a_finaliser_swallows_comes_again(roll) -> None:
+    cls = "class Slow:\n    def __del__(self): print('up', flush=True); time.sleep(30)\n"
+    source = WAITING.format(during_import=cls, call="x = Slow(); del x; time.sleep(30)")
+    source = source.replace("print('up', flush=True)\n    x", "x")
+    began = time.monotonic()
+    assert interrupted(roll(source)) == (130, "sphere_nmpc roll: interrupted\n")
+    assert time.monotonic() - began < 25.0
+
+
+def test_signal_that_is_ignored_from_the_start_stays_ignored(roll) -> None:
+    source = WAITING.format(during_import="", call="time.sleep(1.0)")
+    process = roll(source, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+    code, told = interrupted(process)
+    assert (code, told) == (0, "")
+
+
+PRINTING = """
+def main(argv):
+    print(1)
+    print('x' * 100000)
+    open(argv[0], 'w')
+    return 0
+"""
+
+
+def test_reader_that_goes_away_does_not_stop_the_work(roll, tmp_path) -> None:
+    inlet, outlet = os.pipe()
+    os.close(inlet)
+    process = roll(PRINTING, str(tmp_path / "result"), stdout=outlet)
+    os.close(outlet)
+    _, told = process.communicate(timeout=30)
+    assert (process.returncode, told) == (0, "")
+    assert (tmp_path / "result").exists()
+
+
+def test_full_disk_of_standard_output_is_told_after_the_work(roll, tmp_path) -> None:
+    with Path("/dev/full").open("w") as full:
+        process = roll(PRINTING, str(tmp_path / "result"), stdout=full)
+        _, told = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert told == "sphere_nmpc: standard output: No space left on device\n"
+    assert (tmp_path / "result").exists()
+
+
+def test_closed_standard_output_takes_nobodys_place(roll, tmp_path) -> None:
+    process = roll(PRINTING, str(tmp_path / "result"), preexec_fn=lambda: os.close(1), stdout=None)
+    _, told = process.communicate(timeout=30)
+    assert (process.returncode, told) == (0, "")
+    assert (tmp_path / "result").read_text() == ""
+
+
+def test_words_that_the_terminal_cannot_show_are_escaped(roll) -> None:
+    source = "def main(argv):\n    print('Kugel für alle')\n    return 0\n"
+    process = roll(source, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert process.communicate(timeout=30)[0] == "Kugel f\\xfcr alle\n"
+
+
+def test_words_for_an_error_of_the_system_name_the_file(tmp_path) -> None:
+    with pytest.raises(OSError) as caught:
+        (tmp_path / "a" / "b").mkdir()
+    assert in_words(caught.value) == f"{tmp_path / 'a' / 'b'}: No such file or directory"

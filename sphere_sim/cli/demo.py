@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from rich.console import Console
 from ruamel.yaml import YAML
 
@@ -21,6 +22,7 @@ from sphere_sim.cli.demo_comparison import compute_other
 from sphere_sim.cli.demo_plan import DemoPlan, parse
 from sphere_sim.cli.demo_summary import summarise, table
 from sphere_sim.cli.domain import own_domain
+from sphere_sim.cli.exits import in_words
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.cli.progress_display import ProgressDisplay
 from sphere_sim.figures.paper_panels import paper_panels
@@ -28,6 +30,7 @@ from sphere_sim.figures.side_by_side import side_by_side
 from sphere_sim.figures.style import save
 from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.run import Run
 from sphere_sim.ros.demo_director import DemoDirector, directing
 
 _READY_TIMEOUT = 45.0
@@ -146,21 +149,25 @@ def _watch(plan: DemoPlan, director: DemoDirector, console: Console) -> bool:
 
 
 def _conclude(plan: DemoPlan, arrived: bool, console: Console) -> int:
-    """Measure the run from its bag, compare and draw it, and tell."""
+    """Measure the run from its bag, compare and draw it, and tell.
+
+    The numbers are written before anything that takes long or may fail.
+    """
     run = read_run(plan.bag, name=f"{plan.strategy}, recorded over ROS")
     metrics = run.metrics()
     if metrics is None:
         raise BagError(plan.bag, "holds no goal or no pose after it")
-    runs, left = {plan.strategy: run}, [save(paper_panels(run, plan.title), plan.folder, "panels")]
+    runs = {plan.strategy: run}
+    _write_summary(plan, arrived, runs)
+    left = [_draw(paper_panels(run, plan.title), plan.folder, "panels")]
     if plan.compare:
         other = runs[plan.other_strategy] = compute_other(plan, run)
+        _write_summary(plan, arrived, runs)
         figure = side_by_side(run, other, plan.scenario_title)
-        left.append(save(figure, plan.folder, "comparison"))
-    summary = json.dumps(summarise(plan, arrived, runs), indent=2)
-    (plan.folder / "summary.json").write_text(summary + "\n")
+        left.append(_draw(figure, plan.folder, "comparison"))
     console.print(table(plan, runs))
-    figures = ", ".join(files[0].name for files in left)
-    console.print(f"bag, {figures} and summary.json are in {plan.folder}", soft_wrap=True)
+    files = ", ".join(["bag", *filter(None, left)])
+    console.print(f"{files} and summary.json are in {plan.folder}", soft_wrap=True)
     console.print(f"once more: sphere_nmpc viewer --replay {plan.bag}", soft_wrap=True)
     if not arrived:
         print(
@@ -171,12 +178,26 @@ def _conclude(plan: DemoPlan, arrived: bool, console: Console) -> int:
     return 0 if arrived else 1
 
 
+def _write_summary(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> None:
+    summary = json.dumps(summarise(plan, arrived, runs), indent=2)
+    (plan.folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
+
+
+def _draw(figure: Figure, folder: Path, name: str) -> str:
+    """Save a figure and return its file's name; empty, and told, where that is not possible."""
+    try:
+        return save(figure, folder, name)[0].name
+    except OSError as error:
+        print(f"demo: {name} not drawn: {in_words(error)}", file=sys.stderr)
+        return ""
+
+
 def _write_parameters(plan: DemoPlan) -> Path:
     """Write the parameters of the nodes to a file they, and anybody later, can be started with."""
     path = plan.folder / "parameters.yaml"
     nodes = {"simulator": plan.simulator, "controller": plan.controller, "recorder": plan.recorder}
     yaml = YAML(typ="safe")
     yaml.default_flow_style = False
-    with path.open("w") as stream:
+    with path.open("w", encoding="utf-8") as stream:
         yaml.dump({f"/**/{name}": {"ros__parameters": own} for name, own in nodes.items()}, stream)
     return path

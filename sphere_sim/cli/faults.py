@@ -62,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ) from error
     finally:
         table = rows(outcomes)
-        write_json(given.json, table)
+        if table:
+            write_json(given.json, table)
     _tell(table, console)
     return 0 if all(row.survived == len(row.outcomes) for row in table) else 1
 

@@ -12,10 +12,15 @@ from sphere_nmpc.model.parameters import RobotParameters
 
 pytest.importorskip("rclpy")
 
-from sphere_sim.cli.faults import main
+from sphere_sim.cli.main import main as command
 
 SHORT = ("pose_dropped_100", "pose_nan", "controller_killed", "disk_full")
 ROBOT = RobotParameters()
+
+
+def main(arguments: list[str]) -> int:
+    """Run the verb as the command does."""
+    return command(["faults", *arguments])
 
 
 def campaign(folder: Path, faults: Sequence[str], seed: int) -> tuple[int, dict[str, dict]]:
@@ -52,8 +57,8 @@ def test_what_goes_wrong_is_survived_and_told(tmp_path, capsys) -> None:
     [
         (["--fault", "pose_lost"], "expected one of"),
         (["--rtf", "50"], "expected 0.5 to 5"),
-        (["--seed", "-1"], "expected 0 or more"),
-        (["--repeat", "0"], "expected 1 or more"),
+        (["--seed", "-1"], "expected a whole number from 0 on"),
+        (["--repeat", "0"], "expected a whole number from 1 on"),
     ],
 )
 def test_wrong_arguments_are_told_in_a_line(tmp_path, capsys, wrong, told) -> None:

@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from rich.console import Console
@@ -22,6 +23,7 @@ from sphere_sim.cli.arguments import whole
 from sphere_sim.cli.domain import own_domain
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
+from sphere_sim.faults.machine import MACHINE_FAULTS, MachineFault
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
 from sphere_sim.ros.fault_session import SessionSettings, joined
 from sphere_sim.ros.fault_trial import Trial
@@ -46,20 +48,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parse(arguments)
     console = Console()
-    singles = chosen(given.fault, given.quick)
-    trials = singles * given.repeat
+    singles = chosen(FAULTS.values(), given.fault, given.quick)
+    trials = [(fault,) for fault in singles] * given.repeat
     if given.pairs:
         trials += pairs(singles, given.pairs, given.seed)
+    machines = chosen(MACHINE_FAULTS.values(), given.fault, given.quick) * given.repeat
     prepare_folder(given.json.parent)
     outcomes: list[Outcome] = []
     try:
         with _folder(given.out) as folder, own_domain():
-            for outcome in _tried(trials, _settings(given, folder), console):
+            for outcome in chain(
+                _tried(trials, _settings(given, folder), console),
+                _tried_in_a_home(machines, console),
+            ):
                 outcomes.append(outcome)
     except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(
-            f"all nodes are stopped; {given.json} has {len(outcomes)} of {len(trials)} trials"
-        ) from error
+        done = f"{len(outcomes)} of {len(trials) + len(machines)} trials"
+        raise KeyboardInterrupt(f"all nodes are stopped after {done}") from error
     finally:
         table = rows(outcomes)
         if table:
@@ -69,18 +74,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    known = [*FAULTS, *MACHINE_FAULTS]
+    groups = list(dict.fromkeys([*(fault.group for fault in FAULTS.values()), "machine"]))
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc faults",
         description="Let simulator, controller and recorder run as separate ROS 2 nodes, let "
         "something go wrong on the way to a goal, and judge what they make of it. Exits 0 when "
         "all was survived.",
-        epilog="faults: " + ", ".join(FAULTS),
+        epilog="groups: " + ", ".join(groups) + "; faults: " + ", ".join(known),
     )
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",
                         help="write the table to this file")
     parser.add_argument("--quick", action="store_true", help="one fault or two of each group")
     parser.add_argument("--fault", nargs="+", action="extend", default=[], metavar="NAME",
-                        help="only these faults")
+                        choices=[*groups, *known], help="only these faults or groups of faults")
     parser.add_argument("--pairs", nargs="?", type=whole(1), const=_PAIRS, default=0, metavar="N",
                         help=f"then N pairs at once, drawn by the seed (default: {_PAIRS})")
     parser.add_argument("--repeat", type=whole(1), default=1, metavar="N",
@@ -123,12 +130,10 @@ def _tried(
     trials: list[tuple[Fault, ...]], settings: SessionSettings, console: Console
 ) -> Iterator[Outcome]:
     """Run the trials, all in one life of the nodes as long as they survive."""
-    columns = (TextColumn("{task.description:<36}"), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn())
     left = list(trials)
     lives = 0
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("nodes come up", total=len(trials))
+    with _progress(console) as progress:
+        task = progress.add_task("nodes come up", total=len(trials), visible=bool(trials))
         while left:
             lives += 1
             life = replace(
@@ -146,7 +151,27 @@ def _tried(
                         break
 
 
+def _tried_in_a_home(faults: list[MachineFault], console: Console) -> Iterator[Outcome]:
+    """Run commands in scratch homes on machines that lack something."""
+    with _progress(console) as progress:
+        task = progress.add_task("machines", total=len(faults), visible=bool(faults))
+        for fault in faults:
+            progress.update(task, description=fault.name)
+            outcome = fault.run()
+            progress.advance(task)
+            progress.console.print(_line(outcome), highlight=False, soft_wrap=True)
+            yield outcome
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description:<36}"), BarColumn(), MofNCompleteColumn(),
+               TimeElapsedColumn())
+    return Progress(*columns, console=console)
+
+
 def _line(outcome: Outcome) -> str:
+    if outcome.survived and math.isnan(outcome.recovery):
+        return f"{outcome.fault}: survived"
     if outcome.survived:
         return f"{outcome.fault}: survived, at the goal {outcome.recovery:.2f} s after it"
     return f"[red]{outcome.fault}: {'; '.join(outcome.complaints)}[/red]"

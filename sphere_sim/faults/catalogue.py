@@ -5,24 +5,28 @@
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from sphere_nmpc.errors import SphereNmpcError
+
+class Choosable(Protocol):
+    """What a fault has to be chosen by."""
+
+    @property
+    def name(self) -> str:
+        """As on the command line and in the table."""
+
+    @property
+    def group(self) -> str:
+        """What it concerns."""
+
+    @property
+    def quick(self) -> bool:
+        """Whether it stands for its group in the quick campaign."""
 
 
-class UnknownFaultError(SphereNmpcError, ValueError):
-    """There is no fault of that name.
-
-    Parameters
-    ----------
-    name : str
-        What was given.
-    """
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"fault: given '{name}', expected one of {', '.join(FAULTS)}")
+AnyFault = TypeVar("AnyFault", bound=Choosable)
 
 
 @dataclass(frozen=True)
@@ -142,42 +146,38 @@ FAULTS = {fault.name: fault for fault in _ALL}
 """All faults by name, in the order in which they are tried."""
 
 
-def chosen(names: Iterable[str] = (), quick: bool = False) -> list[tuple[Fault, ...]]:
-    """Return the faults to try, each alone.
+def chosen(
+    known: Iterable[AnyFault], names: Iterable[str] = (), quick: bool = False
+) -> list[AnyFault]:
+    """Return the faults to try.
 
     Parameters
     ----------
+    known : iterable
+        Faults to choose from.
     names : iterable of str, optional
-        Those to try; all, where there are none.
+        Names of those to try, or of groups of them; all, where there are none.
     quick : bool, optional
-        One or two of each group only.
-
-    Raises
-    ------
-    UnknownFaultError
-        If there is no fault of a name.
+        One or two of each group only, where no names are given.
     """
-    names = list(names)
-    for name in names:
-        if name not in FAULTS:
-            raise UnknownFaultError(name)
-    picked = [FAULTS[name] for name in names] or list(FAULTS.values())
-    return [(fault,) for fault in picked if fault.quick or names or not quick]
+    names = set(names)
+    if names:
+        return [fault for fault in known if {fault.name, fault.group} & names]
+    return [fault for fault in known if fault.quick or not quick]
 
 
-def pairs(singles: list[tuple[Fault, ...]], number: int, seed: int) -> list[tuple[Fault, ...]]:
+def pairs(faults: Iterable[Fault], number: int, seed: int) -> list[tuple[Fault, ...]]:
     """Return some pairs of different actions, drawn without repetition.
 
     Parameters
     ----------
-    singles : list
-        As `chosen` returns them.
+    faults : iterable of Fault
+        To draw from.
     number : int
         How many; fewer where there are not so many.
     seed : int
         Of the draw.
     """
-    faults = [fault for (fault,) in singles]
     possible = [
         (one, other) for one, other in itertools.combinations(faults, 2)
         # Two kinds of pose fault mix; two paces or two states of the solver do not.

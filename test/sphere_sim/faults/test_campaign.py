@@ -55,7 +55,7 @@ def test_what_goes_wrong_is_survived_and_told(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        (["--fault", "pose_lost"], "expected one of"),
+        (["--fault", "pose_lost"], "choose from"),
         (["--rtf", "50"], "expected 0.5 to 5"),
         (["--seed", "-1"], "expected a whole number from 0 on"),
         (["--repeat", "0"], "expected a whole number from 1 on"),

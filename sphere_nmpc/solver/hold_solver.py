@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The solver as the rest of the package calls it: compiled where possible, readable otherwise."""
 
+import logging
 import threading
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 from sphere_nmpc.solver.shooting import roll_out
 
 BACKENDS = ("auto", "compiled", "vm")
+
+_log = logging.getLogger("sphere_nmpc")
 
 
 class HoldSolver:
@@ -173,16 +176,23 @@ def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | f
 def _resolve(backend: str) -> str:
     if backend == "vm":
         return backend
+    refusal = _refusal()
+    if refusal is None:
+        return "compiled"
+    if backend == "compiled":
+        raise refusal
+    return "vm"
+
+
+@cache
+def _refusal() -> CompilerError | None:
+    """Return why there is no compiled solver, None where there is one; asked and told once."""
     try:
         library()
     except CompilerError as problem:
-        if backend == "compiled":
-            raise
-        warnings.warn(
-            f"{problem}; the solver runs on CasADi's virtual machine instead: same results, some "
-            "hundred times slower. A C compiler (cc, gcc or clang) cures this.",
-            RuntimeWarning,
-            stacklevel=3,
+        _log.warning(
+            "sphere_nmpc: %s. The solver runs on CasADi's virtual machine, with the same results "
+            "but some ten times slower; to cure this, %s", problem.cause, problem.cure,
         )
-        return "vm"
-    return "compiled"
+        return problem
+    return None

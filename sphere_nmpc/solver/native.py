@@ -1,31 +1,45 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Builds the compiled solver at its first use and keeps it in the user's cache folder.
+"""Finds the compiled solver that this machine has kept, and builds it at its first use.
 
-A binary is found again by a hash over everything it was made of: the sources, CasADi's version,
-compiler, flags and processor. CasADi is asked for the kernels only when there is none.
+A binary is found again by a hash over all that decides what it computes: the sources, CasADi's
+version, flags and processor. The compiler is not part of it: a binary serves on when the compiler
+is removed or renewed, and is built anew once its folder is emptied. CasADi is asked for the
+kernels only when there is none.
+
+It is kept in the user's cache folder; where that cannot be, in a folder of the user's own under
+the system's temporary one, which all processes of the user share.
 """
 
 import contextlib
 import ctypes
 import hashlib
+import logging
 import os
 import platform
-import shlex
-import shutil
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 
 import casadi as ca
 
-from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.solver.cache import (
+    CACHE_VARIABLE,
+    cache_folder,
+    distrust,
+    make_private,
+    temporary_folder,
+)
+from sphere_nmpc.solver.compiler import (
+    FLAGS,
+    CompilerError,
+    compile_library,
+    compilers,
+    processor,
+    target_flags,
+)
 
-CACHE_VARIABLE = "SPHERE_NMPC_CACHE"
-"""Environment variable that names another cache folder than the user's."""
+__all__ = ["CACHE_VARIABLE", "CompilerError", "cache_folder", "load_library"]
 
 _C_SOURCES = ("driver.c", "vectors.h", "hold.h", "expansion.h", "step.h")
 _GENERATORS = (
@@ -36,22 +50,9 @@ _GENERATORS = (
 )
 """What decides the text of ``kernels.h``."""
 
-_FLAGS = ("-O3", "-std=gnu11", "-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
 _DIGEST_SIZE = hashlib.sha256().digest_size
-_BUILD_SECONDS = 120.0
 
-
-class CompilerError(SphereNmpcError):
-    """There is no C compiler, or it cannot build the solver."""
-
-
-def cache_folder() -> Path:
-    """Return where binaries are kept; not created yet."""
-    chosen = os.environ.get(CACHE_VARIABLE)
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "sphere_nmpc"
+_log = logging.getLogger("sphere_nmpc")
 
 
 def load_library() -> ctypes.CDLL:
@@ -60,86 +61,86 @@ def load_library() -> ctypes.CDLL:
     Raises
     ------
     CompilerError
-        If it is not there and cannot be built.
+        If it is not there and cannot be built or kept.
     """
-    command = _compiler()
     sources = {name: _text("sphere_nmpc.solver", name) for name in _C_SOURCES}
-    key = _content_key(command, sources)
-    try:
-        folder = cache_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        target = folder / f"hold_solver-{key}.so"
-        if not _is_intact(target):
-            with _locked(folder / f"hold_solver-{key}.lock"):
-                # Another process may have built it while this one waited.
-                if not _is_intact(target):
-                    _build(command, sources, target)
-        return ctypes.CDLL(str(target))
-    except OSError as problem:
-        raise CompilerError(f"cannot keep the compiled solver: {problem}") from problem
+    name = f"hold_solver-{_content_key(sources)}.so"
+    # Absolute, as a name without a folder is looked for among the system's libraries.
+    folders = list(dict.fromkeys(p.absolute() for p in (cache_folder(), temporary_folder())))
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            return _loaded(folder / name)
+    commands = compilers()
+    trouble: list[str] = []
+    for folder in folders:
+        try:
+            library = _built(folder / name, commands, sources)
+        except OSError as problem:
+            trouble.append(_cause(folder, problem))
+            continue
+        if trouble:
+            _log.warning("sphere_nmpc: the compiled solver is kept in %s: %s", folder, trouble[0])
+        return library
+    cause = "the compiled solver cannot be kept: " + ", nor: ".join(trouble)
+    raise CompilerError(cause, f"name a folder of your own with room in {CACHE_VARIABLE}")
 
 
-def _compiler() -> list[str]:
-    named = shlex.split(os.environ.get("CC", ""))
-    for candidate in [named] if named else [["cc"], ["gcc"], ["clang"]]:
-        found = shutil.which(candidate[0])
-        if found:
-            return [found, *candidate[1:]]
-    wanted = named[0] if named else "cc, gcc or clang"
-    raise CompilerError(f"no C compiler found (looked for {wanted})")
+def _loaded(binary: Path) -> ctypes.CDLL:
+    """Return a binary that was kept; OSError where it is not there, not sound or not safe."""
+    for place in (binary.parent, binary):
+        reason = distrust(place)
+        if reason is not None:
+            raise PermissionError(reason)
+    # Its end is the digest of the rest: loading a torn one would crash.
+    content = binary.read_bytes()
+    body, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
+    if not body or hashlib.sha256(body).digest() != digest:
+        raise OSError(f"{binary} is damaged")
+    return ctypes.CDLL(str(binary))
 
 
-def _processor() -> str:
-    """Return what -march=native depends on."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith(("flags", "Features")):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor()
+def _built(binary: Path, commands: list[list[str]], sources: dict[str, str]) -> ctypes.CDLL:
+    """Build a binary, keep it and return it; OSError where the folder does not allow it."""
+    folder = binary.parent
+    make_private(folder)
+    reason = distrust(folder)
+    if reason is not None:
+        raise PermissionError(reason)
+    with _locked(binary.with_suffix(".lock")):
+        # Another process may have built it while this one waited.
+        with contextlib.suppress(OSError):
+            return _loaded(binary)
+        # Here, not above: a process that finds its binary has no use for the code generator.
+        from sphere_nmpc.solver.kernels import kernel_source
+
+        body = compile_library(commands, {**sources, "kernels.h": kernel_source()}, folder)
+        made = binary.with_suffix(".new")
+        try:
+            made.write_bytes(body + hashlib.sha256(body).digest())
+            made.chmod(0o755)
+            # In one go, so that nobody ever sees half a file.
+            os.replace(made, binary)
+        except OSError:
+            made.unlink(missing_ok=True)
+            raise
+        return _loaded(binary)
 
 
-def _target_flags() -> list[str]:
-    machine = platform.machine().lower()
-    if machine not in ("x86_64", "amd64", "i686"):
-        return ["-mcpu=native"] if machine in ("aarch64", "arm64") else []
-    # Early scheduling overlaps the long chains of the step, a quarter faster, but it needs the 32
-    # registers of AVX-512; with 16 it spills and gains nothing.
-    early = ["-fschedule-insns", "-fsched-pressure"] if "avx512f" in _processor().split() else []
-    return ["-march=native", *early]
+def _cause(folder: Path, problem: OSError) -> str:
+    """Return why a folder cannot keep the solver, with the folder's name."""
+    if problem.strerror is None:
+        return str(problem)
+    return f"{folder}: {problem.strerror} (errno {problem.errno})"
 
 
-def _content_key(command: list[str], sources: dict[str, str]) -> str:
-    try:
-        version = _run([*command, "--version"])
-    except (OSError, subprocess.SubprocessError) as problem:
-        raise CompilerError(f"{command[0]} does not run: {problem}") from problem
-    parts = [ca.CasadiMeta.version(), platform.machine(), _processor(), version, *command]
-    parts += [*_FLAGS, *_target_flags(), *sources.values()]
-    parts += [_text(package, name) for package, name in _GENERATORS]
+def _content_key(sources: dict[str, str]) -> str:
+    parts = [ca.CasadiMeta.version(), platform.machine(), processor(), *FLAGS, *target_flags()]
+    parts += [*sources.values(), *(_text(package, name) for package, name in _GENERATORS)]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
 
 
 def _text(package: str, name: str) -> str:
     return resources.files(package).joinpath(name).read_text(encoding="utf-8")
-
-
-def _run(command: list[str]) -> str:
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=True, timeout=_BUILD_SECONDS
-    )
-    return done.stdout
-
-
-def _is_intact(binary: Path) -> bool:
-    """Tell whether a binary ends with the digest of the rest: loading a torn one would crash."""
-    try:
-        content = binary.read_bytes()
-    except OSError:
-        return False
-    body, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
-    return bool(body) and hashlib.sha256(body).digest() == digest
 
 
 @contextlib.contextmanager
@@ -154,28 +155,3 @@ def _locked(path: Path) -> Iterator[None]:
     with open(path, "w", encoding="utf-8") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         yield
-
-
-def _build(command: list[str], sources: dict[str, str], target: Path) -> None:
-    # Here, not above: a process that finds its binary has no use for the code generator.
-    from sphere_nmpc.solver.kernels import kernel_source
-
-    print("sphere_nmpc: compiling the solver (once, about 3 s) ...", file=sys.stderr, flush=True)
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix="build-") as name:
-        work = Path(name)
-        for source, text in {**sources, "kernels.h": kernel_source()}.items():
-            (work / source).write_text(text, encoding="utf-8")
-        made = work / "solver.so"
-        arguments = [str(work / "driver.c"), "-o", str(made), "-lm"]
-        try:
-            _run([*command, *_FLAGS, *_target_flags(), *arguments])
-        except (OSError, subprocess.SubprocessError) as problem:
-            told = (getattr(problem, "stderr", None) or str(problem)).strip()
-            raise CompilerError(
-                f"{command[0]} cannot build the solver: {told[-500:]}"
-            ) from problem
-        body = made.read_bytes()
-        made.write_bytes(body + hashlib.sha256(body).digest())
-        made.chmod(0o755)
-        # In one go, so that nobody ever sees half a file.
-        os.replace(made, target)

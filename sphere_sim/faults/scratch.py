@@ -159,6 +159,11 @@ class Running:
         return True
 
     @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
     def told(self) -> str:
         """What it has written to standard error so far."""
         return self._told.read_text(encoding="utf-8", errors="replace")

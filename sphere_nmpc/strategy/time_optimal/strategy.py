@@ -24,6 +24,7 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver, Effort
 from sphere_nmpc.strategy.time_optimal.grid import to_first_knot
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.stages import Stages, led_on
 
 _PRECISE = Effort(max_iterations=40, max_step=0.05, miss=1e-6)
 _ON_TIME = 1e-4
@@ -90,6 +91,7 @@ class TimeOptimalStrategy:
         self._local = PaperStrategy(
             dataclasses.replace(settings, input_weight=weight, horizon=4), robot
         )
+        self._stages = Stages()
         self._plans = 0
         self.reset()
 
@@ -103,6 +105,7 @@ class TimeOptimalStrategy:
         self._unspent = 0
         self._strict = False
         self._begun: tuple[float, ArrivalSearch] | None = None
+        self._stages.reset()
         self._local.reset()
 
     def plan(self, situation: Situation) -> Plan:
@@ -111,6 +114,7 @@ class TimeOptimalStrategy:
         deadline = began + situation.time_budget
         if self._origin is None:
             self._origin = situation.time
+        situation = self._within_reach(situation)
         vague = _UNCERTAINTY_IN_BAND * situation.uncertainty
         band = float(np.clip(max(_NOISE_IN_BAND * situation.noise, vague), *_DEAD_BAND))
         arrival = self._rest_of_plan(situation, band, deadline)
@@ -141,6 +145,19 @@ class TimeOptimalStrategy:
             solve_time=time.perf_counter() - began,
             message=f"arrives in {arrival.duration:.2f} s, {arrival.miss:.1e} off",
         )
+
+    def _within_reach(self, situation: Situation) -> Situation:
+        """Return the situation with a goal near enough to plan for, and lead the plan there."""
+        arrival, elapsed = self._arrival, situation.time - self._planned_at
+        left = 0.0 if arrival is None else arrival.duration - elapsed
+        staged, fresh, is_onward = self._stages.aim(situation, left)
+        if fresh:
+            self._arrival = self._begun = None
+            if arrival is not None and is_onward:
+                rest = arrival.hold.starting_at(elapsed, arrival.hold.at(elapsed))
+                self._arrival = led_on(arrival, rest.delayed(-elapsed), staged)
+                self._planned_at = situation.time
+        return staged
 
     def _rest_of_plan(
         self, situation: Situation, band: float, deadline: float

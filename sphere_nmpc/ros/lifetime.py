@@ -10,7 +10,6 @@ a signal only asks the loop to end between two callbacks, and further ones chang
 import contextlib
 import gc
 import os
-import re
 import signal
 import sys
 import threading
@@ -20,11 +19,11 @@ from types import FrameType
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.loopback import audience, heed_localhost_only
+from sphere_nmpc.ros.joining import join, one_line
+from sphere_nmpc.ros.loopback import audience
 from sphere_nmpc.ros.precedence import refusal, schedule
 
 _LOOK_UP = 0.1
@@ -77,7 +76,7 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
     try:
         own = remove_ros_args(["node", *given])[1:]
     except Exception as error:  # rclpy's own types of error are private to it
-        print(f"cannot start: {_one_line(error)}", file=sys.stderr)
+        print(f"cannot start: {one_line(error)}", file=sys.stderr)
         return 1
     if "-h" in own or "--help" in own:
         print(about.strip())
@@ -85,8 +84,11 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
     if own:
         print(f"{own[0]}: not understood; parameters are given as\n{_HOW_TO}", file=sys.stderr)
         return 2
-    heed_localhost_only()
-    rclpy.init(args=[*given, *_OWN_CLOCK], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        join([*given, *_OWN_CLOCK])
+    except SphereNmpcError as error:
+        print(f"cannot start: {error}", file=sys.stderr)
+        return error.exit_code
     try:
         return _live(make_node)
     finally:
@@ -97,9 +99,10 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
     with StopRequest() as stop:
         try:
             node = make_node()
-        except (SphereNmpcError, ValueError) as error:
-            # rclpy's own reason is a ValueError, as for a parameter that is given as {}.
-            rclpy.logging.get_logger("sphere_nmpc").fatal(_one_line(error))
+        except (SphereNmpcError, ValueError, RuntimeError) as error:
+            # rclpy's own reasons are a ValueError, as for a parameter that is given as {}, or a
+            # RuntimeError of its own, as for a participant that cannot be made.
+            rclpy.logging.get_logger("sphere_nmpc").fatal(one_line(error))
             return 1
         # What lives as long as the process need not be looked through again and again: a full
         # collection takes tens of milliseconds, longer than a sample at a high control rate.
@@ -188,11 +191,6 @@ def _make_executor(lean: bool) -> Executor:
 
 def _do_nothing(number: int, frame: FrameType | None) -> None:
     """Let the signal be noted; the listener acts on it."""
-
-
-def _one_line(error: Exception) -> str:
-    # rcl appends where in its sources it noticed, which helps nobody who wrote a YAML file.
-    return re.sub(r"(, at /\S+)+$", "", " ".join(str(error).split()))
 
 
 _HOW_TO = "  --ros-args -p NAME:=VALUE ... --params-file FILE.yaml"

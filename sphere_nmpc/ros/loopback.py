@@ -71,7 +71,7 @@ def audience(environment: Mapping[str, str] = os.environ) -> str:
     elif server := environment.get(_SERVER):
         heard = f"by the nodes of the discovery server {server}"
     else:
-        heard = _REACH.get(reach, _REACH["SUBNET"])
+        heard = _REACH.get(reach or "SUBNET", _REACH["LOCALHOST"])  # what ROS does not know
         if given:
             heard += f"; transports as in {given}"
         if peers := environment.get(_PEERS):

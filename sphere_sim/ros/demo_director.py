@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -26,6 +25,7 @@ from sphere_nmpc.ros.conversions import (
     seconds,
     stamp_from_ros,
 )
+from sphere_nmpc.ros.joining import join
 from sphere_sim.ros.goal_sender import GoalSender
 
 _HEARD = ("/clock", "/pose", "/controller/active_goal")
@@ -193,7 +193,7 @@ def directing(
 ) -> Iterator[DemoDirector]:
     """Join the graph with a `DemoDirector`, whose parameters these are, and leave it again."""
     # The caller decides what Ctrl-C means: its children have to end as well.
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    join([], quiet=True)
     try:
         director = DemoDirector(goal, shell_radius, check)
         try:

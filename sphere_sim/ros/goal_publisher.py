@@ -8,13 +8,12 @@ import sys
 from collections.abc import Sequence
 
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.ros.loopback import heed_localhost_only
+from sphere_nmpc.ros.joining import join
 from sphere_sim.ros.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.scenarios import PAPER_CASES
 
@@ -70,8 +69,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if args is None else args)
     goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
-    heed_localhost_only()
-    rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    join(given)
     node = rclpy.create_node("goal")
     told = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"
     try:

@@ -1,0 +1,137 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""An environment that ROS cannot use is told in one line; a log file is not worth a refusal."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.environment import (
+    RosEnvironmentError,
+    check_environment,
+    check_middleware,
+    domain_of,
+    missing_log_folder,
+)
+
+NOWHERE = "/proc/nonexistent"
+"""A folder that nobody can make, root neither."""
+CONTROLLER = "import sys; from sphere_nmpc.ros.controller_node import main; sys.exit(main())"
+PATIENCE = 60.0
+
+
+def controller(
+    environment: dict[str, str | None], within: tuple[str, ...] = ()
+) -> subprocess.Popen:
+    whole = os.environ | {"PYTHONUNBUFFERED": "1"} | environment
+    return subprocess.Popen(
+        [*within, sys.executable, "-c", CONTROLLER],
+        env={name: value for name, value in whole.items() if value is not None},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )
+
+
+def lines_until_up(node: subprocess.Popen) -> list[str]:
+    """Return what a node tells until it says who can hear it, and end it."""
+    told = []
+    try:
+        for line in node.stderr:
+            told.append(line)
+            if "heard" in line:
+                break
+        node.send_signal(signal.SIGINT)
+        assert node.wait(PATIENCE) == 0, told
+    finally:
+        node.kill()
+        node.wait()
+    return told
+
+
+@pytest.mark.parametrize("given", ["abc", "500", "233", "-3", "010", "1.5", " 7", "0x10", "٣"])
+def test_what_is_no_domain_is_refused(given) -> None:
+    with pytest.raises(RosEnvironmentError, match=r"ROS_DOMAIN_ID: given .* from 0 to 232"):
+        domain_of({"ROS_DOMAIN_ID": given})
+
+
+@pytest.mark.parametrize(("given", "domain"), [("0", 0), ("42", 42), ("232", 232), ("", None)])
+def test_a_domain_is_taken_as_it_is_written(given, domain) -> None:
+    assert domain_of({"ROS_DOMAIN_ID": given}) == domain
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "expected"),
+    [
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", "/absent.xml", "a file that can be read"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", __file__, "XML"),
+        ("ROS_STATIC_PEERS", "no/name", "names or addresses"),
+        ("ROS_LOG_DIR", NOWHERE, "a folder"),
+        ("ROS_LOG_DIR", "/dev/full", "a folder"),
+    ],
+)
+def test_a_variable_that_cannot_be_used_is_named_with_what_was_expected(
+    name, given, expected
+) -> None:
+    with pytest.raises(SphereNmpcError, match=f"{name}: given .*, expected {expected}") as found:
+        check_environment({name: given})
+    assert found.value.exit_code == 2
+
+
+def test_only_an_installed_middleware_is_taken() -> None:
+    with pytest.raises(RosEnvironmentError, match=r"given 'nonesuch', expected .*rmw_"):
+        check_middleware({"RMW_IMPLEMENTATION": "nonesuch"})
+    check_middleware({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
+    check_middleware({})
+
+
+def test_a_log_folder_is_looked_for_where_ros_does(tmp_path) -> None:
+    assert missing_log_folder({"ROS_HOME": str(tmp_path / "new")}) is None
+    assert (tmp_path / "new" / "log").is_dir()
+    assert missing_log_folder({"ROS_HOME": NOWHERE}) == Path(NOWHERE) / "log"
+    assert missing_log_folder({"ROS_LOG_DIR": NOWHERE}) is None, "that is told otherwise"
+
+
+@pytest.mark.parametrize(
+    ("environment", "told"),
+    [
+        ({"ROS_DOMAIN_ID": "500"}, "ROS_DOMAIN_ID: given '500', expected"),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/absent.xml"}, "PROFILES_FILE: given '/absent.xml'"),
+        ({"ROS_LOG_DIR": NOWHERE}, "ROS_LOG_DIR: given"),
+    ],
+)
+def test_a_node_ends_with_one_line_about_it(environment, told) -> None:
+    node = controller(environment)
+    _, errors = node.communicate(timeout=PATIENCE)
+    assert node.returncode == 2
+    assert len(errors.strip().splitlines()) == 1 and told in errors
+
+
+@pytest.mark.parametrize("home", [NOWHERE, None], ids=["unwritable", "unset"])
+def test_a_node_without_a_home_says_so_once_and_starts(home, tmp_path) -> None:
+    told = lines_until_up(
+        controller({"HOME": home, "ROS_LOG_DIR": None, "SPHERE_NMPC_CACHE": str(tmp_path)})
+    )
+    assert sum("log file: given" in line for line in told) == 1, told
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
+@pytest.mark.parametrize("user", ["65534", "54321"], ids=["nobody", "without a passwd entry"])
+def test_a_node_starts_for_another_user_after_root(user, tmp_path) -> None:
+    cache = tmp_path / "roots"
+    lines_until_up(controller({"SPHERE_NMPC_CACHE": str(cache)}))
+    # Reading everywhere is left to them: this interpreter may lie in root's home.
+    reading = "+dac_read_search"
+    become = ("setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups",
+              f"--inh-caps={reading}", f"--ambient-caps={reading}")
+    environment = {"SPHERE_NMPC_CACHE": str(cache), "ROS_LOG_DIR": None, "HOME": None}
+    told = lines_until_up(controller(environment, become))
+    assert not any("Traceback" in line for line in told)
+    assert sum("log file: given ~/.ros/log" in line or "log file: given /nonexistent" in line
+               for line in told) == 1, told

@@ -5,22 +5,22 @@
 import argparse
 import os
 from collections.abc import Sequence
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_sim.cli.arguments import not_negative, positive, whole
+from sphere_sim.cli.places import prepare_folder
 from sphere_sim.simulator_settings import PLANTS
 
 if TYPE_CHECKING:
     from sphere_sim.scenarios import Scenario
     from sphere_sim.study.conditions import StudyConditions
-    from sphere_sim.study.study import Bounds
 
-_BOUND = "sphere_sim.study.bound"
 _KINDS = ("anywhere", "far", "circle", "half_turn")
 """The names in `sphere_sim.draws.DRAWS`, which would load SciPy; a test compares them."""
+_MOST_DRAWN, _MOST_JOBS = 10**6, 1024
+"""More are a slip of the finger."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -51,6 +51,8 @@ def main(argv: Sequence[str]) -> int:
     try:
         return _run(arguments)
     except KeyboardInterrupt as error:
+        if error.args:
+            raise
         raise KeyboardInterrupt(
             f"{arguments.out} keeps the runs made so far and the same command goes on from them"
         ) from error
@@ -58,6 +60,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from sphere_sim.scenarios import draw_scenarios, read_scenarios
+    from sphere_sim.study.bound import best_known_times
     from sphere_sim.study.progress import StudyProgress
     from sphere_sim.study.study import Study
     from sphere_sim.study.summary import headline
@@ -68,11 +71,24 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind)
     strategies = tuple(dict.fromkeys(arguments.strategy or [ControllerSettings().strategy]))
-    study = Study(scenarios, _conditions(arguments, strategies[0]), arguments.out, strategies)
+    conditions = _conditions(arguments, strategies[0])
+    study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
+    jobs = arguments.jobs or cores()
+
+    def bounds(scenarios: "Sequence[Scenario]") -> Sequence[float]:
+        progress.close()
+        workers.close()  # the search has processes of its own
+        try:
+            return best_known_times(scenarios, conditions.robot, jobs)
+        except KeyboardInterrupt as error:
+            raise KeyboardInterrupt(
+                f"{arguments.out} has all results but the best known times, for which the same "
+                "command goes on"
+            ) from error
+
     runs = len(scenarios) * len(strategies)
-    where = Workers(arguments.jobs or cores(), arguments.scheduler)
-    with where as workers, StudyProgress(runs) as progress:
-        summaries = study.run(workers, _bounds(arguments), progress.saw)
+    with Workers(jobs, arguments.scheduler) as workers, StudyProgress(runs) as progress:
+        summaries = study.run(workers, None if arguments.no_bound else bounds, progress.saw)
     for summary in summaries.values():
         print(f"{headline(summary)} -> {arguments.out}")
     return 1 if any(summary["crashed"] for summary in summaries.values()) else 0
@@ -99,18 +115,6 @@ def _conditions(arguments: argparse.Namespace, strategy: str) -> "StudyCondition
     return conditions.with_settings([*((k, str(v)) for k, v in named.items()), *arguments.set])
 
 
-def _bounds(arguments: argparse.Namespace) -> "Bounds | None":
-    if arguments.no_bound or find_spec(_BOUND) is None:
-        return None
-    search: Any = import_module(_BOUND).best_known_times
-
-    def times(scenarios: "Sequence[Scenario]") -> Sequence[float]:
-        found: Sequence[float] = search(scenarios)
-        return found
-
-    return times
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc study",
@@ -123,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
         help="starts and goals: x,y,qw,qx,qy,qz,goal_x,...,goal_qz and, if wanted, seed",
     )
     source.add_argument(
-        "--draw", type=_count, metavar="N",
+        "--draw", type=whole(1, _MOST_DRAWN), metavar="N",
         help="draw N scenarios; see --kind",
     )
     parser.add_argument(
@@ -132,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
         "contact points on the circle Gamma; half turns in place about any axis",
     )
     parser.add_argument(
-        "--seed", type=_seed, default=0, metavar="S", help="seed of the draw (0)"
+        "--seed", type=whole(0), default=0, metavar="S", help="seed of the draw (0)"
     )
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder of the results"
@@ -143,27 +147,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
     parser.add_argument(
-        "--perturb", type=float, default=0.0, metavar="PERCENT",
+        "--perturb", type=not_negative, default=0.0, metavar="PERCENT",
         help="largest error of each of the robot's parameters, which the controller is not told",
     )
     parser.add_argument(
-        "--process-noise", type=float, default=0.0, metavar="S",
+        "--process-noise", type=not_negative, default=0.0, metavar="S",
         help="standard deviation added to each state every noise_period (0.5 s)",
     )
     parser.add_argument(
-        "--pose-noise", type=float, nargs=2, default=(0.0, 0.0), metavar=("METRES", "RADIANS"),
+        "--pose-noise", type=not_negative, nargs=2, default=(0.0, 0.0),
+        metavar=("METRES", "RADIANS"),
         help="standard deviation of the measured position and orientation",
     )
     parser.add_argument(
-        "--latency", type=float, default=0.0, metavar="SECONDS",
+        "--latency", type=not_negative, default=0.0, metavar="SECONDS",
         help="age of the newest pose at a sample instant",
     )
     parser.add_argument(
-        "--duration", type=float, default=30.0, metavar="SECONDS", help="length of a run (30)"
+        "--duration", type=positive, default=30.0, metavar="SECONDS",
+        help="length of a run (30)",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--jobs", type=_count, metavar="N", help="processes; all cores by default"
+        "--jobs", type=whole(1, _MOST_JOBS), metavar="N",
+        help="processes; all cores by default",
     )
     where.add_argument(
         "--scheduler", metavar="URL", help="run on this Dask cluster, such as tcp://host:8786"
@@ -179,20 +186,6 @@ def _parser() -> argparse.ArgumentParser:
         help="one or several other settings, such as horizon=8 simulator.sample_period=0.25",
     )
     return parser
-
-
-def _count(text: str) -> int:
-    return _whole(text, 1)
-
-
-def _seed(text: str) -> int:
-    return _whole(text, 0)
-
-
-def _whole(text: str, least: int) -> int:
-    if not (text.isascii() and text.isdigit()) or int(text) < least:
-        raise argparse.ArgumentTypeError(f"given {text}, expected a whole number from {least} on")
-    return int(text)
 
 
 def _assignment(text: str) -> tuple[str, str]:

@@ -8,15 +8,16 @@ time: every figure is a motion that was found. Results are kept in the user's ca
 ever replaced by earlier arrivals.
 """
 
+import contextlib
 import hashlib
 import json
-import os
+import logging
+import math
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 from rich.progress import Progress
 
 from sphere_nmpc.model.parameters import RobotParameters
@@ -26,6 +27,10 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, Effort
 from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
 from sphere_sim.scenarios import Scenario
+from sphere_sim.study.processes import Processes
+from sphere_sim.study.progress import shown
+
+_log = logging.getLogger("sphere_nmpc")
 
 SEARCHES = 2
 """Independent searches a scenario."""
@@ -84,9 +89,11 @@ def best_known_time(scenario: Scenario, robot: RobotParameters) -> float:
 
 
 def best_known_times(
-    scenarios: Sequence[Scenario], robot: RobotParameters | None = None, jobs: int | None = None
+    scenarios: Sequence[Scenario], robot: RobotParameters | None = None, jobs: int = 1
 ) -> list[float]:
     """Return the best known time of each scenario [s], from the cache where it is known.
+
+    A cache that cannot be used is told; all times are searched for then.
 
     Parameters
     ----------
@@ -95,31 +102,27 @@ def best_known_times(
     robot : RobotParameters, optional
         True parameters and limits; Table 1 by default.
     jobs : int, optional
-        Processes; all cores by default.
+        Processes; with 1 the search is done in this one.
+
+    Raises
+    ------
+    WorkersError
+        If the processes cannot be started or die.
     """
     robot = RobotParameters() if robot is None else robot
-    known = _read(_cache_file())
+    cache = _Cache(cache_folder() / "best_known_times.jsonl")
     keys = [_key(scenario, robot) for scenario in scenarios]
-    missing = {key: s for key, s in zip(keys, scenarios, strict=True) if key not in known}
+    missing = {key: s for key, s in zip(keys, scenarios, strict=True) if key not in cache.known}
     if missing:
-        # Fresh interpreters: a fork would copy the threads of whoever calls.
-        context = get_context("spawn")
-        with (
-            ProcessPoolExecutor(jobs or os.cpu_count(), mp_context=context) as pool,
-            Progress(transient=True) as progress,
-        ):
+        columns = Progress.get_default_columns()
+        bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        with Processes(jobs) as processes, shown(bar) as progress:
             task = progress.add_task("best known times", total=len(missing))
-            futures = {pool.submit(best_known_time, s, robot): k for k, s in missing.items()}
-            try:
-                for future in as_completed(futures):
-                    known[futures[future]] = future.result()
-                    _append(_cache_file(), futures[future], known[futures[future]])
-                    progress.advance(task)
-            except BaseException:
-                # What waits would be made first otherwise, hours of it.
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    return [known[key] for key in keys]
+            searches = ((key, (scenario, robot)) for key, scenario in missing.items())
+            for key, seconds in processes.run(best_known_time, searches, "search"):
+                cache.add(key, seconds)
+                progress.advance(task)
+    return [cache.known[key] for key in keys]
 
 
 def _key(scenario: Scenario, robot: RobotParameters) -> str:
@@ -130,24 +133,42 @@ def _key(scenario: Scenario, robot: RobotParameters) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-def _cache_file() -> Path:
-    return cache_folder() / "best_known_times.jsonl"
+class _Cache:
+    """Times that were found before, in a file that a search can do without."""
 
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._is_kept = True
+        self.known: dict[str, float] = {}
+        try:
+            # Anything but a regular file might be read for ever.
+            if path.exists() and not path.is_file():
+                raise OSError("not a file")
+            text = path.read_bytes() if path.exists() else b""
+        except OSError as error:
+            self._tell("read", error)
+            return
+        # Torn lines, as a crash leaves them, are passed over.
+        for line in text.splitlines():
+            with contextlib.suppress(ValueError, TypeError, RecursionError):
+                key, seconds = json.loads(line.decode())
+                if not (float(seconds) < 0.0 or math.isinf(seconds)):
+                    self.known[str(key)] = float(np.fmin(self.known.get(key, np.nan), seconds))
 
-def _read(path: Path) -> dict[str, float]:
-    """Return the known times; a torn last line, as a crash leaves it, is passed over."""
-    known: dict[str, float] = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            try:
-                key, seconds = json.loads(line)
-                known[key] = float(np.fmin(known.get(key, np.nan), float(seconds)))
-            except (ValueError, TypeError):
-                continue
-    return known
+    def add(self, key: str, seconds: float) -> None:
+        self.known[key] = seconds
+        if not self._is_kept:
+            return
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([key, seconds]) + "\n")
+        except OSError as error:
+            self._tell("written", error)
 
-
-def _append(path: Path, key: str, seconds: float) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps([key, seconds]) + "\n")
+    def _tell(self, what: str, error: OSError) -> None:
+        self._is_kept = False
+        _log.warning(
+            "sphere_nmpc study: %s cannot be %s (%s); best known times are not kept, and searched "
+            "for again next time", self._path, what, error.strerror or error,
+        )

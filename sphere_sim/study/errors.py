@@ -26,5 +26,25 @@ class StudyFolderError(SphereNmpcError):
         self.reason = reason
 
 
+class NotWrittenError(StudyFolderError):
+    """A file of results cannot be written; what was there before it is kept.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    error : OSError
+        Why not.
+    """
+
+    exit_code = 1
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        reason = (error.strerror or str(error)).lower()
+        super().__init__(
+            path, f"cannot be written: {reason}; the same command goes on from the runs made"
+        )
+
+
 class WorkersError(SphereNmpcError):
     """The processes that should run the scenarios cannot be reached, or died."""

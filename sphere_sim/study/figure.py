@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A study on one page."""
 
+import io
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_sim.metrics import SETTLED_ERROR
 from sphere_sim.study.summary import Results, column, headline
-from sphere_sim.study.tables import replacing
+from sphere_sim.study.tables import replace_file
 
 _PAGE = (8.27, 11.69)
 """A4 [inch]."""
@@ -41,6 +43,8 @@ def draw(
     about : str
         Under which conditions they were made.
     """
+    # Where matplotlib may keep its fonts is nothing that a study needs many lines about.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     # No pyplot: it would look for a display and keep the figure.
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -73,10 +77,11 @@ def draw(
     text.set_axis_off()
     _write(text, "\n".join(_words(summaries)), 1.0)
     for file_name in FIGURES:
-        with replacing(folder / file_name) as fresh:
-            # Without its date the same study makes the same file.
-            metadata = {"CreationDate": None} if fresh.suffix == ".pdf" else None
-            figure.savefig(fresh, dpi=110, metadata=metadata)
+        path, page = folder / file_name, io.BytesIO()
+        # Without its date the same study makes the same file.
+        metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
+        figure.savefig(page, format=path.suffix[1:], dpi=110, metadata=metadata)
+        replace_file(path, page.getvalue())
 
 
 def _share(axis: Any, values: Vector, runs: int, label: str) -> None:
@@ -96,6 +101,10 @@ def _write(axis: Any, words: str, height: float) -> None:
     axis.text(0.01, height, words, transform=axis.transAxes, fontsize=7.5, va="top")
 
 
+def _scientific(number: float | None) -> str:
+    return "not finite" if number is None else f"{number:.2e}"
+
+
 def _words(summaries: Mapping[str, dict[str, Any]]) -> list[str]:
     words = []
     for summary in summaries.values():
@@ -103,7 +112,7 @@ def _words(summaries: Mapping[str, dict[str, Any]]) -> list[str]:
         failures = summary["failures"]
         words += [
             f"    run {f['run']}, seed {f['seed']}: "
-            + (f["crash"] or f"error {f['final_error']:.2e} at the end")
+            + (f["crash"] or f"error {_scientific(f['final_error'])} at the end")
             for f in failures[:_LISTED]
         ]
         if len(failures) > _LISTED:

@@ -3,22 +3,33 @@
 """The memory of a study: a line a run, written as soon as it is known.
 
 ``journal.jsonl`` starts with the fingerprint of the study. Whatever stops a study, the runs that
-were made are in there, and the same command goes on from them.
+were made are in there, and the same command goes on from them. Lines that are damaged are passed
+over and left as they are.
 """
 
+import contextlib
 import fcntl
+import io
 import json
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import Any, BinaryIO
 
-from sphere_sim.study.errors import StudyFolderError
+from sphere_sim.study.errors import NotWrittenError, StudyFolderError
 from sphere_sim.study.fingerprint import differences
 from sphere_sim.study.record import RunRecord
 
 NAME = "journal.jsonl"
 _RESULTS = ("runs.csv", "inputs.npz", "summary.json")
+_LONGEST_LINE = 2**28
+"""Bytes; a run of a day has fewer. After a power cut a file may end in any number of zeros."""
+_LISTED = 5
+"""Damaged lines that are told by their number."""
+
+_log = logging.getLogger("sphere_nmpc")
 
 
 class Journal:
@@ -58,19 +69,21 @@ class Journal:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # each run was synchronised when it was written
+            self._file.close()
 
     def append(self, index: int, record: RunRecord) -> None:
         """Remember run `index`."""
         self._write(record.as_json(index))
         self.records[index] = record
 
-    def _open(self) -> IO[bytes]:
+    def _open(self) -> io.FileIO:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             if not self._path.exists():
                 self._refuse_foreign_results()
-            file = self._path.open("a+b")
+            # What a buffer holds on a full disk would be written again at its end, and fail again.
+            file = self._path.open("ab", buffering=0)
         except OSError as error:
             reason = f"cannot be written: {(error.strerror or str(error)).lower()}"
             raise StudyFolderError(self._folder, reason) from None
@@ -91,29 +104,36 @@ class Journal:
                 )
 
     def _recall(self, fingerprint: dict[str, Any]) -> None:
-        self._file.seek(0)
-        end = 0
-        lines = self._file.readlines()
-        for number, line in enumerate(lines, start=1):
-            # A line that was being written when the power went is no run that was made.
-            if not line.endswith(b"\n") and number == len(lines):
-                break
-            try:
-                self._take(number, line.decode(), fingerprint)
-            except ValueError as error:
-                reason = f"{NAME}, line {number}: {error}; choose another folder"
-                raise StudyFolderError(self._folder, reason) from None
-            end += len(line)
+        end, damaged = 0, []
+        with self._path.open("rb") as file:
+            for number, line in enumerate(_whole_lines(file), start=1):
+                if number == 1:
+                    self._compare(line, fingerprint)
+                elif not self._take(line, fingerprint["runs"]):
+                    damaged.append(number)
+                end += len(line)
+        # A line that was being written when the power went is no run that was made.
         self._file.truncate(end)
         if end == 0:
             self._write(json.dumps(fingerprint))
+        if damaged:
+            listed = ", ".join(map(str, damaged[:_LISTED]))
+            more = "" if len(damaged) <= _LISTED else f" and {len(damaged) - _LISTED} more"
+            _log.warning(
+                "sphere_nmpc study: %s: passed over what is no run of this study (line %s%s); "
+                "runs that are missing are made again", self._path, listed, more,
+            )
 
-    def _take(self, number: int, line: str, fingerprint: dict[str, Any]) -> None:
-        if number > 1:
-            index, record = RunRecord.from_json(line)
-            self.records[index] = record
-            return
-        found = list(differences(json.loads(line), fingerprint))
+    def _compare(self, line: bytes, fingerprint: dict[str, Any]) -> None:
+        try:
+            recorded = json.loads(line)
+        except (ValueError, RecursionError):
+            recorded = None
+        if not isinstance(recorded, dict):
+            raise StudyFolderError(
+                self._folder, f"{NAME}, line 1: not the settings of a study; choose another folder"
+            )
+        found = list(differences(recorded, fingerprint))
         if found:
             more = "" if len(found) <= 3 else f" and {len(found) - 3} more"
             raise StudyFolderError(
@@ -121,10 +141,29 @@ class Journal:
                 f"holds another study ({'; '.join(found[:3])}{more}); choose another folder",
             )
 
-    def _write(self, line: str) -> None:
+    def _take(self, line: bytes, runs: int) -> bool:
+        """Take the record of a line; False where it is none of this study."""
         try:
-            self._file.write(line.encode() + b"\n")
-            self._file.flush()
+            index, record = RunRecord.from_json(line.decode())
+        except ValueError:
+            return False
+        if not 0 <= index < runs:
+            return False
+        self.records[index] = record
+        return True
+
+    def _write(self, line: str) -> None:
+        rest = memoryview(line.encode() + b"\n")
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
             os.fsync(self._file.fileno())
         except OSError as error:
-            raise StudyFolderError(self._folder, f"{NAME}: {error.strerror}") from None
+            raise NotWrittenError(self._path, error) from None
+
+
+def _whole_lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of a file but a last one that does not end; overlong ones in pieces."""
+    while line := file.readline(_LONGEST_LINE):
+        if line.endswith(b"\n") or len(line) == _LONGEST_LINE:
+            yield line

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far a study has come, for people who wait for it."""
 
+import contextlib
+from collections.abc import Iterator
 from types import TracebackType
 
 from rich.console import Console
@@ -17,6 +19,17 @@ from rich.progress import (
 from sphere_sim.study.record import RunRecord
 
 
+@contextlib.contextmanager
+def shown(progress: Progress) -> Iterator[Progress]:
+    """Show a progress bar, where the machine has a thread left for it."""
+    with contextlib.suppress(RuntimeError):
+        progress.start()
+    try:
+        yield progress
+    finally:
+        progress.stop()
+
+
 class StudyProgress:
     """A bar on standard error: runs done, settled so far, time to go.
 
@@ -29,6 +42,7 @@ class StudyProgress:
     def __init__(self, runs: int) -> None:
         self._settled = 0
         self._done = 0
+        self._shown = contextlib.ExitStack()
         self._progress = Progress(
             TextColumn("runs"),
             BarColumn(),
@@ -42,7 +56,7 @@ class StudyProgress:
         self._task = self._progress.add_task("runs", total=runs, settled="")
 
     def __enter__(self) -> "StudyProgress":
-        self._progress.start()
+        self._shown.enter_context(shown(self._progress))
         return self
 
     def __exit__(
@@ -51,7 +65,11 @@ class StudyProgress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._progress.stop()
+        self.close()
+
+    def close(self) -> None:
+        """Leave the bar as it is; another one may follow."""
+        self._shown.close()
 
     def saw(self, record: RunRecord) -> None:
         """Count a run."""

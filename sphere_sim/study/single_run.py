@@ -40,6 +40,11 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     """Run a scenario and measure it.
 
     A run that crashes says so in its record: the others of a long study are not lost by it.
+
+    Raises
+    ------
+    MemoryError, OSError
+        If the machine cannot make it, which would be no result of the run.
     """
     strategy = conditions.controller.strategy
     try:
@@ -54,16 +59,14 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         )
         inputs = followed_inputs(trajectory.holds, conditions.duration)
         results = _results(trajectory, scenario.goal, inputs)
+    except (MemoryError, OSError):
+        raise
     except Exception as error:
         crash = f"{type(error).__name__}: {error}"
         return RunRecord({"strategy": strategy, "settled": False, "crash": crash})
     results |= stability_of(trajectory.decisions, scenario.goal, conditions)
     results = {"strategy": strategy, **results, "failures": controller.failures}
-    return RunRecord(
-        results,
-        tuple(inputs.times.tolist()),
-        tuple((float(a), float(b)) for a, b in inputs.speeds),
-    )
+    return RunRecord(results, inputs.times, inputs.speeds)
 
 
 def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:

@@ -4,6 +4,7 @@
 
 import contextlib
 import json
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,15 +13,17 @@ from typing import Any
 from sphere_sim.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import StudyFolderError
-from sphere_sim.study.figure import draw
+from sphere_sim.study.figure import FIGURES, draw
 from sphere_sim.study.fingerprint import fingerprint
 from sphere_sim.study.journal import NAME as JOURNAL
 from sphere_sim.study.journal import Journal
 from sphere_sim.study.record import RunRecord, Value
 from sphere_sim.study.single_run import prepare
 from sphere_sim.study.summary import summarise
-from sphere_sim.study.tables import replacing, write_inputs, write_runs
+from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
+
+_log = logging.getLogger("sphere_nmpc")
 
 Bounds = Callable[[Sequence[Scenario]], Sequence[float]]
 """Best known time [s] of each scenario."""
@@ -54,6 +57,9 @@ class Study:
         self, workers: Workers, bounds: Bounds | None = None, watch: Watch | None = None
     ) -> dict[str, dict[str, Any]]:
         """Make the runs that are not recorded yet and write all results.
+
+        Tables are written as soon as all runs are made, and again with the best known times when
+        these are found. A figure that cannot be drawn is told and left out.
 
         Parameters
         ----------
@@ -90,17 +96,14 @@ class Study:
                 name: self._records(self._with(name), journal, workers, watch)
                 for name, journal in journals.items()
             }
-        times = None if bounds is None else bounds(self.scenarios)
-        results = {name: _compared(found, times) for name, found in records.items()}
-        summaries = {name: summarise(self.scenarios, found) for name, found in results.items()}
-        try:
+            # First of all what is known: the search may take long, and be stopped.
+            summaries, tables = self._write(folders, records, None)
             for name, folder in folders.items():
                 write_inputs(folder / "inputs.npz", records[name])
-                self._write(folder, {name: results[name]}, {name: summaries[name]})
-            if len(names) > 1:
-                self._write(self.folder, results, summaries)
-        except OSError as error:
-            raise StudyFolderError(self.folder, f"cannot be written: {error.strerror}") from None
+            if bounds is not None:
+                summaries, tables = self._write(folders, records, bounds(self.scenarios))
+            for folder, results in tables.items():
+                self._draw(folder, results, summaries)
         return summaries
 
     def _with(self, strategy: str) -> StudyConditions:
@@ -134,16 +137,39 @@ class Study:
 
     def _write(
         self,
+        folders: Mapping[str, Path],
+        records: Mapping[str, Sequence[RunRecord]],
+        times: Sequence[float] | None,
+    ) -> tuple[dict[str, dict[str, Any]], dict[Path, dict[str, list[dict[str, Value]]]]]:
+        """Write all tables; return the summary of each strategy and the results by folder."""
+        results = {name: _compared(found, times) for name, found in records.items()}
+        summaries = {name: summarise(self.scenarios, found) for name, found in results.items()}
+        tables = {folder: {name: results[name]} for name, folder in folders.items()}
+        tables[self.folder] = results
+        for folder, table in tables.items():
+            write_runs(folder / "runs.csv", self.scenarios, table.values())
+            told = {name: summaries[name] for name in table}
+            content = {"strategies": told} if len(told) > 1 else next(iter(told.values()))
+            text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+            replace_file(folder / "summary.json", text.encode())
+        return summaries, tables
+
+    def _draw(
+        self,
         folder: Path,
         results: Mapping[str, Sequence[dict[str, Value]]],
         summaries: Mapping[str, dict[str, Any]],
     ) -> None:
-        write_runs(folder / "runs.csv", self.scenarios, results.values())
-        alone = len(summaries) == 1
-        content = next(iter(summaries.values())) if alone else {"strategies": summaries}
-        with replacing(folder / "summary.json") as fresh:
-            fresh.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-        draw(folder, results, summaries, describe(self.conditions, len(self.scenarios)))
+        """Draw the figure of a folder, which nothing depends on."""
+        about = describe(self.conditions, len(self.scenarios))
+        try:
+            draw(folder, results, {name: summaries[name] for name in results}, about)
+        except Exception as error:
+            reason = str(error) if isinstance(error, StudyFolderError) else repr(error)
+            _log.warning(
+                "sphere_nmpc study: %s has its numbers, but not all of %s: %s",
+                folder, " and ".join(FIGURES), reason,
+            )
 
 
 def describe(conditions: StudyConditions, runs: int) -> str:

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results as files: a row a run, and the rotor speeds of every run."""
 
-import contextlib
 import csv
+import io
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +13,33 @@ import numpy as np
 
 from sphere_sim.scenario_file import SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenarios import Scenario
+from sphere_sim.study.errors import NotWrittenError
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord, Value
 
 
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield another path to write to, which takes the place of `path` when all went well."""
+def replace_file(path: Path, content: bytes | memoryview) -> None:
+    """Write a file in one go: where that fails, what was there before is there still.
+
+    What is written is made in memory before: libraries that fill a file cannot be trusted to
+    close it in good order on a full disk.
+
+    Raises
+    ------
+    NotWrittenError
+        Naming the file and the reason.
+    """
     fresh = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        yield fresh
-        os.replace(fresh, path)
-    finally:
-        fresh.unlink(missing_ok=True)
+        try:
+            with fresh.open("wb", buffering=0) as file:
+                rest = memoryview(content)
+                while rest:
+                    rest = rest[file.write(rest) :]
+            os.replace(fresh, path)
+        finally:
+            fresh.unlink(missing_ok=True)
+    except OSError as error:
+        raise NotWrittenError(path, error) from None
 
 
 def write_runs(
@@ -44,28 +59,29 @@ def write_runs(
     # A table of results may serve as scenario file; its old results give way to the new ones.
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
     extras = [name for name in names if name not in RESULT_COLUMNS]
-    with replacing(path) as fresh, fresh.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*STATE_COLUMNS, SEED_COLUMN, *extras, *RESULT_COLUMNS])
-        for of_strategy in results:
-            for scenario, found in zip(scenarios, of_strategy, strict=True):
-                values = np.concatenate((scenario.start, scenario.goal)).tolist()
-                cells: list[Value] = [
-                    scenario.given.get(name, value)
-                    for name, value in zip(STATE_COLUMNS, values, strict=True)
-                ]
-                cells.append(scenario.seed)
-                cells += [scenario.extra.get(name, "") for name in extras]
-                cells += [found.get(name) for name in RESULT_COLUMNS]
-                # Python writes the shortest text that reads back as the same number.
-                writer.writerow(["" if cell is None else cell for cell in cells])
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow([*STATE_COLUMNS, SEED_COLUMN, *extras, *RESULT_COLUMNS])
+    for of_strategy in results:
+        for scenario, found in zip(scenarios, of_strategy, strict=True):
+            values = np.concatenate((scenario.start, scenario.goal)).tolist()
+            cells: list[Value] = [
+                scenario.given.get(name, value)
+                for name, value in zip(STATE_COLUMNS, values, strict=True)
+            ]
+            cells.append(scenario.seed)
+            cells += [scenario.extra.get(name, "") for name in extras]
+            cells += [found.get(name) for name in RESULT_COLUMNS]
+            # Python writes the shortest text that reads back as the same number.
+            writer.writerow(["" if cell is None else cell for cell in cells])
+    replace_file(path, table.getvalue().encode())
 
 
 def write_inputs(path: Path, records: Sequence[RunRecord]) -> None:
     """Write the knots of run i as ``t_i`` [s], shape (K,), and ``u_i`` [rad/s], shape (K, 2)."""
     arrays: dict[str, Any] = {}
     for i, record in enumerate(records):
-        arrays[f"t_{i}"] = np.array(record.times, dtype=float)
-        arrays[f"u_{i}"] = np.array(record.speeds, dtype=float).reshape(-1, 2)
-    with replacing(path) as fresh:
-        np.savez_compressed(fresh, **arrays)
+        arrays |= {f"t_{i}": record.times, f"u_{i}": record.speeds}
+    archive = io.BytesIO()
+    np.savez_compressed(archive, **arrays)
+    replace_file(path, archive.getbuffer())

@@ -5,8 +5,6 @@
 import contextlib
 import logging
 import os
-import signal
-import threading
 from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any
@@ -15,6 +13,7 @@ from sphere_sim.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.fingerprint import code_digest
+from sphere_sim.study.processes import Processes
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import run_scenario
 
@@ -35,10 +34,10 @@ def cores() -> int:
 
 
 class Workers:
-    """Make runs; a context manager, as a cluster has to be closed at the end.
+    """Make runs; a context manager, as processes have to be ended.
 
-    Results do not depend on where they are made. A cluster is started or joined when the first
-    run is asked for.
+    Results do not depend on where they are made. Processes are started, or a cluster is joined,
+    when the first run is asked for.
 
     Parameters
     ----------
@@ -49,9 +48,9 @@ class Workers:
     """
 
     def __init__(self, jobs: int = 1, scheduler: str | None = None) -> None:
-        self._jobs = jobs
         self._address = scheduler
         self._exits = contextlib.ExitStack()
+        self._processes = self._exits.enter_context(Processes(jobs))
         self._client: Any = None
 
     def __enter__(self) -> "Workers":
@@ -63,6 +62,10 @@ class Workers:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all processes, or leave the cluster."""
         self._client = None
         self._exits.close()
 
@@ -77,20 +80,13 @@ class Workers:
             If the scheduler cannot be reached, its workers run other code, or a worker dies over
             a run again and again.
         """
-        if self._address is None and min(self._jobs, len(tasks)) <= 1:
-            for index, scenario in tasks:
-                yield index, run_scenario(conditions, scenario)
+        if self._address is None:
+            calls = ((index, (conditions, scenario)) for index, scenario in tasks)
+            yield from self._processes.run(run_scenario, calls, "run")
         elif tasks:
-            yield from self._run_on(self._cluster(len(tasks)), conditions, iter(tasks))
-
-    def _cluster(self, tasks: int) -> Any:
-        if self._client is None:
-            if self._address is not None:
-                cluster = _existing_cluster(self._address)
-            else:
-                cluster = _local_cluster(min(self._jobs, tasks))
-            self._client = self._exits.enter_context(cluster)
-        return self._client
+            if self._client is None:
+                self._client = self._exits.enter_context(_existing_cluster(self._address))
+            yield from self._run_on(self._client, conditions, iter(tasks))
 
     def _run_on(
         self, client: Any, conditions: StudyConditions, tasks: Iterator[Task]
@@ -121,42 +117,6 @@ class Workers:
             if following is not None:
                 under_way.add(following)
             yield index, record
-
-
-@contextlib.contextmanager
-def _local_cluster(jobs: int) -> Iterator[Any]:
-    from distributed import Client, LocalCluster
-
-    with _deaf_to_interrupts():
-        # Dask's nannies set the variables that keep numerical libraries to one thread each.
-        cluster = LocalCluster(
-            n_workers=jobs,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            # Without one the scheduler still serves its state; at any port, so that two studies
-            # side by side do not quarrel about the usual one.
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-            worker_dashboard_address=None,
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-        )
-    with cluster, Client(cluster, set_as_default=False) as client:
-        yield client
-
-
-@contextlib.contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Let processes started meanwhile ignore Ctrl-C, which is for their parent to answer."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # Python hears of signals in its main thread only
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager

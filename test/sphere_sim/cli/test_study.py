@@ -50,10 +50,12 @@ def test_study_tells_the_figure_that_matters_and_exits_0(tmp_path, capsys) -> No
     ("arguments", "words"),
     [
         (["--scenarios", "none.csv"], "none.csv: given no such file"),
-        (["--draw", "2", "--perturb", "-1"], "perturbation: given -1.0"),
+        (["--draw", "2", "--perturb", "91"], "perturbation: given 91.0"),
+        (["--draw", "2", "--set", "horizon=nan"], "horizon: given 'nan'"),
+        (["--draw", "2", "--set", "max_rotor_speed=nan"], "max_rotor_speed: given nan"),
         (["--draw", "2", "--set", "horizon=0"], "horizon: given 0"),
         (["--draw", "2", "--set", "nothing=0"], "nothing: given '0'"),
-        (["--draw", "2", "--process-noise", "nan"], "process_noise: given nan"),
+        (["--draw", "2", "--process-noise", "1e9"], "process_noise: given 1000000000.0"),
     ],
 )
 def test_what_cannot_be_run_exits_2_and_leaves_no_folder(
@@ -90,7 +92,20 @@ def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) 
         ["--draw", "1", "--strategy", "none"],
         ["--draw", "1", "--jobs", "1", "--scheduler", "tcp://127.0.0.1:1"],
         ["--draw", "1", "--set", "horizon"],
+        ["--draw", "1" + 9 * "0"],
+        ["--draw", "1", "--seed", "-1"],
+        ["--draw", "1", "--jobs", "99999"],
+        *(
+            ["--draw", "1", option, *values]
+            for option, count in (
+                ("--duration", 1), ("--perturb", 1), ("--process-noise", 1), ("--latency", 1),
+                ("--pose-noise", 2),
+            )
+            for values in (["nan"] * count, ["inf"] * count, ["-1"] * count, ["1e999"] * count)
+        ),
+        ["--draw", "1", "--duration", "0"],
     ],
+    ids=" ".join,
 )
 def test_arguments_that_make_no_sense_exit_2(tmp_path, arguments) -> None:
     with pytest.raises(SystemExit) as caught:
@@ -106,11 +121,12 @@ def test_bad_scenario_is_named_by_line_and_column(tmp_path, capsys) -> None:
     assert f"{file}, line 2, column goal_y: given 'nan', expected a finite number" in error
 
 
-def test_folder_that_cannot_be_written_exits_2(tmp_path, capsys) -> None:
+@pytest.mark.parametrize("name", ["file", "file/out"])
+def test_folder_that_cannot_be_written_is_one_line_and_exits_2(tmp_path, capsys, name) -> None:
     (tmp_path / "file").write_text("")
-    out = tmp_path / "file" / "out"
-    assert main(["--draw", "1", "--out", str(out), *BRIEF]) == 2
-    assert f"{out}: cannot be written" in capsys.readouterr().err
+    assert main(["--draw", "1", "--out", str(tmp_path / name), *BRIEF]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert f"{tmp_path / name}: " in told and "choose a folder that can be written" in told
 
 
 def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:

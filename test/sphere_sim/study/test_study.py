@@ -166,15 +166,6 @@ def test_two_studies_do_not_write_into_one_folder(tmp_path) -> None:
         Study(SCENARIOS[:1], SHORT, tmp_path).run(workers, watch=second)
 
 
-def test_damaged_journal_is_told_by_its_line(tmp_path) -> None:
-    make(tmp_path)
-    journal = tmp_path / "journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join([lines[0], b"rubbish\n", *lines[2:]]))
-    with pytest.raises(StudyFolderError, match="line 2"):
-        make(tmp_path)
-
-
 def test_strategies_side_by_side_keep_the_layout_of_one(done, tmp_path) -> None:
     summaries = make(tmp_path, strategies=("paper", "time_optimal"))
     assert list(summaries) == ["paper", "time_optimal"]
@@ -195,3 +186,25 @@ def test_bound_gives_the_ratio_where_it_is_known(tmp_path) -> None:
         Study(rest, SHORT, tmp_path).run(workers, bounds)
     assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "", ""]
     assert [row["ratio"] for row in rows(tmp_path)] == ["0.0", "", ""]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_what_stops_the_search_for_bounds_leaves_all_other_results(done, tmp_path, error) -> None:
+    def bounds(scenarios: list[Scenario]) -> list[float]:
+        raise error
+
+    with pytest.raises((KeyboardInterrupt, OSError)), Workers() as workers:
+        Study(SCENARIOS, SHORT, tmp_path).run(workers, bounds)
+    assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
+    assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 3
+    assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
+
+
+def test_figure_that_cannot_be_drawn_is_told_and_no_more(tmp_path, monkeypatch, caplog) -> None:
+    monkeypatch.undo()
+    # A folder of this name stands where the figure should be.
+    (tmp_path / FIGURES[0]).mkdir()
+    make(tmp_path)
+    (told,) = caplog.messages
+    assert str(tmp_path / FIGURES[0]) in told and "\n" not in told
+    assert len(rows(tmp_path)) == 3 and (tmp_path / "summary.json").exists()

@@ -1,0 +1,120 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that die, cannot be started, or lose their parent."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from sphere_sim.study.errors import WorkersError
+from sphere_sim.study.processes import TRIES, Processes
+
+FOR_EVER = """
+import time
+from sphere_sim.study.processes import Processes
+if __name__ == "__main__":
+    with Processes(2) as processes:
+        list(processes.run(time.sleep, [(i, (600,)) for i in range(9)], "nap"))
+"""
+
+WITHOUT_DESCRIPTORS = """
+import math, os
+from sphere_sim.study.processes import Processes
+if __name__ == "__main__":
+    with Processes(2) as processes:
+        try:
+            while True:
+                os.dup(0)
+        except OSError:
+            pass
+        next(processes.run(math.sqrt, [(i, (4,)) for i in range(9)], "root"))
+"""
+
+
+def workers(parent: psutil.Process) -> list[psutil.Process]:
+    """Return those that are at work: they have a second thread, which watches the parent."""
+    children = [child for child in parent.children() if "spawn_main" in " ".join(child.cmdline())]
+    return [child for child in children if child.num_threads() == 2]
+
+
+@pytest.fixture
+def napping(tmp_path):
+    """Start a program whose two processes are busy for ten minutes."""
+    (tmp_path / "naps.py").write_text(FOR_EVER)
+    process = subprocess.Popen(
+        [sys.executable, str(tmp_path / "naps.py")], start_new_session=True, text=True,
+        stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+    try:
+        while len(workers(psutil.Process(process.pid))) < 2:
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.05)
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_calls_are_answered_by_name() -> None:
+    tasks = [(i, (i,)) for i in range(20)]
+    with Processes(2) as processes:
+        assert dict(processes.run(math.sqrt, tasks, "root")) == {i: i**0.5 for i in range(20)}
+        assert len(workers(psutil.Process())) == 2
+    assert not workers(psutil.Process())
+
+
+def test_call_whose_process_is_killed_is_made_again() -> None:
+    tasks = [(0, (0.0,)), *((i, (1.0,)) for i in range(1, 5))]
+    seen = []
+    with Processes(2) as processes:
+        for name, _ in processes.run(time.sleep, tasks, "nap"):
+            if not seen:
+                killed = workers(psutil.Process())
+                for child in killed:
+                    child.kill()
+            seen.append(name)
+    assert killed and sorted(seen) == [0, 1, 2, 3, 4]
+
+
+def test_call_that_kills_its_process_ends_the_work() -> None:
+    words = rf"run \d: its process died {TRIES} times \(exit code 7\)"
+    with Processes(2) as processes, pytest.raises(WorkersError, match=words):
+        list(processes.run(os._exit, [(i, (7,)) for i in range(3)], "run"))
+
+
+def test_call_that_raises_is_named() -> None:
+    with Processes(2) as processes, pytest.raises(WorkersError, match=r"run 1 .*ValueError: math"):
+        list(processes.run(math.sqrt, [(0, (1.0,)), (1, (-1.0,))], "run"))
+
+
+def test_no_process_to_be_had_is_one_error(tmp_path) -> None:
+    (tmp_path / "full.py").write_text(WITHOUT_DESCRIPTORS)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "full.py")], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}, timeout=60,
+    )
+    assert done.stderr.splitlines()[-1].endswith(
+        "WorkersError: no process can be started (Too many open files); --jobs 1 needs none"
+    )
+
+
+def test_interrupt_ends_all_at_once_and_only_the_parent_speaks(napping) -> None:
+    children = workers(psutil.Process(napping.pid))
+    os.killpg(napping.pid, signal.SIGINT)
+    _, told = napping.communicate(timeout=60)  # of 600 s that the calls take
+    assert told.count("Traceback") == 1 and told.endswith("KeyboardInterrupt\n")
+    assert not any(child.is_running() for child in children)
+
+
+def test_nothing_is_left_when_the_parent_is_killed(napping) -> None:
+    children = workers(psutil.Process(napping.pid))
+    napping.kill()
+    _, alive = psutil.wait_procs(children, timeout=60)
+    assert not alive

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver import compiled
 from sphere_nmpc.solver.compiled import Slot, body_size, library, new_workspace
-from sphere_nmpc.solver.levenberg_marquardt import solve_in_python
+from sphere_nmpc.solver.levenberg_marquardt import minimise
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.vector_objective import VectorObjective
 
 _NO_WINNER = np.iinfo(np.int64).max
 
@@ -145,7 +146,7 @@ def solve_batch_in_python(
     stop_at_first: bool,
     time_budget: float,
 ) -> BatchSolution:
-    """Solve one after the other with the reference; see `HoldSolver.solve_batch`."""
+    """Solve one after the other without the compiled solver; see `HoldSolver.solve_batch`."""
     began = time.perf_counter()
     answers: list[HoldSolution] = []
     done = False
@@ -155,7 +156,7 @@ def solve_batch_in_python(
             answers.append(_never_begun(problem, start))
             continue
         limited = replace(settings, time_budget=min(settings.time_budget, left))
-        answers.append(solve_in_python(problem, start, limited))
+        answers.append(minimise(VectorObjective(problem), problem, start, limited))
         done = stop_at_first and answers[-1].cost <= settings.target_cost
     return BatchSolution(
         [answer.inputs for answer in answers],

@@ -19,10 +19,11 @@ from sphere_nmpc.solver.batch import (
     solve_batch_in_python,
 )
 from sphere_nmpc.solver.compiled import TIME_BUDGET, Slot, library
-from sphere_nmpc.solver.levenberg_marquardt import solve_in_python
+from sphere_nmpc.solver.levenberg_marquardt import minimise
 from sphere_nmpc.solver.native import CompilerError
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 from sphere_nmpc.solver.shooting import roll_out
+from sphere_nmpc.solver.vector_objective import VectorObjective
 
 BACKENDS = ("auto", "compiled", "vm")
 
@@ -75,7 +76,8 @@ class HoldSolver:
         settings = self.settings
         budget = settings.time_budget if time_budget is None else time_budget
         if self.backend == "vm":
-            return solve_in_python(problem, start, replace(settings, time_budget=budget))
+            limited = replace(settings, time_budget=budget)
+            return minimise(VectorObjective(problem), problem, start, limited)
         slot = self._slot(problem.durations.size)
         slot.write(problem)
         slot.head[TIME_BUDGET] = budget

@@ -9,19 +9,20 @@ enter: near a configuration where the robot is singular the exact Hessian sends 
 a standstill, while the damped model always descends.
 """
 
+import math
 import time
+from typing import Protocol
 
 import numpy as np
-import scipy.linalg
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.objective import Expansion, all_knots, cost, expand
 from sphere_nmpc.solver.problem import (
     HoldProblem,
     HoldSolution,
     SolverSettings,
     SolveStatus,
 )
+from sphere_nmpc.solver.quadratic_model import QuadraticModel
 
 MIN_DAMPING = 1e-12
 MAX_DAMPING = 1e12
@@ -29,11 +30,38 @@ BOUND_PASSES = 4
 """How often a step is solved again after inputs were held at the bounds it would have crossed."""
 
 
-def solve_in_python(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
+class Objective(Protocol):
+    """A cost of unknowns v, shape (2 N,): the scaled knots u_1 ... u_N in any order."""
+
+    lower: Vector
+    upper: Vector
+
+    def scaled(self, inputs: Vector) -> Vector:
+        """Return the unknowns for knots u_1 ... u_N [rad/s], shape (N, 2)."""
+        ...
+
+    def inputs(self, v: Vector) -> Vector:
+        """Return u_0 ... u_N [rad/s], shape (N + 1, 2)."""
+        ...
+
+    def evaluate(self, v: Vector) -> tuple[float, Vector]:
+        """Return the cost and the states at the knots, shape (N + 1, 6)."""
+        ...
+
+    def expand(self, v: Vector) -> QuadraticModel:
+        """Return a model of the cost at v, where it was evaluated last."""
+        ...
+
+
+def minimise(
+    objective: Objective, problem: HoldProblem, start: Vector, settings: SolverSettings
+) -> HoldSolution:
     """Solve a problem from a start; the compiled solver takes the same steps.
 
     Parameters
     ----------
+    objective : Objective
+        Computes the cost of the problem.
     problem : HoldProblem
         What to solve.
     start : ndarray, shape (N, 2)
@@ -46,21 +74,20 @@ def solve_in_python(problem: HoldProblem, start: Vector, settings: SolverSetting
     HoldSolution
     """
     began = time.perf_counter()
-    lower = problem.lower.ravel() / problem.input_scale
-    upper = problem.upper.ravel() / problem.input_scale
-    v = np.clip(start.ravel() / problem.input_scale, lower, upper)
-    value, states = cost(problem, v)
+    lower, upper = objective.lower, objective.upper
+    v = _clipped(objective.scaled(start), lower, upper)
+    value, states = objective.evaluate(v)
     status = SolveStatus.CAPPED
     iterations = 0
     damping, growth = settings.initial_damping, 2.0
     residual = np.inf
-    picture: Expansion | None = None
-    if not np.isfinite(value):
+    model: QuadraticModel | None = None
+    if not math.isfinite(value):
         status = SolveStatus.NOT_FINITE
     while status is not SolveStatus.NOT_FINITE:
-        if picture is None:
-            picture = expand(problem, v)
-            residual = _kkt_residual(v, picture.gradient, lower, upper)
+        if model is None:
+            model = objective.expand(v)
+            residual = _kkt_residual(v, model.gradient, lower, upper)
             if residual <= settings.gradient_tolerance or value <= settings.target_cost:
                 status = SolveStatus.CONVERGED
                 break
@@ -70,21 +97,22 @@ def solve_in_python(problem: HoldProblem, start: Vector, settings: SolverSetting
             status = SolveStatus.BUDGET
             break
         iterations += 1
-        step = _bounded_step(picture, damping, v, lower, upper)
-        predicted = -float(picture.gradient @ step + 0.5 * step @ picture.hessian @ step)
-        trial = np.clip(v + step, lower, upper)
-        trial_value, trial_states = cost(problem, trial)
+        step = _bounded_step(model, damping, v, lower, upper)
+        # Singular to working precision: no decrease, so the damping is raised.
+        trial, trial_value, trial_states = v, math.nan, states
+        if step is not None:
+            trial = _clipped(v + step, lower, upper)
+            trial_value, trial_states = objective.evaluate(trial)
         decrease = value - trial_value
-        if np.isfinite(trial_value) and decrease > 0.0:
-            gain = decrease / max(predicted, 1e-300)
+        if step is not None and math.isfinite(trial_value) and decrease > 0.0:
+            gain = decrease / max(model.decrease(step), 1e-300)
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             damping = max(damping, MIN_DAMPING)
             growth = 2.0
             small = decrease <= max(settings.decrease_tolerance * value, settings.decrease_floor)
-            v, value, states, picture = trial, trial_value, trial_states, None
+            v, value, states, model = trial, trial_value, trial_states, None
             if small:
-                picture = expand(problem, v)
-                residual = _kkt_residual(v, picture.gradient, lower, upper)
+                residual = _kkt_residual(v, objective.expand(v).gradient, lower, upper)
                 status = SolveStatus.CONVERGED
                 break
         else:
@@ -94,41 +122,44 @@ def solve_in_python(problem: HoldProblem, start: Vector, settings: SolverSetting
                 # No descent left at working precision.
                 status = SolveStatus.CONVERGED
                 break
-    inputs = all_knots(problem, v)
+    inputs = objective.inputs(v)
     inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
     elapsed = time.perf_counter() - began
     return HoldSolution(inputs, states, value, status, iterations, residual, elapsed)
 
 
+def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:
+    # Several times faster than numpy.clip on so few numbers.
+    clipped: Vector = np.minimum(np.maximum(v, lower), upper)
+    return clipped
+
+
 def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> float:
-    return float(np.max(np.abs(np.clip(v - gradient, lower, upper) - v), initial=0.0))
+    return float(np.abs(_clipped(v - gradient, lower, upper) - v).max())
 
 
 def _bounded_step(
-    picture: Expansion, damping: float, v: Vector, lower: Vector, upper: Vector
-) -> Vector:
+    model: QuadraticModel, damping: float, v: Vector, lower: Vector, upper: Vector
+) -> Vector | None:
     """Minimise the damped model over the step, as far as the bounds allow, shape (2 N,)."""
-    gradient, size = picture.gradient, v.size
-    free = ~(((v <= lower) & (gradient >= 0.0)) | ((v >= upper) & (gradient <= 0.0)))
-    free &= lower < upper
-    step: Vector = np.zeros(size)
-    damped = picture.hessian + damping * np.eye(size)
+    gradient = model.gradient
+    down, up = lower - v, upper - v
+    free = (down < up) & ((down < 0.0) | (gradient < 0.0)) & ((up > 0.0) | (gradient > 0.0))
+    step: Vector = np.zeros(v.size)
+    held: Vector = step
     for _ in range(BOUND_PASSES):
-        if not np.any(free):
+        if not free.any():
             break
-        right = -(gradient + damped @ np.where(free, 0.0, step))[free]
-        try:
-            factor = scipy.linalg.cho_factor(damped[np.ix_(free, free)], lower=True)
-        except np.linalg.LinAlgError:
-            # Singular to working precision: no decrease, so the damping is raised.
-            return np.zeros(size)
-        step[free] = scipy.linalg.cho_solve(factor, right)
-        too_low, too_high = free & (v + step < lower), free & (v + step > upper)
-        if not np.any(too_low | too_high):
+        found = model.step(damping, free, held)
+        if found is None:
+            return None
+        step = _clipped(found, down, up)
+        crossed = free & (step != found)
+        if not crossed.any():
             break
-        step = np.where(too_low, lower - v, np.where(too_high, upper - v, step))
-        free &= ~(too_low | too_high)
-    return np.asarray(np.clip(v + step, lower, upper) - v)
+        free &= ~crossed
+        held = np.where(free, 0.0, step)
+    return step
 
 
 def rest_start(problem: HoldProblem) -> Vector:

@@ -2,29 +2,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of a `HoldProblem` with its gradient and Gauss-Newton Hessian, in scaled inputs v = u/U."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.problem import HoldProblem
+from sphere_nmpc.solver.quadratic_model import DenseModel
 from sphere_nmpc.solver.shooting import roll_out, roll_out_with_sensitivity
 
 
-@dataclass(frozen=True, eq=False)
-class Expansion:
-    """Second-order picture of the cost around a point.
+class HoldObjective:
+    """See `sphere_nmpc.solver.levenberg_marquardt.Objective`; unknowns knot by knot.
 
-    Attributes
+    Parameters
     ----------
-    gradient : ndarray, shape (2 N,)
-        dV/dv.
-    hessian : ndarray, shape (2 N, 2 N)
-        Gauss-Newton: second derivatives of the states are left out.
+    problem : HoldProblem
+        What to solve.
     """
 
-    gradient: Vector
-    hessian: Vector
+    def __init__(self, problem: HoldProblem) -> None:
+        self._problem = problem
+        self.lower, self.upper = self.scaled(problem.lower), self.scaled(problem.upper)
+
+    def scaled(self, inputs: Vector) -> Vector:
+        """Return the unknowns v, shape (2 N,), for knots u_1 ... u_N [rad/s], shape (N, 2)."""
+        unknowns: Vector = inputs.ravel() / self._problem.input_scale
+        return unknowns
+
+    def inputs(self, v: Vector) -> Vector:
+        """Return u_0 ... u_N [rad/s], shape (N + 1, 2)."""
+        return all_knots(self._problem, v)
+
+    def evaluate(self, v: Vector) -> tuple[float, Vector]:
+        """Return the cost and the states, shape (N + 1, 6)."""
+        return cost(self._problem, v)
+
+    def expand(self, v: Vector) -> DenseModel:
+        """Return the Gauss-Newton model of the cost at v."""
+        return expand(self._problem, v)
 
 
 def all_knots(problem: HoldProblem, scaled: Vector) -> Vector:
@@ -58,8 +72,11 @@ def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:
     return excess
 
 
-def expand(problem: HoldProblem, scaled: Vector) -> Expansion:
-    """Return gradient and Gauss-Newton Hessian of the cost at scaled knots v, shape (2 N,)."""
+def expand(problem: HoldProblem, scaled: Vector) -> DenseModel:
+    """Return gradient and Gauss-Newton Hessian of the cost at scaled knots v, shape (2 N,).
+
+    Second derivatives of the states are left out.
+    """
     inputs = all_knots(problem, scaled)
     states, sensitivities = roll_out_with_sensitivity(problem, inputs)
     size = scaled.size
@@ -74,7 +91,7 @@ def expand(problem: HoldProblem, scaled: Vector) -> Expansion:
             hessian += 2.0 * weights[m - 1] * jacobian.T @ jacobian
     if problem.slew_weight > 0.0:
         _add_slew(problem, inputs, gradient, hessian)
-    return Expansion(gradient, hessian)
+    return DenseModel(gradient, hessian)
 
 
 def _add_slew(problem: HoldProblem, inputs: Vector, gradient: Vector, hessian: Vector) -> None:

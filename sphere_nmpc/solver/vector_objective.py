@@ -1,0 +1,202 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The objective of a `HoldProblem` on `sphere_nmpc.solver.vector_shooting`, without a compiler.
+
+The same numbers as `sphere_nmpc.solver.objective`, in another order: the unknowns of rotor 1 come
+before those of rotor 2, so that what couples successive knots is one tridiagonal matrix. A miss
+has five components: x, y and the three independent ones of the quaternion.
+"""
+
+import threading
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.solver.problem import HoldProblem
+from sphere_nmpc.solver.quadratic_model import DenseModel, LowRankModel
+from sphere_nmpc.solver.vector_shooting import COLUMN, LEVER, shooting_function
+
+_MEMORY = threading.local()
+_MISS = 5
+
+
+class VectorObjective:
+    """See `sphere_nmpc.solver.levenberg_marquardt.Objective`.
+
+    Parameters
+    ----------
+    problem : HoldProblem
+        What to solve.
+    """
+
+    def __init__(self, problem: HoldProblem) -> None:
+        self._problem = problem
+        n = problem.intervals
+        self.lower: Vector = (problem.lower.T / problem.input_scale).ravel()
+        self.upper: Vector = (problem.upper.T / problem.input_scale).ravel()
+        counts = np.maximum(1.0, np.ceil(problem.durations / problem.max_step - 1e-6))
+        steps = counts.astype(np.int64)
+        ends = np.cumsum(steps)
+        self._begins, self._last = ends - steps, ends - 1
+        self._interval = np.repeat(np.arange(n), steps)
+        self._steps = int(ends[-1])
+        self._shooting = _shooting_of(_padded(self._steps))
+        radius, c1, r1, r3 = problem.constants
+        place = np.arange(self._steps) - self._begins[self._interval]
+        share = place / counts[self._interval]
+        share_end = (place + 1.0) / counts[self._interval]
+        columns = self._shooting.columns
+        columns[:] = 0.0
+        self._columns = columns[: self._steps]
+        self._columns[:, 6] = (problem.durations / counts)[self._interval]
+        self._columns[:, 7:10] = r1, r3, radius
+        self._columns[:, 10], self._columns[:, 11] = share, share_end
+        self._is_dense = problem.stage_weight > 0.0 or not problem.terminal_weight > 0.0
+        self._columns[self._last if self._is_dense else -1, 12] = 1.0
+        self._free = self._columns[:, :6].reshape(self._steps, 3, 2)
+        self._shares = np.stack((share, 0.5 * (share + share_end), share_end), axis=1)[:, :, None]
+        self._knots: Vector = np.empty((n + 1, 2))
+        self._knots[0] = problem.input_in_force
+        self._to_free = -c1
+        self._by_input = -c1 * problem.input_scale * np.array([1.0, 1.0, 0.5, 0.5, 0.5])
+        self._reach = problem.max_acceleration * problem.durations
+
+    def scaled(self, inputs: Vector) -> Vector:
+        """Return the unknowns for knots u_1 ... u_N [rad/s], shape (N, 2)."""
+        unknowns: Vector = (inputs.T / self._problem.input_scale).ravel()
+        return unknowns
+
+    def inputs(self, v: Vector) -> Vector:
+        """Return u_0 ... u_N [rad/s], shape (N + 1, 2)."""
+        knots = self._knots.copy()
+        knots[1:] = self._problem.input_scale * v.reshape(2, -1).T
+        return knots
+
+    def evaluate(self, v: Vector) -> tuple[float, Vector]:
+        """Return the cost and the states, shape (N + 1, 6)."""
+        problem, shooting = self._problem, self._shooting
+        knots = self._knots
+        knots[1:] = problem.input_scale * v.reshape(2, -1).T
+        free = self._to_free * knots
+        slope = (free[1:] - free[:-1]).take(self._interval, axis=0)
+        np.multiply(slope[:, None, :], self._shares, out=self._free)
+        self._free += free.take(self._interval, axis=0)[:, None, :]
+        shooting.q[:] = problem.state[QUATERNION]
+        shooting.run()
+        states: Vector = np.empty((problem.intervals + 1, 6))
+        states[0] = problem.state
+        moved = np.add.reduceat(shooting.moved[:, : self._steps], self._begins, axis=1)
+        states[1:, POSITION] = (moved.cumsum(axis=1) + problem.state[POSITION, None]).T
+        states[1:, QUATERNION] = shooting.q_end[self._last]
+        misses = states[1:] - problem.goal
+        self._misses, self._v = misses, v
+        value = problem.terminal_weight * float(misses[-1] @ misses[-1])
+        value += problem.input_weight * float(v @ v)
+        if problem.stage_weight > 0.0:
+            value += problem.stage_weight * float(np.vdot(misses[:-1], misses[:-1]))
+        if problem.slew_weight > 0.0:
+            change = (knots[1:] - knots[:-1]).T
+            excess = change - np.minimum(np.maximum(change, -self._reach), self._reach)
+            self._excess = excess / problem.input_scale
+            value += problem.slew_weight * float(np.vdot(self._excess, self._excess))
+        return value, states
+
+    def expand(self, v: Vector) -> DenseModel | LowRankModel:
+        """Return the Gauss-Newton model of the cost where it was evaluated last, which is v."""
+        problem, n = self._problem, self._problem.intervals
+        gradient = 2.0 * problem.input_weight * v
+        stiff = np.full((2, n), 2.0 * problem.input_weight)
+        couple = np.zeros((2, n))
+        if problem.slew_weight > 0.0:
+            pull = 2.0 * problem.slew_weight * self._excess
+            weight = 2.0 * problem.slew_weight * (pull != 0.0)
+            bend = gradient.reshape(2, n)
+            bend += pull
+            bend[:, :-1] -= pull[:, 1:]
+            stiff += weight
+            stiff[:, :-1] += weight[:, 1:]
+            couple[:, 1:] = -weight[:, 1:]
+        local = self._shooting.by_knots[:, : self._steps]
+        local = np.add.reduceat(local, self._begins, axis=1).reshape(_MISS, 4, n)
+        local *= self._by_input[:, None, None]
+        if self._is_dense:
+            rows, residual = self._all_rows(local)
+            hessian = rows.T @ rows
+            flat = hessian.reshape(-1)
+            flat[:: 2 * n + 1] += stiff.ravel()
+            flat[1 :: 2 * n + 1] += couple.ravel()[1:]
+            flat[2 * n :: 2 * n + 1] += couple.ravel()[1:]
+            return DenseModel(gradient + rows.T @ residual, hessian)
+        rows = local[:, 2:].copy()
+        rows[:, :, :-1] += local[:, :2, 1:]
+        jacobian = rows.reshape(_MISS, 2 * n)
+        residual = self._residual(-1)
+        weight = 2.0 * problem.terminal_weight
+        return LowRankModel(
+            gradient, stiff.ravel(), couple.ravel()[1:], jacobian, residual, weight
+        )
+
+    def _residual(self, knot: int) -> Vector:
+        """Return the miss in the coordinates x, y and half a world rotation, shape (5,)."""
+        x, y, mw, mx, my, mz = self._misses[knot].tolist()
+        gw, gx, gy, gz = self._problem.goal[QUATERNION].tolist()
+        w, i, j, k = mw + gw, mx + gx, my + gy, mz + gz
+        return np.array([
+            x, y,
+            -i * mw + w * mx - k * my + j * mz,
+            -j * mw + k * mx + w * my - i * mz,
+            -k * mw - j * mx + i * my + w * mz,
+        ])
+
+    def _all_rows(self, local: Vector) -> tuple[Vector, Vector]:
+        """Return Jacobian (5 N, 2 N) and residual (5 N,) of all states, with their weights."""
+        problem, n = self._problem, self._problem.intervals
+        lever = self._shooting.levers[:, self._begins]
+        through = np.zeros((n, _MISS, _MISS))
+        through[:, 0, 0] = through[:, 1, 1] = through[:, 4, 4] = 1.0
+        by_turn = lever[:10].reshape(_MISS, 2, n).transpose(2, 0, 1)
+        through[:, 2:, 2:4] = by_turn[:, :3]
+        through[:, :2, 2:4] = 2.0 * by_turn[:, 3:]
+        through[:, 0, 4], through[:, 1, 4] = -2.0 * lever[11], 2.0 * lever[10]
+        rows, residual = np.zeros((n, _MISS, 2 * n)), np.empty((n, _MISS))
+        chain = np.zeros((_MISS, 2, n))
+        for m in range(n):
+            chain = (through[m] @ chain.reshape(_MISS, -1)).reshape(_MISS, 2, n)
+            if m > 0:
+                chain[:, :, m - 1] += local[:, :2, m]
+            chain[:, :, m] += local[:, 2:, m]
+            last = m == n - 1
+            weight = (2.0 * (problem.terminal_weight if last else problem.stage_weight)) ** 0.5
+            rows[m] = weight * chain.reshape(_MISS, -1)
+            residual[m] = weight * self._residual(m)
+        return rows.reshape(-1, 2 * n), residual.ravel()
+
+
+class _Shooting:
+    """The shooting of a number of steps with memory of its own; for one thread."""
+
+    def __init__(self, steps: int) -> None:
+        self.q, self.columns = np.zeros(4), np.zeros((steps, COLUMN))
+        self.q_end, self.moved = np.zeros((steps, 4)), np.zeros((2, steps))
+        self.by_knots, self.levers = np.zeros((4 * _MISS, steps)), np.zeros((LEVER, steps))
+        # Memory is handed over once: converting arguments would take longer than many steps.
+        self._buffer, self.run = shooting_function(steps).buffer()
+        for i, given in enumerate((self.q, self.columns)):
+            self._buffer.set_arg(i, given.data)
+        for i, result in enumerate((self.q_end, self.moved, self.by_knots, self.levers)):
+            self._buffer.set_res(i, result.data)
+
+
+def _shooting_of(steps: int) -> _Shooting:
+    kept: dict[Any, Any] = _MEMORY.__dict__
+    if steps not in kept:
+        kept[steps] = _Shooting(steps)
+    found: _Shooting = kept[steps]
+    return found
+
+
+def _padded(steps: int) -> int:
+    """Return the next number of steps that there is a function for: building one takes 0.1 s."""
+    spacing = 1 << max(0, steps.bit_length() - 3)
+    return -(-steps // spacing) * spacing

@@ -90,7 +90,8 @@ def main() -> None:
         said: list[str] = []
         wait_for(terminal, "case 1 of the paper", said)
         clock.tell("`make demo`: everything installed")
-        address = wait_for(terminal, r"http://127\.0\.0\.1:\d+", said).group()
+        page_named = r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])"
+        address = wait_for(terminal, page_named, said).group()
         clock.tell("nodes up, page named")
         home = Path(folder) / "browser"
         home.mkdir()

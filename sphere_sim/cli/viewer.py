@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sphere_nmpc.model.state import POSITION
 from sphere_sim.cli.arguments import whole
-from sphere_sim.viewer.server import DEFAULT_PORT, free_port
+from sphere_sim.viewer.server import DEFAULT_PORT, announce
 
 _ROS = "--ros-args"
 
@@ -31,13 +31,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     at = given.index(_ROS) if _ROS in given else len(given)
     own = _parse(given[:at])
-    port = free_port(own.port)
     if own.replay is None:
         # Where only bags are looked at, ROS need not be there.
         from sphere_sim.ros import viewer_node
 
-        return viewer_node.main(given[at:], port)
-    return _replay(own.replay, own.namespace, port)
+        return viewer_node.main(given[at:], own.port)
+    return _replay(own.replay, own.namespace, own.port)
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -62,10 +61,10 @@ def _replay(bag: Path, namespace: str | None, port: int) -> int:
 
     run = read_run(bag, namespace)
     for note in run.notes:
-        print(f"viewer: {note}", file=sys.stderr)
+        print(f"viewer: {note}", file=sys.stderr, flush=True)
     viewer = Viewer(Replay(run), port, live=False)
     viewer.look_at(run.states[:, POSITION])
-    print(f"viewer: {viewer.url}", flush=True)
+    announce(viewer.url)
     try:
         while True:
             viewer.tick()

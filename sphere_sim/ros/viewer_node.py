@@ -16,6 +16,7 @@ from rclpy.executors import Executor
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.precedence import stand_back
 from sphere_sim.ros.topic_source import TopicSource
+from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 
 _MOST_CALLBACKS = 40
@@ -28,7 +29,7 @@ class ViewerNode(LivingNode):
     Parameters
     ----------
     port : int
-        Where the page is served on this machine.
+        Where the page is served on this machine; a free port if it is taken.
     """
 
     def __init__(self, port: int) -> None:
@@ -36,8 +37,8 @@ class ViewerNode(LivingNode):
         self._source = TopicSource(self)
         self._viewer = Viewer(self._source, port, live=True)
         self._due = time.monotonic()
-        # On standard output too: whoever started this wants to know where to look.
-        print(f"viewer: {self._viewer.url}", flush=True)
+        # Not in the node's log, which goes to /rosout and so to everybody.
+        announce(self._viewer.url)
 
     def work(self, executor: Executor) -> None:
         """Sleep until the next frame is due, look at what has come, and show it.

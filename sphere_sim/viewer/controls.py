@@ -6,6 +6,7 @@ Callbacks of the page run on threads of the server; they only put requests into 
 """
 
 import html
+import math
 import queue
 import time
 from collections.abc import Callable
@@ -80,8 +81,10 @@ class Controls:
         self._on_click(self._reset, Reset)
         self._on_click(self._push, Push)
         self._on_choice(self._preset, lambda name: name if name in PRESETS else None)
-        self._on_choice(self._speed, SetSpeed)
-        self._on_choice(self._strategy, SetStrategy)
+        self._on_choice(self._speed, lambda f: SetSpeed(f) if math.isfinite(f) else None)
+        self._on_choice(
+            self._strategy, lambda it: SetStrategy(it) if it in self._strategy.options else None
+        )
         self._on_choice(self._seek, self._seek_to)
 
     @property
@@ -141,9 +144,9 @@ class Controls:
             _set(self._strategy, "value", frame.strategy)
         _set(self._strategy, "disabled", len(options) < 2)
 
-    def _seek_to(self, moment: float) -> Seek:
+    def _seek_to(self, moment: float) -> Seek | None:
         self._sought = time.monotonic()
-        return Seek(moment)
+        return Seek(moment) if math.isfinite(moment) else None
 
     def _on_click(self, button: Any, make: Callable[[], Request | str]) -> None:
         button.on_click(lambda _: self.put(make()))

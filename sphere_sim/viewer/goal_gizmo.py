@@ -18,6 +18,7 @@ _SAME = 1e-6
 """Largest error of a goal that counts as the one in force [mixed units]."""
 _SEEN = 1e-4
 """Least error that is worth telling [mixed units]."""
+_ORIGIN = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 _LOST = 10.0
 """Time after which a drag that neither goes on nor ends is given up, as when a page closes [s]."""
 
@@ -76,13 +77,14 @@ class GoalGizmo:
         return handles
 
     @property
-    def goal(self) -> Vector:
-        """Where the ghost is, shape (6,)."""
+    def goal(self) -> Vector | None:
+        """Where the ghost is, shape (6,); None where a page has put it nowhere."""
         wxyz = np.array(self._turn.wxyz, dtype=float)
         try:
-            return make_state(self._place.position[:2], wxyz / np.linalg.norm(wxyz))
+            with np.errstate(all="ignore"):
+                return make_state(self._place.position[:2], wxyz / np.linalg.norm(wxyz))
         except InvalidStateError:
-            return make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+            return None
 
     def hold(self, held: bool) -> None:
         """Say whether a user has the ghost in hand; nothing else moves it meanwhile."""
@@ -100,10 +102,13 @@ class GoalGizmo:
             if known is None or state_error(in_force, known) > _SAME:
                 self._in_force = in_force
                 self.put(in_force)
-        if self._in_force is None:
+        if self.goal is None:
+            self.put(_ORIGIN if self._in_force is None else self._in_force)
+        goal = self.goal
+        if self._in_force is None or goal is None:
             text = "goal, not sent"
         else:
-            agreed = state_error(self.goal, self._in_force) < _SEEN
+            agreed = state_error(goal, self._in_force) < _SEEN
             text = "goal" if agreed else "goal, not in force"
         if text != self._label.text:
             self._label.text = text

@@ -54,7 +54,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Address of the page."""
+        """Address of the page, with the token that lets in."""
         return self._server.url
 
     def tick(self) -> None:
@@ -121,7 +121,9 @@ class Viewer:
         if request == "send" or (
             self._controls.sends_at_once and (request == "end" or request in PRESETS)
         ):
-            self._tell(self._source.handle(SetGoal(ghost.goal)))
+            goal = ghost.goal
+            if goal is not None:
+                self._tell(self._source.handle(SetGoal(goal)))
 
     def _where(self) -> Vector:
         state = self._frame.state

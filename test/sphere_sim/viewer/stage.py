@@ -5,6 +5,7 @@
 import contextlib
 import io
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,6 +25,12 @@ def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
     command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments]
     with (folder / f"{verb}.log").open("wb") as log:
         return subprocess.Popen(command, stdout=log, stderr=log)
+
+
+def page_of(folder: Path) -> str:
+    """Return the address that a viewer printed; empty where it has not yet."""
+    found = re.search(r"http://\S+", (folder / "viewer.log").read_text(encoding="utf-8"))
+    return found.group() if found else ""
 
 
 def stop(processes: Iterable[subprocess.Popen]) -> None:

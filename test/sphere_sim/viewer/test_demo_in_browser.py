@@ -99,7 +99,8 @@ def test_demo_shows_the_run_and_leaves_the_sphere_to_who_watches(
     try:
         domain = terminal.wait_for(r"ROS domain (\d+)", 90.0).group(1)
         monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-        address = terminal.wait_for(r"http://127\.0\.0\.1:\d+", 90.0).group()
+        page_named = r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])"
+        address = terminal.wait_for(page_named, 90.0).group()
         children = psutil.Process(terminal.process.pid).children(recursive=True)
         assert len(children) == 4
         terminal.wait_for("the sphere is yours", 120.0)

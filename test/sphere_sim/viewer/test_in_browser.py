@@ -23,12 +23,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
-from stage import insist, pixel, scene_of, start, stop, wait_for_scene
+from stage import insist, page_of, pixel, scene_of, start, stop, wait_for_scene
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
 from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.viewer.server import free_port
 
 BROWSER = find_browser()
 pytestmark = [
@@ -74,11 +73,10 @@ class Stage:
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory) -> Iterator[Stage]:
     folder = tmp_path_factory.mktemp("stage")
-    port = free_port(0)
     processes = {
         "simulator": start(folder, "simulator", "--ros-args", *SIMULATOR),
         "controller": start(folder, "controller", "--ros-args", *CONTROLLER),
-        "viewer": start(folder, "viewer", "--port", str(port)),
+        "viewer": start(folder, "viewer", "--port", "0"),
     }
     graph = Graph()
     poses = graph.hear(PoseStamped, "pose", 1)
@@ -88,9 +86,9 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
     home = folder / "browser"
     home.mkdir()
     try:
-        graph.until(lambda: "http" in (folder / "viewer.log").read_text(), 40.0)
+        graph.until(lambda: page_of(folder), 40.0)
         with Browser(BROWSER, home) as page:
-            page.open(f"http://127.0.0.1:{port}")
+            page.open(page_of(folder))
             yield Stage(page, graph, processes, poses, goals, statuses, folder)
     finally:
         graph.close()
@@ -193,10 +191,9 @@ def test_a_goal_can_be_picked_from_the_list(stage) -> None:
 def test_a_page_and_a_viewer_that_join_late_show_what_holds(stage) -> None:
     stage.page.open("about:blank")
     stop([stage.processes["viewer"]])
-    port = free_port(0)
-    stage.processes["viewer"] = start(stage.folder, "viewer", "--port", str(port))
-    stage.graph.until(lambda: "http" in (stage.folder / "viewer.log").read_text(), 40.0)
-    stage.page.open(f"http://127.0.0.1:{port}")
+    stage.processes["viewer"] = start(stage.folder, "viewer", "--port", "0")
+    stage.graph.until(lambda: page_of(stage.folder), 40.0)
+    stage.page.open(page_of(stage.folder))
     stage.page.wait_for("to the goal", 30.0)
     stage.page.wait_for("live", 10.0)
 

@@ -14,7 +14,7 @@ pytest.importorskip("viser")
 
 from browser import Browser, find_browser
 from rosbags.typesys import Stores, get_typestore
-from stage import insist, scene_of, start, stop, wait_for_scene
+from stage import insist, page_of, scene_of, start, stop, wait_for_scene
 
 from sphere_sim.recording.bag_writer import BagWriter
 
@@ -55,12 +55,13 @@ def page(tmp_path_factory) -> Iterator[Browser]:
     home.mkdir()
     viewer = start(folder, "viewer", "--port", "0", "--replay", str(bag))
     try:
-        end, log = time.monotonic() + 40.0, folder / "viewer.log"
-        while "http" not in log.read_text():
-            assert time.monotonic() < end and viewer.poll() is None, log.read_text()
+        end = time.monotonic() + 40.0
+        while not page_of(folder):
+            told = (folder / "viewer.log").read_text()
+            assert time.monotonic() < end and viewer.poll() is None, told
             time.sleep(0.1)
         with Browser(BROWSER, home) as browser:
-            browser.open(re.search(r"http://\S+", log.read_text()).group())
+            browser.open(page_of(folder))
             yield browser
     finally:
         stop([viewer])

@@ -6,6 +6,7 @@ import itertools
 import socket
 import urllib.request
 from collections.abc import Iterator, Sequence
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ pytest.importorskip("viser")
 
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.viewer.frame import Frame, Offers, Pause, Request, SetGoal
+from sphere_sim.viewer.gate import HOST
 from sphere_sim.viewer.presets import PRESETS
-from sphere_sim.viewer.server import HOST, free_port
 from sphere_sim.viewer.trail import Trail
 from sphere_sim.viewer.viewer import Viewer
 
@@ -44,7 +45,7 @@ def script() -> Script:
 
 @pytest.fixture
 def viewer(script) -> Iterator[Viewer]:
-    viewer = Viewer(script, free_port(0), live=True)
+    viewer = Viewer(script, 0, live=True)
     yield viewer
     viewer.close()
 
@@ -57,7 +58,7 @@ def test_the_page_is_served_to_this_machine_only(viewer) -> None:
     assert viewer.url.startswith(f"http://{HOST}:")
     with urllib.request.urlopen(viewer.url, timeout=10.0) as page:
         assert page.status == 200
-    port = int(viewer.url.rpartition(":")[2])
+    port = urlsplit(viewer.url).port
     with socket.socket() as other:
         # The whole of 127.0.0.0/8 is this machine; a listener on every address would answer.
         other.settimeout(2.0)

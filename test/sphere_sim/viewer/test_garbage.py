@@ -1,0 +1,226 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What may arrive at the viewer's port: it tells at most one line, and goes on serving."""
+
+import base64
+import os
+import re
+import resource
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import msgspec.msgpack
+import pytest
+
+pytest.importorskip("viser")
+
+from stage import page_of, stop
+from test_gate import PROTOCOL, shake_hands
+from test_replay_in_browser import write_bag
+from websockets.exceptions import ConnectionClosed
+
+from sphere_nmpc.model.state import make_state
+from sphere_sim.viewer.frame import Frame, Offers, Request, SetGoal
+from sphere_sim.viewer.viewer import Viewer
+
+pack = msgspec.msgpack.encode
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [1, 1, 1], "fov": 1.0,
+    "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100, "look_at": [0, 0, 0],
+    "up_direction": [0, 0, 1],
+}
+NAN = float("nan")
+ODD = (None, NAN, float("inf"), 1e308, "", "x", [], [1], ["a"], {}, [NAN] * 3, [NAN] * 4,
+       [0] * 4, [1e300] * 3)
+MESSAGES = (
+    os.urandom(100), b"", "text", pack(5), pack([1, 2]), pack({}), pack({"type": "Nothing"}),
+    pack({"type": ["a"]}), pack({"type": "GuiUpdateMessage"}), bytes(51 * 2**20),
+    pack({**CAMERA, "wxyz": [1, 2, 3]}), pack({**CAMERA, "position": "x"}),
+)
+
+
+def http(port: int, *lines: str) -> bytes:
+    return "\r\n".join((*lines, f"Host: 127.0.0.1:{port}", "", "")).encode()
+
+
+def half_a_handshake(port: int, query: str, *lines: str) -> bytes:
+    return http(port, f"GET /?{query} HTTP/1.1", "Upgrade: websocket", *lines)
+
+
+def raw_garbage(port: int, query: str) -> tuple[bytes, ...]:
+    return (
+        b"", os.urandom(5000), b"\x00\x01\r\n\r\n", b"\x16\x03\x01\x02\x00\x01\x00",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x",
+        b"GET /" + 100_000 * b"a" + b" HTTP/1.1\r\n\r\n",
+        http(port, "POST / HTTP/1.1"), http(port, "HEAD / HTTP/1.1"),
+        http(port, f"GET //[x?{query} HTTP/1.1"), http(port, f"GET /%2e%2e?{query} HTTP/1.1"),
+        http(port, "GET / HTTP/1.1", "Host: b", "Upgrade: websocket", "Upgrade: websocket"),
+        half_a_handshake(port, query),
+        half_a_handshake(port, query, "Upgrade: websocket", f"Sec-WebSocket-Protocol: {PROTOCOL}"),
+        half_a_handshake(port, query, "Connection: Upgrade", "Sec-WebSocket-Key: x",
+                         f"Sec-WebSocket-Protocol: {PROTOCOL}", "Sec-WebSocket-Version: 1"),
+    )
+
+
+def send_raw(port: int, data: bytes) -> bytes:
+    with socket.create_connection(("127.0.0.1", port), timeout=2.0) as end:
+        end.settimeout(0.2)
+        with suppress(OSError):
+            end.sendall(data)
+            return end.recv(200)
+    return b""
+
+
+def send_broken_frames(port: int, query: str, junk: bytes) -> None:
+    key = base64.b64encode(os.urandom(16)).decode()
+    hello = half_a_handshake(
+        port, query, "Connection: Upgrade", f"Sec-WebSocket-Key: {key}",
+        f"Sec-WebSocket-Protocol: {PROTOCOL}", "Sec-WebSocket-Version: 13",
+    )
+    with socket.create_connection(("127.0.0.1", port), timeout=5.0) as end:
+        end.sendall(hello)
+        assert end.recv(12) == b"HTTP/1.1 101"
+        end.sendall(junk)
+        time.sleep(0.1)
+
+
+class Process:
+    """A viewer of a recording, as a user starts it."""
+
+    def __init__(self, folder: Path, limit: Callable[[], None] | None = None) -> None:
+        self.folder = folder
+        bag = folder / "bag"
+        if not bag.exists():
+            write_bag(bag)
+        command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "viewer",
+                   "--port", "0", "--replay", str(bag)]
+        with (folder / "viewer.log").open("wb") as log:
+            self.process = subprocess.Popen(command, stdout=log, stderr=log, preexec_fn=limit)
+
+    def __enter__(self) -> "Process":
+        end = time.monotonic() + 60.0
+        while not self.url:
+            assert self.process.poll() is None and time.monotonic() < end, self.said
+            time.sleep(0.1)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        stop([self.process])
+
+    @property
+    def url(self) -> str:
+        return page_of(self.folder)
+
+    @property
+    def said(self) -> str:
+        return (self.folder / "viewer.log").read_text(encoding="utf-8")
+
+    def serves(self) -> bool:
+        with shake_hands(self.url) as page:
+            return len(page.recv(timeout=10.0)) > 0
+
+
+@pytest.fixture
+def viewer(tmp_path) -> Iterator[Process]:
+    with Process(tmp_path) as process:
+        yield process
+
+
+def test_garbage_of_all_kinds_leaves_one_line(viewer) -> None:
+    page = urlsplit(viewer.url)
+    for data in raw_garbage(page.port, page.query):
+        send_raw(page.port, data)
+    for message in MESSAGES:
+        with shake_hands(viewer.url) as end, suppress(ConnectionClosed, TimeoutError):
+            end.send(message)
+            while True:
+                end.recv(timeout=5.0)
+    for junk in (os.urandom(500), b"\xff" * 50, b"\x81\x05hello", b"\x82\xfe\xff\xff"):
+        send_broken_frames(page.port, page.query, junk)
+    assert viewer.serves()
+    assert "Traceback" not in viewer.said
+    about_the_bag = re.compile(r"viewer: (http|nothing tells|/\w+)")
+    lines = [line for line in viewer.said.splitlines() if not about_the_bag.match(line)]
+    assert len(lines) == 1, viewer.said
+    assert lines[0].startswith("viewer: what a page sent was left out: ")
+
+
+def test_too_many_connections_are_one_line_and_then_it_serves_again(tmp_path) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
+
+    with Process(tmp_path, limit) as viewer:
+        port = urlsplit(viewer.url).port
+        held = [socket.create_connection(("127.0.0.1", port)) for _ in range(60)]
+        end = time.monotonic() + 20.0
+        while "too many open files" not in viewer.said:
+            assert time.monotonic() < end, viewer.said
+            time.sleep(0.1)
+        for connection in held:
+            connection.close()
+        assert viewer.serves()
+        assert viewer.said.count("too many open files") == 1 and "Traceback" not in viewer.said
+
+
+def test_others_cannot_read_the_address_in_a_log(viewer) -> None:
+    assert (viewer.folder / "viewer.log").stat().st_mode & 0o077 == 0
+
+
+class Script:
+    """A source that stands still and notes requests."""
+
+    def __init__(self) -> None:
+        self.requests: list[Request] = []
+
+    def frames(self) -> list[Frame]:
+        state = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
+        offers = Offers(goal=True, pause=True, reset=True, speed=1.0, strategies=("a", "b"))
+        return [Frame(state=state, goal=state, offers=offers)]
+
+    def handle(self, request: Request) -> str:
+        self.requests.append(request)
+        return "noted"
+
+
+def odd_messages(viewer: Viewer) -> Iterator[dict]:
+    """Messages as pages send them, with values that no page sends."""
+    for odd in ODD:
+        for uuid in viewer._server.gui._gui_input_handle_from_uuid:
+            yield {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": odd}}
+        for name in ("/goal", "/goal/turn"):
+            moved = {"type": "TransformControlsUpdateMessage", "name": name}
+            yield {**moved, "wxyz": odd, "position": [0, 0, 0]}
+            yield {**moved, "wxyz": [1, 0, 0, 0], "position": odd}
+        yield {**CAMERA, "position": odd, "look_at": odd}
+        yield {**CAMERA, "fov": odd, "near": odd, "image_width": odd}
+
+
+@pytest.mark.slow
+def test_values_that_no_page_sends_do_not_end_the_viewer(capfd) -> None:
+    script = Script()
+    viewer = Viewer(script, 0, live=True)
+    try:
+        viewer.tick()
+        for message in odd_messages(viewer):
+            with suppress(ConnectionClosed), shake_hands(viewer.url) as page:
+                page.send(pack(CAMERA))
+                page.send(pack(message))
+                page.ping().wait(5.0)
+            viewer.tick()
+            viewer._controls.put("send")
+            viewer.tick()
+        with shake_hands(viewer.url) as page:
+            assert len(page.recv(timeout=10.0)) > 0
+    finally:
+        viewer.close()
+    goals = [request.goal for request in script.requests if isinstance(request, SetGoal)]
+    assert goals and all(abs(goal[2:] @ goal[2:] - 1.0) < 1e-9 for goal in goals)
+    said = capfd.readouterr()
+    assert "Traceback" not in said.err and "Warning" not in said.err
+    assert said.out == "" and len(said.err.splitlines()) <= 3

@@ -8,6 +8,7 @@
 
 import csv
 import math
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TextIO
@@ -20,6 +21,10 @@ GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
 STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
 SEED_COLUMN = "seed"
 
+LARGEST_FILE = 2**28
+"""Bytes; about a million rows."""
+LONGEST_LINE = 2**20
+"""Characters."""
 LARGEST_SEED = 2**31 - 1
 
 
@@ -75,6 +80,7 @@ def read_rows(path: Path) -> list[ScenarioRow]:
         Naming file, line and column, what is given and what is expected.
     """
     try:
+        _refuse_what_does_not_end(path)
         # The signature that some spreadsheets put in front is no part of the first name.
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(_rows(path, file))
@@ -91,8 +97,32 @@ def read_rows(path: Path) -> list[ScenarioRow]:
     return rows
 
 
+def _refuse_what_does_not_end(path: Path) -> None:
+    """Refuse devices and pipes, which cannot be read twice or do not end, and far too much."""
+    about = path.stat()
+    kinds = {stat.S_ISDIR: "a directory", stat.S_ISFIFO: "a pipe", stat.S_ISREG: ""}
+    given = next((kind for test, kind in kinds.items() if test(about.st_mode)), "a device")
+    if given:
+        raise ScenarioFileError(path, given, "a CSV file")
+    if about.st_size > LARGEST_FILE:
+        raise ScenarioFileError(
+            path, f"{about.st_size / 2**20:.0f} MiB", f"at most {LARGEST_FILE / 2**20:.0f} MiB"
+        )
+
+
+def _lines(path: Path, file: TextIO) -> Iterator[str]:
+    number = 0
+    while line := file.readline(LONGEST_LINE):
+        number += 1
+        if len(line) == LONGEST_LINE:
+            raise ScenarioFileError(
+                path, "an endless line", f"at most {LONGEST_LINE - 1} characters", number
+            )
+        yield line
+
+
 def _rows(path: Path, file: TextIO) -> Iterator[ScenarioRow]:
-    reader = csv.reader(file, strict=True)
+    reader = csv.reader(_lines(path, file), strict=True)
     header: list[str] | None = None
     number = 0
     while True:

@@ -3,6 +3,7 @@
 """Scenario files: what is taken, and one clear message for what is not."""
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphere_sim.scenario_file import STATE_COLUMNS, ScenarioFileError
+from sphere_sim.scenario_file import LARGEST_FILE, STATE_COLUMNS, ScenarioFileError
 from sphere_sim.scenarios import PAPER_CASES, read_scenarios
 
 HEADER = ",".join(STATE_COLUMNS)
@@ -158,4 +159,30 @@ def test_wrong_encoding_is_refused_with_its_line(tmp_path) -> None:
 
 def test_missing_file_and_folder_are_refused(tmp_path) -> None:
     assert "no such file" in error_of(tmp_path / "none.csv").given
-    assert "directory" in error_of(tmp_path).given
+    assert error_of(tmp_path).given == "a directory"
+
+
+def test_what_does_not_end_is_refused_unread(tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert error_of(tmp_path / "pipe").given == "a pipe"
+    assert error_of(Path("/dev/zero")).given == "a device"
+
+
+def test_far_too_large_a_file_is_refused_unread(tmp_path) -> None:
+    path = write(tmp_path, HEADER, ROW)
+    os.truncate(path, 10 * 2**30)  # takes no room on the disk
+    error = error_of(path)
+    assert (error.given, error.expected) == ("10240 MiB", "at most 256 MiB")
+
+
+@pytest.mark.parametrize("quote", ["", '"'])
+def test_endless_line_is_refused_by_its_number(tmp_path, quote) -> None:
+    path = write(tmp_path, HEADER + ",who", f"{ROW},{quote}")
+    os.truncate(path, LARGEST_FILE)
+    error = error_of(path)
+    assert error.line == 3 and error.given == "an endless line"
+
+
+def test_endless_cell_is_refused(tmp_path) -> None:
+    error = error_of(write(tmp_path, HEADER + ",who", f"{ROW},{'x' * 200_000}"))
+    assert error.line == 2 and "limit" in error.given

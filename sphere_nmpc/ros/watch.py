@@ -16,6 +16,8 @@ from sphere_nmpc.ros.throttle import FaultLog
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """For subscriptions whose incompatible publishers a `Watch` tells, rather than rclpy too."""
+UNKNOWN = "a node that was just found"
+"""Stands for the name of a node of which the graph knows only a topic yet."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
@@ -48,7 +50,7 @@ class Watch:
 
     def publishers(self, topic: str) -> list[str]:
         """Return the full names of the nodes that publish a topic, one an endpoint."""
-        return [_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
+        return [full_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
 
     def rivals(self, clocked: bool) -> list[Complaint]:
         """Return the complaints about further publishers of the pose, and if asked the clock."""
@@ -74,7 +76,7 @@ class Watch:
             publishers = node.get_publishers_info_by_topic(topic)
             subscribers = node.get_subscriptions_info_by_topic(topic) if publishers else []
             for publisher, subscriber in product(publishers, subscribers):
-                ends = {_name(publisher), _name(subscriber)}
+                ends = {full_name(publisher), full_name(subscriber)}
                 if own not in ends or topic in found:
                     continue
                 fit, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
@@ -84,8 +86,8 @@ class Watch:
         return list(found.values())
 
 
-def _name(info: TopicEndpointInfo) -> str:
+def full_name(info: TopicEndpointInfo) -> str:
     """Return the full name of an endpoint's node, of which the graph may not know it yet."""
     if "UNKNOWN" in info.node_name:
-        return "a node that was just found"
+        return UNKNOWN
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

@@ -26,6 +26,7 @@ from sphere_nmpc.ros.conversions import (
     stamp_from_ros,
 )
 from sphere_nmpc.ros.joining import join
+from sphere_sim.ros.domain_guests import refuse_company
 from sphere_sim.ros.goal_sender import GoalSender
 
 _HEARD = ("/clock", "/pose", "/controller/active_goal")
@@ -105,6 +106,8 @@ class DemoDirector:
         ------
         NotReadyError, GoalNotAcceptedError
             If the nodes do not come together.
+        DomainTakenError
+            If others have come into the domain meanwhile.
         """
         end = time.monotonic() + timeout
         self._sender.wait_for_controller(timeout)
@@ -112,6 +115,7 @@ class DemoDirector:
         self._await(self._recorder.service_is_ready, end, "the recorder's services")
         self._sender.send(self._goal, self._radius, max(1.0, end - time.monotonic()))
         self._await(self._recorder_hears, end, "the recorder to hear every topic")
+        refuse_company(self._node)
 
     def start(self) -> None:
         """Let simulated time run."""

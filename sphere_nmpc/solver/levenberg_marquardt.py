@@ -26,8 +26,6 @@ from sphere_nmpc.solver.quadratic_model import QuadraticModel
 
 MIN_DAMPING = 1e-12
 MAX_DAMPING = 1e12
-BOUND_PASSES = 4
-"""How often a step is solved again after inputs were held at the bounds it would have crossed."""
 
 
 class Objective(Protocol):
@@ -97,7 +95,7 @@ def minimise(
             status = SolveStatus.BUDGET
             break
         iterations += 1
-        step = _bounded_step(model, damping, v, lower, upper)
+        step = model.bounded_step(damping, lower - v, upper - v)
         # Singular to working precision: no decrease, so the damping is raised.
         trial, trial_value, trial_states = v, math.nan, states
         if step is not None:
@@ -136,30 +134,6 @@ def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:
 
 def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> float:
     return float(np.abs(_clipped(v - gradient, lower, upper) - v).max())
-
-
-def _bounded_step(
-    model: QuadraticModel, damping: float, v: Vector, lower: Vector, upper: Vector
-) -> Vector | None:
-    """Minimise the damped model over the step, as far as the bounds allow, shape (2 N,)."""
-    gradient = model.gradient
-    down, up = lower - v, upper - v
-    free = (down < up) & ((down < 0.0) | (gradient < 0.0)) & ((up > 0.0) | (gradient > 0.0))
-    step: Vector = np.zeros(v.size)
-    held: Vector = step
-    for _ in range(BOUND_PASSES):
-        if not free.any():
-            break
-        found = model.step(damping, free, held)
-        if found is None:
-            return None
-        step = _clipped(found, down, up)
-        crossed = free & (step != found)
-        if not crossed.any():
-            break
-        free &= ~crossed
-        held = np.where(free, 0.0, step)
-    return step
 
 
 def rest_start(problem: HoldProblem) -> Vector:

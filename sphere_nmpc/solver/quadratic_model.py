@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv, dptsv
 
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.vector_step import diagonal_step
 
 Mask = NDArray[np.bool_]
+
+BOUND_PASSES = 4
+"""How often a step is solved again after inputs were held at the bounds it would have crossed."""
 
 
 class QuadraticModel(Protocol):
@@ -41,6 +45,37 @@ class QuadraticModel(Protocol):
         """Return by how much the model, without damping, falls with a step, shape (n,)."""
         ...
 
+    def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
+        """Return the step, shape (n,), as `bounded_step` finds it, or None as in `step`."""
+        ...
+
+
+def bounded_step(
+    model: QuadraticModel, damping: float, down: Vector, up: Vector
+) -> Vector | None:
+    """Minimise the damped model over steps between `down` (<= 0) and `up` (>= 0), shape (n,).
+
+    Components at a bound that the gradient presses against it are held there. Those that the
+    step would carry through a bound are then held at it and the rest is solved again.
+    """
+    gradient = model.gradient
+    free = (down < up) & ((down < 0.0) | (gradient < 0.0)) & ((up > 0.0) | (gradient > 0.0))
+    step: Vector = np.zeros(gradient.size)
+    held: Vector = step
+    for _ in range(BOUND_PASSES):
+        if not free.any():
+            break
+        found = model.step(damping, free, held)
+        if found is None:
+            return None
+        step = np.minimum(np.maximum(found, down), up)
+        crossed = free & (step != found)
+        if not crossed.any():
+            break
+        free &= ~crossed
+        held = np.where(free, 0.0, step)
+    return step
+
 
 class DenseModel:
     """A model with a Hessian as one matrix.
@@ -61,6 +96,10 @@ class DenseModel:
         matrix.reshape(-1)[:: right.size + 1] += np.where(free, damping, 1.0)
         _, step, info = dposv(matrix, right, lower=1)
         return None if info else step + held
+
+    def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
+        """See `QuadraticModel`."""
+        return bounded_step(self, damping, down, up)
 
     def decrease(self, step: Vector) -> float:
         """See `QuadraticModel`."""
@@ -119,6 +158,15 @@ class LowRankModel:
             return None
         step: Vector = held - solved[:, -1] - solved[:, :-1] @ forces
         return step
+
+    def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
+        """See `QuadraticModel`."""
+        if self._couple.any():
+            return bounded_step(self, damping, down, up)
+        return diagonal_step(
+            self.gradient, self._extra, self._stiff, self._jacobian, self._residual, self._weight,
+            damping, down, up, BOUND_PASSES,
+        )
 
     def decrease(self, step: Vector) -> float:
         """See `QuadraticModel`."""

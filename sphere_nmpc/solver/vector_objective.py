@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.solver.padding import padded
 from sphere_nmpc.solver.problem import HoldProblem
 from sphere_nmpc.solver.quadratic_model import DenseModel, LowRankModel
 from sphere_nmpc.solver.vector_shooting import COLUMN, LEVER, shooting_function
 
 _MEMORY = threading.local()
 _MISS = 5
+_DIAGONAL = np.arange(_MISS)
 
 
 class VectorObjective:
@@ -41,7 +43,7 @@ class VectorObjective:
         self._begins, self._last = ends - steps, ends - 1
         self._interval = np.repeat(np.arange(n), steps)
         self._steps = int(ends[-1])
-        self._shooting = _shooting_of(_padded(self._steps))
+        self._shooting = _shooting_of(padded(self._steps))
         radius, c1, r1, r3 = problem.constants
         place = np.arange(self._steps) - self._begins[self._interval]
         share = place / counts[self._interval]
@@ -49,13 +51,18 @@ class VectorObjective:
         columns = self._shooting.columns
         columns[:] = 0.0
         self._columns = columns[: self._steps]
-        self._columns[:, 6] = (problem.durations / counts)[self._interval]
-        self._columns[:, 7:10] = r1, r3, radius
-        self._columns[:, 10], self._columns[:, 11] = share, share_end
+        self._columns[:, 4] = (problem.durations / counts)[self._interval]
+        self._columns[:, 5:8] = r1, r3, radius
+        self._columns[:, 8], self._columns[:, 9] = share, share_end
+        # Where the knots of each step are among all numbers of all knots.
+        self._ends_of_step = 2 * self._interval[:, None] + np.arange(4)
         self._is_dense = problem.stage_weight > 0.0 or not problem.terminal_weight > 0.0
-        self._columns[self._last if self._is_dense else -1, 12] = 1.0
-        self._free = self._columns[:, :6].reshape(self._steps, 3, 2)
-        self._shares = np.stack((share, 0.5 * (share + share_end), share_end), axis=1)[:, :, None]
+        self._columns[self._last if self._is_dense else -1, 10] = 1.0
+        # x and y, and the part of a quaternion's miss m along e (x) q, which is -(e (x) m) . goal.
+        w, i, j, k = problem.goal[QUATERNION].tolist()
+        self._to_residual = np.zeros((6, _MISS))
+        self._to_residual[0, 0] = self._to_residual[1, 1] = 1.0
+        self._to_residual[2:, 2:] = ((-i, -j, -k), (w, k, -j), (-k, w, i), (j, -i, w))
         self._knots: Vector = np.empty((n + 1, 2))
         self._knots[0] = problem.input_in_force
         self._to_free = -c1
@@ -79,15 +86,13 @@ class VectorObjective:
         knots = self._knots
         knots[1:] = problem.input_scale * v.reshape(2, -1).T
         free = self._to_free * knots
-        slope = (free[1:] - free[:-1]).take(self._interval, axis=0)
-        np.multiply(slope[:, None, :], self._shares, out=self._free)
-        self._free += free.take(self._interval, axis=0)[:, None, :]
+        self._columns[:, :4] = free.take(self._ends_of_step)
         shooting.q[:] = problem.state[QUATERNION]
         shooting.run()
         states: Vector = np.empty((problem.intervals + 1, 6))
         states[0] = problem.state
-        moved = np.add.reduceat(shooting.moved[:, : self._steps], self._begins, axis=1)
-        states[1:, POSITION] = (moved.cumsum(axis=1) + problem.state[POSITION, None]).T
+        way = shooting.moved.cumsum(axis=1)[:, self._last]
+        states[1:, POSITION] = way.T + problem.state[POSITION]
         states[1:, QUATERNION] = shooting.q_end[self._last]
         misses = states[1:] - problem.goal
         self._misses, self._v = misses, v
@@ -131,46 +136,32 @@ class VectorObjective:
         rows = local[:, 2:].copy()
         rows[:, :, :-1] += local[:, :2, 1:]
         jacobian = rows.reshape(_MISS, 2 * n)
-        residual = self._residual(-1)
+        residual = self._misses[-1] @ self._to_residual
         weight = 2.0 * problem.terminal_weight
         return LowRankModel(
             gradient, stiff.ravel(), couple.ravel()[1:], jacobian, residual, weight
         )
-
-    def _residual(self, knot: int) -> Vector:
-        """Return the miss in the coordinates x, y and half a world rotation, shape (5,)."""
-        x, y, mw, mx, my, mz = self._misses[knot].tolist()
-        gw, gx, gy, gz = self._problem.goal[QUATERNION].tolist()
-        w, i, j, k = mw + gw, mx + gx, my + gy, mz + gz
-        return np.array([
-            x, y,
-            -i * mw + w * mx - k * my + j * mz,
-            -j * mw + k * mx + w * my - i * mz,
-            -k * mw - j * mx + i * my + w * mz,
-        ])
 
     def _all_rows(self, local: Vector) -> tuple[Vector, Vector]:
         """Return Jacobian (5 N, 2 N) and residual (5 N,) of all states, with their weights."""
         problem, n = self._problem, self._problem.intervals
         lever = self._shooting.levers[:, self._begins]
         through = np.zeros((n, _MISS, _MISS))
-        through[:, 0, 0] = through[:, 1, 1] = through[:, 4, 4] = 1.0
+        through[:, _DIAGONAL, _DIAGONAL] = 1.0
         by_turn = lever[:10].reshape(_MISS, 2, n).transpose(2, 0, 1)
         through[:, 2:, 2:4] = by_turn[:, :3]
         through[:, :2, 2:4] = 2.0 * by_turn[:, 3:]
         through[:, 0, 4], through[:, 1, 4] = -2.0 * lever[11], 2.0 * lever[10]
-        rows, residual = np.zeros((n, _MISS, 2 * n)), np.empty((n, _MISS))
-        chain = np.zeros((_MISS, 2, n))
-        for m in range(n):
-            chain = (through[m] @ chain.reshape(_MISS, -1)).reshape(_MISS, 2, n)
-            if m > 0:
-                chain[:, :, m - 1] += local[:, :2, m]
-            chain[:, :, m] += local[:, 2:, m]
-            last = m == n - 1
-            weight = (2.0 * (problem.terminal_weight if last else problem.stage_weight)) ** 0.5
-            rows[m] = weight * chain.reshape(_MISS, -1)
-            residual[m] = weight * self._residual(m)
-        return rows.reshape(-1, 2 * n), residual.ravel()
+        rows, knot = np.zeros((n, _MISS, 2, n)), np.arange(n)
+        rows[knot, :, :, knot] = local[:, 2:].transpose(2, 0, 1)
+        rows[knot[1:], :, :, knot[:-1]] = local[:, :2, 1:].transpose(2, 0, 1)
+        chained = rows.reshape(n, _MISS, 2 * n)
+        for m in range(1, n):
+            chained[m] += through[m] @ chained[m - 1]
+        weights = np.full((n, 1), (2.0 * problem.stage_weight) ** 0.5)
+        weights[-1] = (2.0 * problem.terminal_weight) ** 0.5
+        residual = weights * (self._misses @ self._to_residual)
+        return (weights[:, :, None] * chained).reshape(-1, 2 * n), residual.ravel()
 
 
 class _Shooting:
@@ -181,6 +172,7 @@ class _Shooting:
         self.q_end, self.moved = np.zeros((steps, 4)), np.zeros((2, steps))
         self.by_knots, self.levers = np.zeros((4 * _MISS, steps)), np.zeros((LEVER, steps))
         # Memory is handed over once: converting arguments would take longer than many steps.
+        self._buffer: Any
         self._buffer, self.run = shooting_function(steps).buffer()
         for i, given in enumerate((self.q, self.columns)):
             self._buffer.set_arg(i, given.data)
@@ -194,9 +186,3 @@ def _shooting_of(steps: int) -> _Shooting:
         kept[steps] = _Shooting(steps)
     found: _Shooting = kept[steps]
     return found
-
-
-def _padded(steps: int) -> int:
-    """Return the next number of steps that there is a function for: building one takes 0.1 s."""
-    spacing = 1 << max(0, steps.bit_length() - 3)
-    return -(-steps // spacing) * spacing

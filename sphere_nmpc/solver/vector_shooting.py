@@ -21,15 +21,16 @@ import casadi as ca
 
 from sphere_nmpc.model.dynamics import Expression, quaternion_product, rotation_matrix
 
-COLUMN = 13
-"""Numbers a step is given: U at its start, middle and end (2 each), h, r1, r3, Rs, the share of
-the second knot at its start and at its end, and 1 where derivatives are those of its own end.
+COLUMN = 11
+"""Numbers a step is given: U at the two knots of its interval (2 each), h, r1, r3, Rs, the share
+of the second knot at its start and at its end, and 1 where derivatives are those of its own end.
 U = -c1 u is the part of the body rate [rad/s] that does not depend on the attitude."""
 
 LEVER = 12
 """Derivatives of [ex, ey, ez, x, y] at an end, each by ex and by ey of the step before, and the
 way to there [x, y]."""
 
+_OF_ATTITUDE = [0, 1, 2, 3, 4, 5, 6, 8, 9]
 _UNIT_LEVER = (1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0)
 _TINY = 1e-30
 """Added to a squared angle, which may be zero."""
@@ -50,12 +51,12 @@ def shooting_function(steps: int) -> ca.Function:
     """
     backwards = list(range(steps - 1, -1, -1))
     q, columns = ca.MX.sym("q", 4), ca.MX.sym("columns", COLUMN, steps)
-    q_end, rates = _attitude_function().mapaccum(steps)(q, columns[:9, :])
+    q_end, rates = _attitude_function().mapaccum(steps)(q, columns[_OF_ATTITUDE, :])
     q_start = ca.horzcat(q, q_end[:, :-1])
     given = _rows(columns)
     changes, moved = _derivatives(_rows(q_start), _rows(rates), given)
     by_attitude = [change[:, :2] for change in changes]
-    into = ca.horzcat(*by_attitude, *moved, given[12]).T
+    into = ca.horzcat(*by_attitude, *moved, given[10]).T
     levers, used = _lever_function().mapaccum(steps)(ca.DM(_UNIT_LEVER), into[:, backwards])
     by_knots = _at_the_end(_rows(used[:, backwards]), [change[:, 2:] for change in changes])
     outputs = [q_end, ca.horzcat(*moved), ca.horzcat(*by_knots), levers[:, backwards].T]
@@ -65,8 +66,10 @@ def shooting_function(steps: int) -> ca.Function:
 def _attitude_function() -> ca.Function:
     """Return ``(q, column) -> (q_end, w1 ... w4)``: what the next step needs of this one."""
     q, column = ca.SX.sym("q", 4), ca.SX.sym("column", 9)
-    starting, middle, ending, h = column[0:2], column[2:4], column[4:6], column[6]
-    ratios = ca.vertcat(column[7], column[7], column[8])
+    first, second, h = column[0:2], column[2:4], column[4]
+    ratios = ca.vertcat(column[5], column[5], column[6])
+    starting, ending = (first + share * (second - first) for share in (column[7], column[8]))
+    middle = 0.5 * (starting + ending)
 
     def rate(k: Expression, free: Expression) -> Expression:
         weighted = ratios * k
@@ -114,7 +117,7 @@ def _derivatives(q: Parts, rates: Parts, columns: Parts) -> tuple[Parts, Parts]:
     Derivatives are (S, 6): by ex and ey before the step, and by U_x and U_y at the first and at
     the second knot. The way is x and y, (S, 1) each.
     """
-    h, r1, r3, radius, share_start, share_end = columns[6:12]
+    h, r1, r3, radius, share_start, share_end = columns[4:10]
     w1, w2, w3, w4 = (rates[i : i + 3] for i in (0, 3, 6, 9))
     twice = _scaled(2, _sum(w2, w3))
     first = _sum(_scaled(3, w1), _difference(twice, w4))
@@ -130,15 +133,16 @@ def _derivatives(q: Parts, rates: Parts, columns: Parts) -> tuple[Parts, Parts]:
     bases = _rotation(_together(q, q, q, q2, q_middle))
     per_turn = _matrix_product(bases, _left_jacobian(rotation, ca.horzcat(*factors)))
     stages = _rotation(_together(q, q2, q3, q4))
-    free = _together(columns[0:2], columns[2:4], columns[2:4], columns[4:6])
-    by_e, by_free = _rate_derivatives(stages, free, ca.horzcat(*4 * [r1]), ca.horzcat(*4 * [r3]))
     middle = 0.5 * (share_start + share_end)
     second = ca.horzcat(share_start, middle, middle, share_end)
+    knots = _together(*4 * [columns[0:4]])
+    free = _sum(_scaled(1 - second, knots[0:2]), _scaled(second, knots[2:4]))
+    by_e, by_free = _rate_derivatives(stages, free, ca.horzcat(*4 * [r1]), ca.horzcat(*4 * [r3]))
     by_knots = [[b * weight for weight in (1 - second, second) for b in row] for row in by_free]
 
-    wide_turns = [[_wide(part) for part in _stage(per_turn, i)] for i in range(5)]
-    wide_e = [[_wide(part) for part in _stage(by_e, i)] for i in range(4)]
-    seeds = [_stage(by_knots, i) for i in range(4)]
+    wide_turns = [[_wide(part) for part in turn] for turn in _apart(_flat(per_turn), 5)]
+    wide_e = [[_wide(part) for part in stage] for stage in _apart(_flat(by_e), 4)]
+    seeds = _apart(_flat(by_knots), 4)
 
     def change_of_rate(stage: int, e: Parts) -> Parts:
         rest = [ca.horzcat(ca.MX(h.size1(), 2), *row) for row in _threes(seeds[stage], 4)]
@@ -168,11 +172,12 @@ def _derivatives(q: Parts, rates: Parts, columns: Parts) -> tuple[Parts, Parts]:
     body = _together(w1, w2, w3, w4)
     world = [weights * _dot(row, body) for row in stages]
     moved = [ca.sum2(world[1]), -ca.sum2(world[0])]
-    heading = [[weights * part for part in row] for row in stages[:2]]
+    heading = _apart([weights * part for row in stages[:2] for part in row], 4)
+    rates_in_world = _apart(world, 4)
     dx = dy = ca.MX(h.size1(), 6)
     for i, (e, dw) in enumerate(((e1, dw1), (e2, dw2), (e3, dw3), (e4, dw4))):
-        rows = _threes([_wide(part) for part in _stage(heading, i)], 3)
-        wx, wy, wz = (_wide(part[:, i]) for part in world)
+        rows = _threes([_wide(part) for part in heading[i]], 3)
+        wx, wy, wz = (_wide(part) for part in rates_in_world[i])
         dx += _dot(rows[1], dw) + e[2] * wx - e[0] * wz
         dy -= _dot(rows[0], dw) + e[1] * wz - e[2] * wy
     return [*e_end, dx, dy], moved
@@ -299,9 +304,8 @@ def _apart(parts: Parts, count: int) -> list[Parts]:
     return [list(each) for each in zip(*(ca.horzsplit(p) for p in parts), strict=True)]
 
 
-def _stage(matrix: list[Parts], i: int) -> Parts:
-    """Return the parts of a matrix that belong to one of several put together, row by row."""
-    return [part[:, i] for row in matrix for part in row]
+def _flat(matrix: list[Parts]) -> Parts:
+    return [part for row in matrix for part in row]
 
 
 def _threes(parts: Parts, width: int) -> list[Parts]:

@@ -55,6 +55,8 @@ AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
 _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
 _LOOK_EVERY = 0.25
 """Wall time between two looks at the surroundings [s]."""
+_GOALS_EVERY = 2.0
+"""Wall time between two lines about goals [s]; somebody may send them at any rate."""
 _REMEMBER_EVERY = 1.0
 """Wall time between two notes of the goal in force [s]."""
 
@@ -84,6 +86,7 @@ class ControllerNode(LivingNode):
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
+        self._goals = FaultLog(lambda line: self.get_logger().info(line), _GOALS_EVERY)
         self._aside = Background(lambda line: self._faults.report("learning failed", line))
         self.controller = Controller(
             settings, robot.settings, aside=None if settings.lockstep else self._aside.do
@@ -159,6 +162,7 @@ class ControllerNode(LivingNode):
         now = self._now()
         self._watch.look(now, self._simulated, self._settings.pose_timeout)
         self._reports.look()
+        self._goals.catch_up()
         if now is not None and not self._recalled:
             self._recall()
 
@@ -294,7 +298,7 @@ class ControllerNode(LivingNode):
         self._reports.goal(goal, self._stamp())
         if not fresh:
             return
-        self.get_logger().info(f"goal: {[round(float(value), 4) for value in goal]}")
+        self._goals.report("goal", f"{[round(float(value), 4) for value in goal]}")
         self._answered = None
         self._await_start()
         self._start()

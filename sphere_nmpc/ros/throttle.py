@@ -31,6 +31,7 @@ class FaultLog:
         self._clock = clock
         self._told: dict[str, float] = {}
         self._untold: Counter[str] = Counter()
+        self._newest: dict[str, str] = {}
         self.counts: Counter[str] = Counter()
         """How often each kind of fault has happened."""
 
@@ -48,7 +49,18 @@ class FaultLog:
         now = self._clock()
         if kind in self._told and now - self._told[kind] < self._period:
             self._untold[kind] += 1
+            self._newest[kind] = message
             return
+        self._tell(kind, message, now)
+
+    def catch_up(self) -> None:
+        """Log the newest of each kind that was held back, once its time has come."""
+        now = self._clock()
+        for kind in [k for k in self._untold if now - self._told[k] >= self._period]:
+            self._untold[kind] -= 1  # it is told itself
+            self._tell(kind, self._newest[kind], now)
+
+    def _tell(self, kind: str, message: str, now: float) -> None:
         repeated = self._untold.pop(kind, 0)
         again = f" ({repeated} more since last told)" if repeated else ""
         self._told[kind] = now

@@ -3,6 +3,7 @@
 """The controller over real DDS, in front of a robot that stands where it is told to stand."""
 
 import math
+import re
 import time
 from itertools import pairwise
 
@@ -18,6 +19,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.controller_node import ControllerNode
 from sphere_nmpc.ros.conversions import (
     hold_from_trajectory,
@@ -229,6 +231,23 @@ def test_second_goal_replaces_the_first_on_the_way(robot) -> None:
     holds = robot.holds()
     for before, after in pairwise(holds):
         np.testing.assert_allclose(after.speeds[0], before.at(after.start), atol=1e-6)
+
+
+def test_flood_of_goals_is_told_in_few_lines_with_the_last_of_them(robot, capfd) -> None:
+    told = ""
+    for number in range(100):
+        robot.ask(make_state((0.01 * number, 0.0), CASE.goal[2:]))
+
+    def is_told() -> bool:
+        nonlocal told
+        told += capfd.readouterr().err
+        return "goal: [0.99," in told
+
+    robot.graph.until(is_told)
+    lines = [line for line in told.splitlines() if "goal: [" in line]
+    assert len(lines) < 20
+    counted = sum(int(n) for n in re.findall(r"[(](\d+) more since last told", told))
+    assert len(lines) + counted == 100
 
 
 def test_stale_pose_ramps_to_rest(robot) -> None:

@@ -58,7 +58,9 @@ def find_files(path: Path) -> BagFiles:
         return _single(path)
     present = {storage_name(file): file for file in _storage_files(path)}
     if not present:
-        raise BagError(path, "is no bag: the folder holds no .mcap or .db3 file")
+        inside = sorted(it.name for it in path.iterdir() if it.is_dir() and _storage_files(it))
+        hint = f"; there is one in {', '.join(inside)}" if inside else ""
+        raise BagError(path, f"is no bag: the folder holds no .mcap or .db3 file{hint}")
     found = BagFiles(list(present.values()))
     if not (path / METADATA).exists():
         found.notes.append(f"{METADATA} is missing, the storage was read without it")

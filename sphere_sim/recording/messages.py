@@ -69,15 +69,15 @@ def read_messages(path: Path, wanted: Wanted) -> Messages:
     storages = [_read(path, file, wanted) for file in bag.files]
     for file, storage in zip(bag.files, storages, strict=True):
         if storage.problem:
-            told = f"{file.name} {storage.problem}; {storage.count} messages before that were read"
-            messages.notes.append(told)
+            read = f"; {storage.count} messages before that were read" if storage.count else ""
+            messages.notes.append(f"{file.name} {storage.problem}{read}")
         messages.broken |= bool(storage.problem)
         messages.types.update(storage.types)
         messages.custom_data.update(storage.custom_data)
     messages.custom_data.update(bag.custom_data)
     if messages.broken and not messages.types:
         problems = "; ".join(messages.notes)
-        raise BagError(path, f"is empty or broken before the first message: {problems}")
+        raise BagError(path, f"nothing can be read of it: {problems}")
     if not bag.described:
         _refuse_overlap(path, bag, storages)
     _decode(messages, storages)

@@ -22,6 +22,8 @@ Wanted = Callable[[str, str], bool]
 _BREAKS_OFF = "breaks off"
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 """A MCAP file begins and ends with this."""
+_SQLITE_MAGIC, _SQLITE_HEADER = b"SQLite format 3\0", 100
+"""What a database begins with, and the length of its header [bytes]."""
 
 
 @dataclass
@@ -58,6 +60,9 @@ def read_storage(file: Path, wanted: Wanted) -> Storage:
         If it cannot be opened.
     """
     storage = Storage()
+    if not file.is_dir() and file.stat().st_size == 0:
+        storage.problem = "has 0 bytes"
+        return storage
     if file.suffix != ".zstd":
         _read_plain(file, storage, wanted)
         return storage
@@ -101,9 +106,13 @@ def _read_mcap(file: Path, storage: Storage, wanted: Wanted) -> None:
         except Exception as error:
             # What is cut or damaged raises anything, from MemoryError to what a decompressor has
             # of its own; the end tells which.
-            stream.seek(-min(8, stream.seek(0, os.SEEK_END)), os.SEEK_END)
-            whole = stream.read() == _MCAP_MAGIC
-            storage.problem = f"is damaged ({_words(error)})" if whole else _BREAKS_OFF
+            storage.problem = f"is damaged ({_words(error)})"
+            magic, size = len(_MCAP_MAGIC), stream.seek(0, os.SEEK_END)
+            stream.seek(0)
+            begins = _MCAP_MAGIC.startswith(stream.read(magic))
+            stream.seek(max(magic, size - magic))
+            if begins and stream.read() != _MCAP_MAGIC:
+                storage.problem = _BREAKS_OFF
 
 
 def _read_sqlite(file: Path, storage: Storage, wanted: Wanted) -> None:
@@ -131,14 +140,19 @@ def _read_sqlite(file: Path, storage: Storage, wanted: Wanted) -> None:
                     _take_metadata(storage, text)
     except Exception as error:
         # What SQLite makes of damaged pages may also be text that is none, or a lacking table.
-        whole = not _is_cut(file)
-        storage.problem = f"is damaged ({_words(error)})" if whole else _BREAKS_OFF
+        storage.problem = f"is damaged ({_words(error)})"
+    if _is_cut(file):
+        storage.problem = _BREAKS_OFF
 
 
 def _is_cut(file: Path) -> bool:
     """Tell whether an SQLite file is shorter than its header says."""
     with file.open("rb") as stream:
-        head = stream.read(32)
+        head = stream.read(_SQLITE_HEADER)
+    if not _SQLITE_MAGIC.startswith(head[: len(_SQLITE_MAGIC)]):
+        return False
+    if len(head) < _SQLITE_HEADER:
+        return True
     page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
     # The largest page size has no place in its two bytes and is written as 1.
     return file.stat().st_size < pages * (65536 if page_size == 1 else page_size)

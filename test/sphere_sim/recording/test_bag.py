@@ -154,11 +154,3 @@ def test_what_is_no_bag_is_told(tmp_path, make, reason) -> None:
     make(path)
     with pytest.raises(BagError, match=reason):
         read_run(path)
-
-
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"rubbish" * 100])
-def test_file_without_messages_is_told(tmp_path, content) -> None:
-    path = tmp_path / "thing.mcap"
-    path.write_bytes(content)
-    with pytest.raises(BagError, match="empty or broken"):
-        read_run(path)

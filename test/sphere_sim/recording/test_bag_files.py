@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is missing, cut, damaged or of another bag is told as what it is."""
 
+import re
 import shutil
 import sqlite3
 
@@ -100,9 +101,31 @@ def test_a_file_cut_before_the_first_pose_is_no_empty_bag(rosbag2, messages, kin
     poses = [entry for entry in entries if entry[0] == "/pose"]
     bag = rosbag2([*joints, *poses], kind, parts=1)
     cut(next(file for file in bag.iterdir() if file.name.startswith("mine_0")), share)
-    with pytest.raises(BagError, match=r"breaks off; [0-9]+ messages before that were read") as it:
+    with pytest.raises(BagError, match=r"can be read of it: .*breaks off") as it:
         read_run(bag)
     assert "another robot" not in str(it.value) and "is empty:" not in str(it.value)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_a_file_cut_anywhere_is_said_to_break_off(rosbag2, messages, kind) -> None:
+    bag = rosbag2(messages(), kind, parts=1)
+    file = next(file for file in bag.iterdir() if file.name.startswith("mine_0"))
+    whole = file.read_bytes()
+    lengths = {*range(1, 130, 16), *(len(whole) * k // 40 for k in range(1, 40)), len(whole) - 1}
+    for length in sorted(lengths):
+        file.write_bytes(whole[:length])
+        try:
+            told = "; ".join(read_run(bag).notes)
+        except BagError as error:
+            told = str(error)
+        assert "breaks off" in told, (length, told)
+        assert not re.search("another robot|is empty|is damaged", told), (length, told)
+
+
+def test_a_folder_of_bags_says_which_there_are(rosbag2, messages) -> None:
+    bag = rosbag2(messages(), "mcap", parts=1)
+    with pytest.raises(BagError, match=f"holds no .mcap or .db3 file; there is one in {bag.name}"):
+        read_run(bag.parent)
 
 
 def test_a_folder_in_the_place_of_a_file_is_told(rosbag2, messages) -> None:
@@ -129,11 +152,18 @@ def test_a_damaged_chunk_is_not_taken_for_the_end(make_bag, messages) -> None:
     assert f"{file.name} is damaged (" in note and "messages before that were read" in note
 
 
-@pytest.mark.parametrize("content", [b"", b"rubbish" * 100, b"SQLite format 3\0"])
-def test_a_database_that_is_none_is_told(tmp_path, content) -> None:
-    file = tmp_path / "thing.db3"
+@pytest.mark.parametrize("name", ["thing.mcap", "thing.db3"])
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(b"", "has 0 bytes"), (b"rubbish" * 100, "is damaged"), (b"S", ""), (b"\x89MCAP0\r\n", ""),
+     (b"SQLite format 3\0", "")],
+)
+def test_a_file_that_holds_nothing_is_told(tmp_path, name, content, reason) -> None:
+    file = tmp_path / name
     file.write_bytes(content)
-    with pytest.raises(BagError, match=r"broken before the first message: thing.db3 (is|breaks)"):
+    begins = {"thing.mcap": b"\x89MCAP0\r\n", "thing.db3": b"SQLite format 3\0"}[name]
+    reason = reason or ("breaks off" if begins.startswith(content) else "is damaged")
+    with pytest.raises(BagError, match=f"nothing can be read of it: {name} {reason}"):
         read_run(file)
 
 

@@ -12,6 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import check_environment, missing_log_folder
 from sphere_nmpc.ros.loopback import heed_localhost_only
+from sphere_nmpc.ros.shared_memory import leave_to_others
 
 _WITHOUT_LOG_FILE = ("--ros-args", "--disable-external-lib-logs")
 
@@ -28,7 +29,7 @@ def join(args: Sequence[str], *, quiet: bool = False) -> None:
     args : sequence of str
         Arguments after the program's name.
     quiet : bool, optional
-        Whether not to tell that no log file is kept.
+        Whether not to tell what is done without, as where nodes that are started tell it too.
 
     Raises
     ------
@@ -39,15 +40,17 @@ def join(args: Sequence[str], *, quiet: bool = False) -> None:
     """
     heed_localhost_only()
     check_environment()
+    news = [leave_to_others()]
     unwritable = missing_log_folder()
     if unwritable is not None:
         args = [*args, *_WITHOUT_LOG_FILE]
-        if not quiet:
-            print(
-                f"log file: given {unwritable}, which cannot be written, expected a folder that "
-                "can; going on without one, ROS_LOG_DIR names another",
-                file=sys.stderr,
-            )
+        news.append(
+            f"log file: given {unwritable}, which cannot be written, expected a folder that can; "
+            "going on without one, ROS_LOG_DIR names another"
+        )
+    for line in news:
+        if line and not quiet:
+            print(line, file=sys.stderr)
     try:
         rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy's own types of error are private to it

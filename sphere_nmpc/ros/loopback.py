@@ -18,7 +18,7 @@ PROFILES = Path(__file__).with_name("loopback.xml")
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where Fast DDS looks for its settings, up to version 2 and from 3 on."""
 _PEERS, _SERVER = "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
-_GIVEN = (_PEERS, _SERVER, "FASTDDS_BUILTIN_TRANSPORTS", *_PROFILES)
+CHOICES = (_PEERS, _SERVER, "FASTDDS_BUILTIN_TRANSPORTS", *_PROFILES)
 """With one of these set, the user has chosen who is to be heard."""
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 _REACH = {
@@ -38,7 +38,7 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
     environment : mapping, optional
         Of this process; left as it is where it asks for more than this machine.
     """
-    if any(environment.get(name) for name in _GIVEN):
+    if any(environment.get(name) for name in CHOICES):
         return
     if environment.get(RANGE, "LOCALHOST").upper() != "LOCALHOST":
         return

@@ -10,8 +10,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import Graph
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_nmpc.ros.environment import (
     RosEnvironmentError,
     check_environment,
@@ -19,7 +23,11 @@ from sphere_nmpc.ros.environment import (
     domain_of,
     missing_log_folder,
 )
+from sphere_nmpc.ros.loopback import audience
+from sphere_nmpc.ros.shared_memory import TRANSPORTS, leave_to_others
+from sphere_sim.scenarios import PAPER_CASES
 
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOWHERE = "/proc/nonexistent"
 """A folder that nobody can make, root neither."""
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller_node import main; sys.exit(main())"
@@ -119,6 +127,65 @@ def test_a_node_without_a_home_says_so_once_and_starts(home, tmp_path) -> None:
     assert sum("log file: given" in line for line in told) == 1, told
 
 
+def segment(folder: Path, port: int) -> None:
+    (folder / f"fastrtps_port{port}").touch()
+
+
+def test_one_s_own_shared_memory_is_used(tmp_path) -> None:
+    segment(tmp_path, 7400 + 250 * 42 + 11)
+    environment = {"ROS_DOMAIN_ID": "42"}
+    assert not leave_to_others(environment, tmp_path)
+    assert environment == {"ROS_DOMAIN_ID": "42"}
+    assert not leave_to_others(environment, tmp_path / "absent")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to make files of another user")
+def test_shared_memory_of_others_in_the_domain_is_left_to_them(tmp_path) -> None:
+    segment(tmp_path, 7400 + 250 * 42 + 11)
+    os.chown(next(tmp_path.iterdir()), 65534, 65534)
+    environment = {"ROS_DOMAIN_ID": "42"}
+    assert "uid 65534" in leave_to_others(environment, tmp_path)
+    assert environment["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
+    here = {"ROS_DOMAIN_ID": "42", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    assert "the loopback alone" in leave_to_others(here, tmp_path)
+    assert "over the loopback" in audience(here)
+    for wish in ({"ROS_DOMAIN_ID": "43"}, {}, {"ROS_DOMAIN_ID": "42", TRANSPORTS: "DEFAULT"}):
+        before = dict(wish)
+        assert not leave_to_others(wish, tmp_path)
+        assert wish == before
+
+
+def another_user(user: str) -> tuple[str, ...]:
+    # Reading everywhere is left to them: this interpreter may lie in root's home.
+    reading = "+dac_read_search"
+    return ("setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups",
+            f"--inh-caps={reading}", f"--ambient-caps={reading}")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
+@pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
+def test_nodes_of_two_users_hear_each_other(monkeypatch, tmp_path, reach) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
+    graph, told = Graph(), []
+    environment = {"ROS_LOG_DIR": None, "HOME": NOWHERE, "SPHERE_NMPC_CACHE": str(tmp_path)}
+    node = controller(environment, another_user("65534"))
+    try:
+        while not told or "heard" not in told[-1]:  # it may have to build its solver first
+            told.append(node.stderr.readline())
+        confirmed = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+        goals = graph.speaker(PoseStamped, "goal_pose")
+        goals.publish(pose_to_ros(PAPER_CASES[1].goal, 0, 0.3))
+        graph.until(lambda: confirmed)
+    finally:
+        graph.close()
+        node.terminate()
+        told.append(node.communicate(timeout=PATIENCE)[1])
+    assert node.returncode == 0
+    assert sum("shared memory: given" in line for line in told) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
@@ -126,12 +193,8 @@ def test_a_node_without_a_home_says_so_once_and_starts(home, tmp_path) -> None:
 def test_a_node_starts_for_another_user_after_root(user, tmp_path) -> None:
     cache = tmp_path / "roots"
     lines_until_up(controller({"SPHERE_NMPC_CACHE": str(cache)}))
-    # Reading everywhere is left to them: this interpreter may lie in root's home.
-    reading = "+dac_read_search"
-    become = ("setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups",
-              f"--inh-caps={reading}", f"--ambient-caps={reading}")
     environment = {"SPHERE_NMPC_CACHE": str(cache), "ROS_LOG_DIR": None, "HOME": None}
-    told = lines_until_up(controller(environment, become))
+    told = lines_until_up(controller(environment, another_user(user)))
     assert not any("Traceback" in line for line in told)
     assert sum("log file: given ~/.ros/log" in line or "log file: given /nonexistent" in line
                for line in told) == 1, told

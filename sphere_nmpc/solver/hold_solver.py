@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The solver as the rest of the package calls it: compiled where possible, readable otherwise."""
+"""The solver as the rest of the package calls it: compiled where possible."""
 
 import logging
 import threading
@@ -22,7 +22,6 @@ from sphere_nmpc.solver.compiled import TIME_BUDGET, Slot, library
 from sphere_nmpc.solver.levenberg_marquardt import minimise
 from sphere_nmpc.solver.native import CompilerError
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
-from sphere_nmpc.solver.shooting import roll_out
 from sphere_nmpc.solver.vector_objective import VectorObjective
 
 BACKENDS = ("auto", "compiled", "vm")
@@ -39,7 +38,7 @@ class HoldSolver:
         When to stop.
     backend : str, optional
         "compiled": C, built at the first use on this machine. "vm": CasADi's own machine, no
-        compiler needed, the same steps some hundred times slower. "auto": the first if possible,
+        compiler needed, the same steps some ten times slower. "auto": the first if possible,
         else the second with a warning.
 
     Raises
@@ -88,7 +87,7 @@ class HoldSolver:
     def roll_out(self, problem: HoldProblem, inputs: Vector) -> Vector:
         """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, (N + 1, 2)."""
         if self.backend == "vm":
-            return roll_out(problem, inputs)
+            return VectorObjective(problem).states(inputs)
         slot = self._slot(problem.durations.size)
         slot.write(problem)
         slot.inputs[:] = inputs

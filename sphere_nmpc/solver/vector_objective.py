@@ -82,18 +82,9 @@ class VectorObjective:
 
     def evaluate(self, v: Vector) -> tuple[float, Vector]:
         """Return the cost and the states, shape (N + 1, 6)."""
-        problem, shooting = self._problem, self._shooting
-        knots = self._knots
+        problem, knots = self._problem, self._knots
         knots[1:] = problem.input_scale * v.reshape(2, -1).T
-        free = self._to_free * knots
-        self._columns[:, :4] = free.take(self._ends_of_step)
-        shooting.q[:] = problem.state[QUATERNION]
-        shooting.run()
-        states: Vector = np.empty((problem.intervals + 1, 6))
-        states[0] = problem.state
-        way = shooting.moved.cumsum(axis=1)[:, self._last]
-        states[1:, POSITION] = way.T + problem.state[POSITION]
-        states[1:, QUATERNION] = shooting.q_end[self._last]
+        states = self.states(knots)
         misses = states[1:] - problem.goal
         self._misses, self._v = misses, v
         value = problem.terminal_weight * float(misses[-1] @ misses[-1])
@@ -106,6 +97,19 @@ class VectorObjective:
             self._excess = excess / problem.input_scale
             value += problem.slew_weight * float(np.vdot(self._excess, self._excess))
         return value, states
+
+    def states(self, inputs: Vector) -> Vector:
+        """Return the states at the knots, (N + 1, 6), under knots `inputs` [rad/s], (N + 1, 2)."""
+        problem, shooting = self._problem, self._shooting
+        self._columns[:, :4] = (self._to_free * inputs).take(self._ends_of_step)
+        shooting.q[:] = problem.state[QUATERNION]
+        shooting.run()
+        states: Vector = np.empty((problem.intervals + 1, 6))
+        states[0] = problem.state
+        way = shooting.moved.cumsum(axis=1)[:, self._last]
+        states[1:, POSITION] = way.T + problem.state[POSITION]
+        states[1:, QUATERNION] = shooting.q_end[self._last]
+        return states
 
     def expand(self, v: Vector) -> DenseModel | LowRankModel:
         """Return the Gauss-Newton model of the cost where it was evaluated last, which is v."""

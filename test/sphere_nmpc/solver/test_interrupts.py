@@ -1,0 +1,102 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C is heard where the solver runs without a compiler."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from sphere_nmpc.solver.cache import CACHE_VARIABLE
+
+HEARD_WITHIN = 10.0  # s; on an idle machine well below one
+
+SOLVES = """
+import os, random, signal, sys, threading, time
+import numpy as np
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+
+handled = seen = 0
+
+def interrupt(number, frame):
+    global handled
+    handled += 1
+    raise KeyboardInterrupt
+
+n = 12
+problem = HoldProblem(
+    np.array([1.0, 0.5, 1.0, 0, 0, 0]), np.array([0, 0, 0, 1.0, 0, 0]), np.zeros(2),
+    np.full(n, 0.5), RobotParameters().lumped.as_array(), np.full((n, 2), -100.0),
+    np.full((n, 2), 100.0), 100.0, input_weight=1e-12, slew_weight=10.0, max_acceleration=400.0,
+)
+solver = HoldSolver(SolverSettings(max_iterations=5), "vm")
+rng = np.random.default_rng(0)
+solver.solve(problem, np.zeros((n, 2)))
+
+def work():
+    solver.solve(problem, rng.uniform(-100.0, 100.0, (n, 2)))
+    solver.roll_out(problem, rng.uniform(-100.0, 100.0, (n + 1, 2)))
+
+def send():
+    for _ in range(100):
+        time.sleep(random.uniform(0.005, 0.02))
+        os.kill(os.getpid(), signal.SIGINT)
+
+signal.signal(signal.SIGINT, interrupt)
+sender = threading.Thread(target=send, daemon=True)
+sender.start()
+while handled < 50:
+    before = handled
+    try:
+        while handled == before:
+            work()
+        print("swallowed")
+        break
+    except KeyboardInterrupt:
+        seen += 1
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+print(handled, seen)
+"""
+
+
+def test_no_interrupt_is_swallowed_by_a_solve():
+    done = subprocess.run(
+        [sys.executable, "-c", SOLVES], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    handled, seen = done.stdout.split()
+    assert int(handled) >= 50 and handled == seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", (1, 2))
+def test_study_without_compiler_ends_at_ctrl_c(tmp_path, jobs):
+    command = [
+        sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "study",
+        "--draw", str(jobs), "--seed", "1",
+        "--jobs", str(jobs), "--duration", "60", "--no-bound", "--out", str(tmp_path / "out"),
+    ]
+    environment = {
+        **os.environ, "CC": "nonesuch", CACHE_VARIABLE: str(tmp_path / "cache"),
+        "TMPDIR": str(tmp_path),
+    }
+    study = subprocess.Popen(
+        command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
+    try:
+        assert study.stderr is not None
+        assert "no C compiler found" in study.stderr.readline()
+        time.sleep(3.0)  # well within the first plan, a search of tens of seconds
+        assert study.poll() is None
+        study.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        _, said = study.communicate(timeout=60)
+        assert time.monotonic() - began < HEARD_WITHIN
+        assert study.returncode == 130 and "Traceback" not in said
+    finally:
+        study.kill()

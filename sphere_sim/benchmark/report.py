@@ -96,7 +96,7 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
         )
     if "floor_us" in report:
         parts = ", ".join(f"{k.replace('_', ' ')} {v:.1f}" for k, v in report["floor_us"].items())
-        console.print(f"The floor [us]: {parts}.")
+        console.print(f"The floor [us]: {parts}.", markup=False)
     if "first_use_s" in report:
         console.print(
             f"First use on a clean cache, first solve included: {report['first_use_s']:.1f} s."

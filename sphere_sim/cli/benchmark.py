@@ -3,19 +3,28 @@
 """``sphere_nmpc benchmark``: the solver beside its peers, on this machine."""
 
 import argparse
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+from sphere_sim.cli.arguments import not_negative, positive, whole
+from sphere_sim.cli.exits import in_words
+from sphere_sim.cli.places import prepare_folder
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _WIDE = 160
+
+_LONGEST = 1e5
+"""Of a run [s], as in studies."""
 
 _FIRST_SOLVE = (
     "import numpy as np\n"
@@ -28,13 +37,21 @@ _FIRST_SOLVE = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the benchmark; return the exit code."""
+    """Run the benchmark; return the exit code.
+
+    Numbers are written before what only adds to them; what of that fails is told and left out.
+
+    Raises
+    ------
+    SphereNmpcError, OSError
+        If the numbers cannot be written.
+    """
     options = _parse(argv)
+    prepare_folder(options.json.parent)
     # Before numpy is loaded: its libraries read them once.
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     from rich.console import Console
 
-    from sphere_nmpc.solver.native import CACHE_VARIABLE
     from sphere_sim.benchmark.report import OURS, as_numbers, draw, show
 
     console = Console()
@@ -42,21 +59,40 @@ def main(argv: Sequence[str] | None = None) -> int:
         # In a file the table has the room it needs.
         console = Console(width=_WIDE)
     records, missing, extra = _run(options, console)
-    if not options.quick:
+    report = {**as_numbers(records, missing), **extra}
+    _write(options.json, report)
+    if not options.quick and (took := _first_use()) is not None:
+        report["first_use_s"] = took
+        _write(options.json, report)
+    show(report, options.cases, console)
+    written, picture = str(options.json), options.json.with_suffix(".png")
+    try:
+        draw(records, picture)
+        written += f" and {picture}"
+    except Exception as error:  # whatever a library raises, the numbers are written
+        print(f"sphere_nmpc benchmark: {picture} not drawn: {in_words(error)}", file=sys.stderr)
+    console.print(f"Written: {written}", markup=False)
+    return 1 if OURS in missing else 0
+
+
+def _write(path: Path, report: dict[str, Any]) -> None:
+    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+
+
+def _first_use() -> float | None:
+    """Return how long the first solve takes on a clean cache [s]; None where it fails."""
+    from sphere_nmpc.solver.native import CACHE_VARIABLE
+
+    try:
         with tempfile.TemporaryDirectory() as empty:
             began = time.perf_counter()
             environment = {**os.environ, CACHE_VARIABLE: empty}
             command = [sys.executable, "-c", _FIRST_SOLVE]
             subprocess.run(command, check=True, env=environment, capture_output=True)
-            extra["first_use_s"] = time.perf_counter() - began
-    report = {**as_numbers(records, missing), **extra}
-    show(report, options.cases, console)
-    options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    picture = options.json.with_suffix(".png")
-    draw(records, picture)
-    console.print(f"Written: {options.json} and {picture}")
-    return 1 if OURS in missing else 0
+            return time.perf_counter() - began
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(f"sphere_nmpc benchmark: first use not measured: {error}", file=sys.stderr)
+        return None
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -64,17 +100,17 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--json", type=Path, required=True, help="where the numbers go")
     parser.add_argument("--quick", action="store_true", help="fewer peers, one round, no extras")
     parser.add_argument(
-        "--rounds", type=int, default=3, help="how often the cases are run (default: 3)"
+        "--rounds", type=whole(1), default=3, help="how often the cases are run (default: 3)"
     )
     parser.add_argument(
         "--budget",
-        type=float,
+        type=not_negative,
         default=60.0,
         help="seconds a peer may spend in its solves before it is taken out (default: 60)",
     )
     parser.add_argument(
         "--random",
-        type=int,
+        type=whole(0),
         default=0,
         metavar="N",
         help="also compare the costs of N random problems with IPOPT's",
@@ -88,7 +124,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help="which of the paper's cases (default: all)",
     )
     parser.add_argument(
-        "--duration", type=float, default=30.0, help="simulated seconds (default: 30)"
+        "--duration", type=positive, default=30.0, help="simulated seconds (default: 30)"
     )
     parser.add_argument(
         "--acados-python",
@@ -98,8 +134,11 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(argv)
     if options.quick:
         options.rounds, options.budget = 1, min(options.budget, 15.0)
-    if options.rounds < 1 or options.random < 0 or not options.duration >= 1.0:
-        parser.error("--rounds must be at least 1, --random 0, --duration 1")
+    if not 1.0 <= options.duration <= _LONGEST:
+        parser.error(f"--duration: given {options.duration:g}, expected 1 to {_LONGEST:g} s")
+    if options.json.suffix == ".png" or options.json.is_dir():
+        # The picture lies beside it.
+        parser.error(f"--json: given {options.json}, expected the name of a file, not a .png")
     return options
 
 
@@ -117,7 +156,7 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
 
     extra: dict[str, Any] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=console) as progress, contextlib.ExitStack() as exits:
         makers = QUICK if options.quick else ALL
         if options.acados_python or not options.quick:
             makers = {**makers, **acados_makers(options.acados_python)}
@@ -126,18 +165,50 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         def told(name: str) -> None:
             progress.update(task, description=f"setting up {name}", advance=1)
 
+        stop_if_told = exits.enter_context(_told_to_stop())
         contenders, records, missing = set_up(makers, told)
         samples = round(options.duration / SAMPLE_PERIOD)
         total = options.rounds * len(options.cases) * samples * len(contenders)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
         for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
+            stop_if_told()
             progress.advance(task)
         extra["floor_us"] = measure_floor()
         if options.random:
             comparison = Comparison()
             task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
             for _ in compare(ipopt(), options.random, 0, comparison):
+                stop_if_told()
                 progress.advance(task)
             extra["random"] = comparison.summary()
     return records, missing, extra
+
+
+@contextlib.contextmanager
+def _told_to_stop() -> Iterator[Callable[[], None]]:
+    """Yield what raises KeyboardInterrupt after Ctrl-C.
+
+    A solver of CasADi takes an interrupt for its own, ends its solve and reports no more than a
+    solve that has failed.
+    """
+    heard = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(number: int, frame: Any) -> None:
+        heard.append(number)
+        if callable(before):
+            before(number, frame)
+
+    def check() -> None:
+        if heard:
+            raise KeyboardInterrupt
+
+    if before is signal.SIG_IGN:
+        yield check
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)

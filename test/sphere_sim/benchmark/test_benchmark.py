@@ -1,6 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
 import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +22,7 @@ from sphere_sim.benchmark.race import race, set_up
 from sphere_sim.benchmark.random_problems import Comparison, compare
 from sphere_sim.benchmark.report import as_numbers
 from sphere_sim.cli.benchmark import main
+from sphere_sim.cli.places import PlaceError
 from sphere_sim.scenarios import PAPER_CASES, draw_scenarios
 
 
@@ -130,8 +136,57 @@ def test_command_writes_what_the_design_promises(tmp_path, capsys):
     assert "Closed loops on the paper's problem" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("wrong", (["--rounds", "0"], ["--random", "-1"], ["--duration", "nan"]))
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--rounds", "0"], ["--random", "-1"], ["--duration", "0.5"], ["--duration", "1e6"],
+        *([name, n] for name in ("--duration", "--budget") for n in ("nan", "inf", "-1")),
+        ["--json", "picture.png"], ["--json", "/"],
+    ],
+    ids=" ".join,
+)
 def test_senseless_arguments_are_refused(wrong, tmp_path):
     with pytest.raises(SystemExit) as stopped:
         main(["--json", str(tmp_path / "x.json"), *wrong])
     assert stopped.value.code == 2
+
+
+def test_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    began = time.monotonic()
+    with pytest.raises(PlaceError, match="file"):
+        main(["--json", str(tmp_path / "file" / "x.json"), "--rounds", "1000"])
+    assert time.monotonic() - began < 60.0  # of hours
+
+
+QUICK = ["--quick", "--cases", "3", "--duration", "2", "--budget", "1"]
+
+
+def test_picture_that_cannot_be_drawn_leaves_the_numbers(tmp_path, capsys):
+    (tmp_path / "x.png").mkdir()
+    assert main(["--json", str(tmp_path / "x.json"), *QUICK]) == 0
+    assert "sphere_nmpc" in json.loads((tmp_path / "x.json").read_text())["solvers"]
+    (told,) = capsys.readouterr().err.splitlines()
+    assert f"{tmp_path / 'x.png'} not drawn" in told
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
+def test_interrupt_is_heard_whoever_solves(tmp_path, delay):
+    """A solver of another library may take an interrupt for itself."""
+    command = "from sphere_sim.cli.main import main; exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", command, "benchmark", "--json", str(tmp_path / "x.json"),
+         "--quick", "--rounds", "1000", "--budget", "1000", "--duration", "1000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )
+    try:
+        while "libipopt" not in Path(f"/proc/{process.pid}/maps").read_text():
+            assert process.poll() is None
+            time.sleep(0.05)
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)  # of 15 s that each of several peers has
+    finally:
+        process.kill()
+    assert process.returncode == 130 and "interrupted" in told and "Traceback" not in told
+    assert not (tmp_path / "x.json").exists()

@@ -95,8 +95,7 @@ class ControllerNode(LivingNode):
         self._starting = True
         self._take_clock()
         self._watch = ControllerWatch(self, self._faults)
-        path = goal_file(self)
-        self._memory = GoalMemory(path, settings.goal_memory) if path else None
+        self._memory: GoalMemory | None = GoalMemory(goal_file(self), settings.goal_memory)
         self._recalled = False
         self._sender = CommandSender(self, settings.command_rate, self._now)
         self._reports = ControllerReports(

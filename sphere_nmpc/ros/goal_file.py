@@ -7,17 +7,11 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from sphere_nmpc.solver.native import cache_folder
+from sphere_nmpc.solver.cache import cache_folder
 
 
-def goal_file(node: Node) -> Path | None:
-    """Return the file for the goal of a node, one for each domain and full name.
-
-    None where the user has no home for it.
-    """
-    try:
-        folder = cache_folder()
-    except RuntimeError:
-        return None
+def goal_file(node: Node) -> Path:
+    """Return the file for the goal of a node, one for each domain and full name."""
     name = node.get_fully_qualified_name().strip("/").replace("/", ".")
-    return folder / "goals" / f"{os.environ.get('ROS_DOMAIN_ID') or '0'}.{name}.json"
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    return cache_folder() / "goals" / f"{domain}.{name}.json"

@@ -69,15 +69,15 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
     Returns
     -------
     int
-        0 after a signal, 1 when a parameter or the set-up is wrong (which is told in one line),
-        2 for arguments that are not understood.
+        0 after a signal; 2 for arguments, parameters and an environment that will not do, 1 where
+        the node cannot be made for another reason; either is told in one line.
     """
     given = list(sys.argv[1:] if args is None else args)
     try:
         own = remove_ros_args(["node", *given])[1:]
     except Exception as error:  # rclpy's own types of error are private to it
         print(f"cannot start: {one_line(error)}", file=sys.stderr)
-        return 1
+        return 2
     if "-h" in own or "--help" in own:
         print(about.strip())
         return 0
@@ -103,7 +103,7 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
             # rclpy's own reasons are a ValueError, as for a parameter that is given as {}, or a
             # RuntimeError of its own, as for a participant that cannot be made.
             rclpy.logging.get_logger("sphere_nmpc").fatal(one_line(error))
-            return 1
+            return error.exit_code if isinstance(error, SphereNmpcError) else 1
         # What lives as long as the process need not be looked through again and again: a full
         # collection takes tens of milliseconds, longer than a sample at a high control rate.
         gc.collect()

@@ -90,9 +90,9 @@ def test_signal_while_a_node_waits_is_noticed_at_once(graph) -> None:
 @pytest.mark.parametrize(
     "arguments, code, told",
     [
-        (["-p", "horizon:=0"], 1, "horizon: given 0, expected 1 to 60"),
-        (["-p", "robot.shell_mass:=heavy"], 1, "robot.shell_mass: given 'heavy', expected"),
-        (["--params-file", "absent.yaml"], 1, "cannot start: .* Error opening YAML file"),
+        (["-p", "horizon:=0"], 2, "horizon: given 0, expected 1 to 60"),
+        (["-p", "robot.shell_mass:=heavy"], 2, "robot.shell_mass: given 'heavy', expected"),
+        (["--params-file", "absent.yaml"], 2, "cannot start: .* Error opening YAML file"),
     ],
 )
 def test_wrong_parameter_ends_the_node_with_one_line(arguments, code, told) -> None:

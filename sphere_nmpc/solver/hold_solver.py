@@ -38,8 +38,8 @@ class HoldSolver:
         When to stop.
     backend : str, optional
         "compiled": C, built at the first use on this machine. "vm": CasADi's own machine, no
-        compiler needed, the same steps some ten times slower. "auto": the first if possible,
-        else the second with a warning.
+        compiler needed, the same steps twenty to fifty times slower. "auto": the first if it
+        can be had, else the second, which is told once in one line.
 
     Raises
     ------
@@ -193,7 +193,8 @@ def _refusal() -> CompilerError | None:
     except CompilerError as problem:
         _log.warning(
             "sphere_nmpc: %s. The solver runs on CasADi's virtual machine, with the same results "
-            "but some ten times slower; to cure this, %s", problem.cause, problem.cure,
+            "but a solve takes twenty to fifty times as long; to cure this, %s",
+            problem.cause, problem.cure,
         )
         return problem
     return None

@@ -126,10 +126,12 @@ class Processes:
         """Start a process; None, and fewer from now on, where no further one can be had."""
         try:
             resource_tracker.ensure_running()  # which would undo the blocking below
-            ours, theirs = self._context.Pipe()
-            with theirs, _interrupts_blocked():
+            with _interrupts_later():
+                ours, theirs = self._context.Pipe()
                 process = self._context.Process(target=_serve, args=(theirs,), daemon=True)
-                process.start()
+                with theirs:
+                    process.start()
+                self._processes[ours] = process
         except OSError as error:
             if not self._processes:
                 raise WorkersError(
@@ -141,7 +143,6 @@ class Processes:
             )
             self._jobs = len(self._processes)
             return None
-        self._processes[ours] = process
         return ours
 
     def _bury(self, link: Connection) -> str:
@@ -155,13 +156,27 @@ class Processes:
 
 
 @contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Let processes started meanwhile never hear Ctrl-C; for this one it only comes later."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _interrupts_later() -> Iterator[None]:
+    """Let processes started meanwhile never hear Ctrl-C; this one hears it afterwards.
+
+    A process that is started inherits which signals are blocked. For this process that is not
+    enough, as another thread may take the signal and have it handled in the main one, which would
+    leave half a process.
+    """
+    heard: list[int] = []
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handlers[number] = signal.signal(number, lambda number, _: heard.append(number))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for caught in heard:
+            signal.raise_signal(caught)
 
 
 def _serve(link: Connection) -> None:

@@ -3,14 +3,8 @@
 """The verb ``study``: what it says and the exit code it leaves."""
 
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from pathlib import Path
 
-import psutil
 import pytest
 
 from sphere_sim.cli.main import main as command
@@ -136,34 +130,3 @@ def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(RollingPlant, "advance", fail)
     assert main(["--draw", "1", "--out", str(tmp_path), *BRIEF]) == 1
     assert "1 CRASHED" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("number", "all_of_them"),
-    [(signal.SIGINT, True), (signal.SIGTERM, False)],
-    ids=["Ctrl-C in a terminal, which reaches the workers too", "kill"],
-)
-def test_interrupt_leaves_a_folder_that_goes_on(tmp_path, number, all_of_them) -> None:
-    runs = 500
-    command = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())"]
-    study = ["study", "--draw", str(runs), "--seed", "2", "--out", str(tmp_path), "--jobs", "2"]
-    process = subprocess.Popen(
-        [*command, *study, "--no-bound"], start_new_session=True, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )
-    journal: Path = tmp_path / "journal.jsonl"
-    try:
-        while process.poll() is None:
-            if journal.exists() and journal.read_bytes().count(b"\n") > 2:
-                workers = psutil.Process(process.pid).children(recursive=True)
-                (os.killpg if all_of_them else os.kill)(process.pid, number)
-                break
-            time.sleep(0.1)
-        _, error = process.communicate(timeout=150.0)
-    finally:
-        process.kill()
-    assert process.returncode == 128 + number
-    assert "interrupted" in error and "Traceback" not in error
-    assert 2 < journal.read_bytes().count(b"\n") < runs
-    _, alive = psutil.wait_procs(workers, timeout=20.0)
-    assert not alive

@@ -17,9 +17,11 @@ from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.processes import TRIES, Processes
 
 FOR_EVER = """
-import time
+import threading, time
 from sphere_sim.study.processes import Processes
 if __name__ == "__main__":
+    # It may take a signal, which is then handled in the main one.
+    threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
     with Processes(2) as processes:
         list(processes.run(time.sleep, [(i, (600,)) for i in range(9)], "nap"))
 """
@@ -45,21 +47,24 @@ def workers(parent: psutil.Process) -> list[psutil.Process]:
 
 
 @pytest.fixture
-def napping(tmp_path):
-    """Start a program whose two processes are busy for ten minutes."""
+def starting(tmp_path):
+    """Start a program that starts two processes, which are then busy for ten minutes."""
     (tmp_path / "naps.py").write_text(FOR_EVER)
     process = subprocess.Popen(
         [sys.executable, str(tmp_path / "naps.py")], start_new_session=True, text=True,
         stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )
-    try:
-        while len(workers(psutil.Process(process.pid))) < 2:
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.05)
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+    yield process
+    process.kill()
+    process.communicate()
+
+
+@pytest.fixture
+def napping(starting):
+    while len(workers(psutil.Process(starting.pid))) < 2:
+        assert starting.poll() is None, starting.stderr.read()
+        time.sleep(0.05)
+    return starting
 
 
 def test_calls_are_answered_by_name() -> None:
@@ -111,6 +116,17 @@ def test_interrupt_ends_all_at_once_and_only_the_parent_speaks(napping) -> None:
     _, told = napping.communicate(timeout=60)  # of 600 s that the calls take
     assert told.count("Traceback") == 1 and told.endswith("KeyboardInterrupt\n")
     assert not any(child.is_running() for child in children)
+
+
+@pytest.mark.parametrize("attempt", range(5))
+def test_interrupt_while_processes_start_leaves_none_half_started(starting, attempt) -> None:
+    children = Path(f"/proc/{starting.pid}/task/{starting.pid}/children")
+    # The tracker of resources, and the first of those that work.
+    while len(children.read_text().split()) < 2:
+        assert starting.poll() is None
+    os.killpg(starting.pid, signal.SIGINT)
+    _, told = starting.communicate(timeout=60)
+    assert told.count("Traceback") == 1 and told.endswith("KeyboardInterrupt\n")
 
 
 def test_nothing_is_left_when_the_parent_is_killed(napping) -> None:

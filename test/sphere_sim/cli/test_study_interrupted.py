@@ -1,0 +1,125 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The verb ``study`` stopped by a signal or a full disk: what was made is kept and goes on."""
+
+import csv
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+
+from sphere_nmpc.solver.native import CACHE_VARIABLE
+
+COMMAND = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())", "study"]
+
+
+def start(*arguments: str, **options: object) -> subprocess.Popen:
+    return subprocess.Popen(
+        [*COMMAND, *arguments], start_new_session=True, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
+    )
+
+
+def stop(
+    process: subprocess.Popen, ready: Callable[[], bool], number: int, all_of_them: bool
+) -> str:
+    """Send a signal once it is time; return what was told when all processes are gone."""
+    try:
+        while not ready():
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        children = psutil.Process(process.pid).children(recursive=True)
+        (os.killpg if all_of_them else os.kill)(process.pid, number)
+        _, told = process.communicate(timeout=150.0)
+    finally:
+        process.kill()
+    _, alive = psutil.wait_procs(children, timeout=20.0)
+    assert children and not alive
+    return told
+
+
+def lines(path: Path) -> int:
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+@pytest.mark.parametrize(
+    ("number", "all_of_them", "code"),
+    [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143)],
+    ids=["Ctrl-C in a terminal, which reaches the workers too", "kill"],
+)
+def test_interrupt_leaves_a_folder_that_goes_on(tmp_path, number, all_of_them, code) -> None:
+    runs, journal = 500, tmp_path / "journal.jsonl"
+    process = start(
+        "--draw", str(runs), "--seed", "2", "--out", str(tmp_path), "--jobs", "2", "--no-bound"
+    )
+    told = stop(process, lambda: lines(journal) > 2, number, all_of_them)
+    assert process.returncode == code
+    assert "interrupted" in told and "Traceback" not in told
+    assert 2 < lines(journal) < runs
+
+
+def test_killed_study_leaves_no_process(tmp_path) -> None:
+    process = start("--draw", "500", "--out", str(tmp_path), "--jobs", "2", "--no-bound")
+    stop(process, lambda: lines(tmp_path / "journal.jsonl") > 2, signal.SIGKILL, False)
+
+
+def test_interrupt_in_the_search_for_bounds_leaves_all_other_results(tmp_path) -> None:
+    out = tmp_path / "out"
+    process = start(
+        "--draw", "60", "--duration", "0.5", "--out", str(out), "--jobs", "2",
+        "--strategy", "paper",
+        env={**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")},
+    )
+    kept = tmp_path / "cache" / "best_known_times.jsonl"
+    told = stop(process, lambda: lines(kept) > 0, signal.SIGINT, True)
+    assert process.returncode == 130
+    assert "all results but the best known times" in told and "Traceback" not in told
+    with (out / "runs.csv").open(encoding="utf-8", newline="") as file:
+        assert len(list(csv.DictReader(file))) == 60
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == 60
+    assert (out / "inputs.npz").exists()
+
+
+@pytest.mark.slow
+def test_full_disk_keeps_the_runs_and_goes_on_when_there_is_room(tmp_path) -> None:
+    """A limit on the size of files makes a write fail as a full disk does."""
+    journal = tmp_path / "journal.jsonl"
+    study = [
+        "--draw", "4", "--duration", "0.5", "--jobs", "1", "--strategy", "paper", "--no-bound"
+    ]
+
+    def run(most: int) -> tuple[int, list[str]]:
+        process = start(
+            *study, "--out", str(tmp_path),
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
+        )
+        _, told = process.communicate(timeout=150.0)
+        assert "Traceback" not in told and "Exception ignored" not in told
+        return process.returncode, [line for line in told.splitlines() if "study:" in line]
+
+    def cannot(name: str) -> list[str]:
+        reason = "cannot be written: file too large; the same command goes on from the runs made"
+        return [f"sphere_nmpc study: {tmp_path / name}: {reason}"]
+
+    assert run(100) == (1, cannot("journal.jsonl"))
+    # As much as the settings of the study and a run or two take.
+    assert run(3000) == (1, cannot("journal.jsonl"))
+    assert 1 <= lines(journal) < 5
+    assert run(10**6)[0] == 0
+    assert lines(journal) == 5
+    before = (tmp_path / "runs.csv").read_bytes()
+    assert run(100) == (1, cannot("runs.csv"))
+    assert (tmp_path / "runs.csv").read_bytes() == before
+    assert not list(tmp_path.glob(".*"))
+    # Room for everything but the figure.
+    code, told = run(10**4)
+    assert code == 0 and lines(journal) == 5
+    assert any("has its numbers, but not all of figure" in line for line in told)

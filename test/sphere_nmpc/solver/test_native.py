@@ -7,6 +7,8 @@ import shutil
 import stat
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -259,14 +261,15 @@ def test_temporary_folder_that_others_can_write_to_is_left_alone(tmp_path):
 
 
 @needs_root
-def test_user_without_a_home_builds_in_the_temporary_folder(tmp_path):
-    tmp_path.chmod(0o777)
-    for folder in tmp_path.parents[:3]:
-        folder.chmod(folder.stat().st_mode | 0o011)
-    environment = {native.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": str(tmp_path)}
-    out, err = answer(solve_elsewhere(tmp_path / "x", AS_NOBODY, **environment))
-    assert out[0] == str(tmp_path / "sphere_nmpc-54321")
-    assert out[1].startswith(out[0]) and err.count("\n") == 1
+def test_user_without_a_home_builds_in_the_temporary_folder():
+    # Not in pytest's own folder, which only root may enter.
+    with tempfile.TemporaryDirectory() as name:
+        base = Path(name)
+        base.chmod(0o1777)
+        environment = {native.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": name}
+        out, err = answer(solve_elsewhere(base / "x", AS_NOBODY, **environment))
+        assert out[0] == str(base / "sphere_nmpc-54321")
+        assert out[1].startswith(out[0]) and err.count("\n") == 1
 
 
 def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):

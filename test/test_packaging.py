@@ -118,7 +118,7 @@ def test_executable_named_like_a_verb_runs_it(verb, suffix, monkeypatch) -> None
     module = SimpleNamespace(main=lambda arguments: given.append(arguments) or 7)
     monkeypatch.setattr(cli, "import_module", {cli.VERBS[verb][0]: module}.__getitem__)
     monkeypatch.setattr(sys, "argv", [f"/lib/sphere_nmpc/{verb}{suffix}", "--out", "x"])
-    assert cli.main() == 7
+    assert cli.main(cli.of_process()) == 7
     assert given == [["--out", "x"]]
 
 
@@ -126,7 +126,7 @@ def test_executable_of_a_verb_tells_what_is_not_installed(monkeypatch, capsys) -
     monkeypatch.setitem(sys.modules, "rosbags", None)
     monkeypatch.setattr(cli, "import_module", lambda name: __import__("rosbags"))
     monkeypatch.setattr(sys, "argv", ["/lib/sphere_nmpc/report", "bag"])
-    assert cli.main() == 1
+    assert cli.main(cli.of_process()) == 1
     assert "pip install 'sphere_nmpc[record]'" in capsys.readouterr().err
 
 

@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     signals.install()
     output.install()
     try:
-        code = _run(_of_process(), signals)
+        code = _run(of_process(), signals)
     finally:
         signals.die()
     failure = output.failure()
@@ -97,9 +97,9 @@ def _without_debug(argv: Sequence[str]) -> tuple[list[str], bool]:
     return ours + words[end:], len(ours) < end
 
 
-def _of_process() -> list[str]:
+def of_process() -> list[str]:
     """Return the words of this process: `report ...` stands for `sphere_nmpc report ...`."""
-    name = os.path.basename(sys.argv[0])
+    name = os.path.splitext(os.path.basename(sys.argv[0]))[0]  # on Windows there is a suffix
     return [name, *sys.argv[1:]] if name in VERBS else sys.argv[1:]
 
 

@@ -111,7 +111,8 @@ class Workers:
         for done in under_way:
             index = numbers.pop(done.key)
             if done.status != "finished":
-                raise WorkersError(f"run {index} could not be made: {done.exception()}")
+                reason = done.exception() if done.status == "error" else "the scheduler is gone"
+                raise WorkersError(f"run {index} could not be made: {reason}")
             record = done.result()
             following = hand_out()
             if following is not None:
@@ -123,7 +124,8 @@ class Workers:
 def _existing_cluster(address: str) -> Iterator[Any]:
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # Dask sets the level of each
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

@@ -62,6 +62,18 @@ def test_scheduler_out_of_reach_is_told(monkeypatch) -> None:
         make(Workers(scheduler="tcp://127.0.0.1:1"))
 
 
+def test_cluster_that_goes_away_is_one_error() -> None:
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, memory_limit=0,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    ) as passing, Workers(scheduler=passing.scheduler_address) as workers:
+        runs = workers.run(CONDITIONS, list(enumerate(SCENARIOS)))
+        next(runs)
+        passing.close()
+        with pytest.raises(WorkersError, match=r"run \d+ .*the scheduler is gone"):
+            list(runs)
+
+
 def test_no_run_needs_no_cluster() -> None:
     with Workers(scheduler="tcp://127.0.0.1:1") as workers:
         assert list(workers.run(replace(CONDITIONS), [])) == []

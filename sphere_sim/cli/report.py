@@ -23,6 +23,7 @@ from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
 from sphere_sim.report.page import describe, write_page
 from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
+from sphere_sim.whole_file import as_text, write_whole
 
 FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
     "panels": (
@@ -59,21 +60,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parse(arguments)
     prepare_folder(given.out)
+    names = _names(given.bags)
     runs = [
-        read_run(path, given.namespace, name)
-        for path, name in zip(given.bags, _names(given.bags), strict=True)
+        read_run(path, given.namespace, name) for path, name in zip(given.bags, names, strict=True)
     ]
-    page = _write(runs, given)
     for run in runs:
-        for note in run.notes:
-            print(f"report: {run.name}: {note}", file=sys.stderr)
-        metrics = run.metrics()
-        for name, value in describe(metrics):
-            print(f"{run.name}: {name} {value}")
-        if metrics is None:
-            print(f"{run.name}: no figures, as no goal was in force at any pose; see the notes")
-    print(f"report in {page}")
+        _tell(run)
+    # With one run the files have the plain names that scripts and documents rely on.
+    prefixes = [f"{name}_" for name in names] if len(runs) > 1 else [""]
+    print(f"report in {as_text(str(_write(runs, prefixes, given)))}")
     return 0
+
+
+def _tell(run: Run) -> None:
+    """Print the results, which nothing that cannot be written takes away."""
+    for note in run.notes:
+        print(f"report: {run.name}: {note}", file=sys.stderr)
+    metrics = run.metrics()
+    for name, value in describe(metrics):
+        print(f"{run.name}: {name} {value}")
+    if metrics is None:
+        print(f"{run.name}: no figures, as no goal was in force at any pose; see the notes")
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -104,24 +111,26 @@ def _names(bags: Sequence[Path]) -> list[str]:
     ]
 
 
-def _write(runs: Sequence[Run], given: argparse.Namespace) -> Path:
+def _write(runs: Sequence[Run], prefixes: Sequence[str], given: argparse.Namespace) -> Path:
+    """Write numbers before pictures, and what is largest and least needed last."""
+    out: Path = given.out
+    summary = {run.name: _summary(run) for run in runs}
+    write_whole(out / "summary.json", json.dumps(summary, indent=2) + "\n")
+    for run, prefix in zip(runs, prefixes, strict=True):
+        _write_tables(run, given, prefix)
     figures: list[tuple[str, str, Path]] = []
     if len(runs) > 1:
         words = "Errors, paths, rotor speeds and solve times of all runs."
-        figures.append(("Comparison", words, save(comparison(runs), given.out, "comparison")[1]))
-    for run in runs:
-        # With one run the files have the plain names that scripts and documents rely on.
-        prefix = f"{run.name}_" if len(runs) > 1 else ""
+        figures.append(("Comparison", words, save(comparison(runs), out, "comparison")[1]))
+    for run, prefix in zip(runs, prefixes, strict=True):
         for name, (draw, words) in FIGURES.items():
-            files = save(draw(run), given.out, f"{prefix}{name}")
+            files = save(draw(run), out, f"{prefix}{name}")
             figures.append((run.name, words, files[1]))
-        if given.animation:
-            write_animation(run, given.out / f"{prefix}animation.gif")
-        _write_tables(run, given, prefix)
-    page: Path = given.out / "report.html"
+    page = out / "report.html"
     write_page(page, runs, figures)
-    summary = {run.name: _summary(run) for run in runs}
-    (given.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    if given.animation:
+        for run, prefix in zip(runs, prefixes, strict=True):
+            write_animation(run, out / f"{prefix}animation.gif")
     return page
 
 
@@ -138,4 +147,4 @@ def _summary(run: Run) -> dict[str, object]:
     values = {} if metrics is None else dataclasses.asdict(metrics)
     # JSON has no nan, the one number that differs from itself.
     finite = {key: value if value == value else None for key, value in values.items()}
-    return {"bag": str(run.path), "metrics": finite, "notes": list(run.notes)}
+    return {"bag": as_text(str(run.path)), "metrics": finite, "notes": list(run.notes)}

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded run as an animated picture: the sphere rolls over the floor to its goal."""
 
+import io
 from pathlib import Path
 
 import matplotlib as mpl
@@ -13,6 +14,7 @@ from sphere_sim.figures.floor_view import Camera, paint_ball
 from sphere_sim.figures.style import BLUE, GREY, VERMILION
 from sphere_sim.metrics import angle_errors, position_errors, settling_index, state_errors
 from sphere_sim.recording.run import Run
+from sphere_sim.whole_file import write_whole
 
 _SIZE = (640, 300)
 _OVERSAMPLING = 2
@@ -59,10 +61,12 @@ def write_animation(run: Run, path: Path, until: float | None = None) -> Path:
     paletted = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     milliseconds = [round(1e3 / _FRAME_RATE)] * len(frames)
     milliseconds[-1] = round(1e3 * _STAYS)
+    packed = io.BytesIO()
     paletted[0].save(
-        path, save_all=True, append_images=paletted[1:], duration=milliseconds, loop=0,
+        packed, "GIF", save_all=True, append_images=paletted[1:], duration=milliseconds, loop=0,
         optimize=True,
     )
+    write_whole(path, packed.getvalue())
     return path
 
 

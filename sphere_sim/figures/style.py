@@ -6,6 +6,7 @@ The colours are those of Okabe and Ito, which people with any colour vision can 
 differ in their dashes as well, for print without colour.
 """
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ import matplotlib as mpl
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from sphere_sim.whole_file import write_whole
 
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 ORANGE, SKY, YELLOW, BLACK, GREY = "#E69F00", "#56B4E9", "#F0E442", "#000000", "#777777"
@@ -65,12 +68,18 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
         Where to; must exist.
     name : str
         File name without its ending.
+
+    Raises
+    ------
+    OSError
+        Naming the file that cannot be written.
     """
     files = [folder / f"{name}.{kind}" for kind in FORMATS]
-    for file in files:
-        dated = {"Date": None} if file.suffix == ".svg" else {}
+    for kind, file in zip(FORMATS, files, strict=True):
+        dated, drawn = {"Date": None} if kind == "svg" else {}, io.BytesIO()
         with styled():
-            figure.savefig(file, metadata=dated)
+            figure.savefig(drawn, format=kind, metadata=dated)
+        write_whole(file, drawn.getvalue())
     return files
 
 

@@ -26,6 +26,7 @@ from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.run import Run, without_sign_jumps
 from sphere_sim.recording.solves import SOLVE_TOPICS, read_solves
 from sphere_sim.recording.stamps import stamp_of, state_of
+from sphere_sim.whole_file import as_text
 
 POSE = "geometry_msgs/msg/PoseStamped"
 JOINTS = "sensor_msgs/msg/JointState"
@@ -79,7 +80,7 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     plans = _plans(messages, robot, clock)
     parameters = _parameters(messages.custom_data, f"{robot}/controller")
     return Run(
-        name=name or Path(storage_name(path)).stem,
+        name=as_text(name or Path(storage_name(path)).stem),
         path=path,
         origin=clock.origin * _NANO,
         times=times,

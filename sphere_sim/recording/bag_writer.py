@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rosbag2 folder (metadata.yaml of version 9 and one MCAP file), complete after every commit."""
 
+import contextlib
 import errno
 import io
 import os
+import shutil
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -65,8 +67,17 @@ class BagWriter:
             if error.errno != errno.EEXIST:
                 reason = f"cannot be created: {error.strerror}"
             raise BagError(folder, reason) from error
-        self._file = McapFile(folder / f"{folder.name}_0.mcap", _LIBRARY)
-        self.commit()
+        try:
+            self._file = McapFile(folder / f"{folder.name}_0.mcap", _LIBRARY)
+            try:
+                self.commit()
+            except BagError:
+                self._file.close()
+                raise
+        except BagError:
+            # What is left behind would be in the way of the next recording.
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -212,5 +223,6 @@ def _replace(path: Path, text: str) -> None:
         fresh.write_text(text, encoding="utf-8")
         os.replace(fresh, path)
     except OSError as error:
-        fresh.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            fresh.unlink(missing_ok=True)
         raise BagError(path.parent, f"cannot be written: {error.strerror}") from error

@@ -8,6 +8,7 @@ chunk *and* index and footer behind it with one system call, over the index and 
 commit before. What is on disk is therefore a valid file at any moment but during that call.
 """
 
+import contextlib
 import os
 import zlib
 from collections.abc import Callable, Mapping
@@ -81,7 +82,11 @@ class McapFile:
         except OSError as error:
             raise BagError(path, f"cannot be created: {error.strerror}") from error
         self._end = 0
-        self._put(_MAGIC + _encode(Header(profile="ros2", library=library)), b"")
+        try:
+            self._put(_MAGIC + _encode(Header(profile="ros2", library=library)), b"")
+        except BagError:
+            self.close()
+            raise
 
     @property
     def pending(self) -> int:
@@ -250,9 +255,11 @@ class McapFile:
         try:
             _write_all(lambda data, at: os.pwrite(self._file, data, at), body + tail, self._end)
         except OSError as error:
-            # The old tail's blocks are still ours, so this needs no space.
-            os.ftruncate(self._file, self._end + len(self._tail))
-            os.pwrite(self._file, self._tail, self._end)
+            # The old tail's blocks are still ours, so this needs no space; a device that fails
+            # or has gone takes nothing at all.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, self._end + len(self._tail))
+                os.pwrite(self._file, self._tail, self._end)
             raise BagError(self._path, f"cannot be written: {error.strerror}") from error
         self._end += len(body)
         self._tail = tail

@@ -11,6 +11,7 @@ from pathlib import Path
 from sphere_nmpc import __version__
 from sphere_sim.metrics import Metrics
 from sphere_sim.recording.run import Run
+from sphere_sim.whole_file import write_whole
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
@@ -48,12 +49,12 @@ def write_page(
         parts.append(_figure(words, file))
     parts.append(f'<p class="note">Made by sphere_nmpc {escape(__version__)}.</p>')
     body = "\n".join(parts)
-    path.write_text(
+    write_whole(
+        path,
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n",
-        encoding="utf-8",
     )
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run's series as tables for other tools."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from sphere_nmpc.model.state import STATE_NAMES, Vector
 from sphere_sim.metrics import angle_errors, position_errors, state_errors
 from sphere_sim.recording.run import Run
+from sphere_sim.whole_file import write_whole
 
 
 def motion_table(run: Run) -> dict[str, Vector]:
@@ -49,7 +51,9 @@ def solve_table(run: Run) -> dict[str, Vector]:
 def write_csv(table: dict[str, Vector], path: Path) -> None:
     """Write a table with a header line, in digits that lose nothing."""
     rows = np.column_stack(list(table.values()))
-    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=",".join(table), comments="")
+    text = io.StringIO()
+    np.savetxt(text, rows, fmt="%.17g", delimiter=",", header=",".join(table), comments="")
+    write_whole(path, text.getvalue())
 
 
 def write_parquet(table: dict[str, Vector], path: Path) -> None:
@@ -58,7 +62,9 @@ def write_parquet(table: dict[str, Vector], path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.table(table), path)
+    packed = io.BytesIO()
+    pq.write_table(pa.table(table), packed)
+    write_whole(path, packed.getvalue())
 
 
 def _at(times: Vector, sampled: Vector, values: Vector) -> Vector:

@@ -3,7 +3,11 @@
 """The report of a bag: its files, its page, and what it says of a bag it cannot read."""
 
 import json
+import os
 import re
+import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import FIGURES, main
 from sphere_sim.recording.bag_writer import BagWriter
 
@@ -76,7 +81,7 @@ def test_several_bags_are_compared_under_different_names(tmp_path) -> None:
 
 
 def test_unreadable_bag_exits_with_1_and_one_line(tmp_path, capsys) -> None:
-    assert main([str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]) == 1
+    assert command(["report", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "there is no such file or folder" in told
 
@@ -97,7 +102,7 @@ def test_run_without_a_goal_has_a_page_that_says_so(tmp_path, capsys) -> None:
 
 def test_empty_bag_is_told(tmp_path, capsys) -> None:
     bag = make_bag(tmp_path / "run", 0, goal=False)
-    assert main([str(bag), "--out", str(tmp_path / "out")]) == 1
+    assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "is empty" in told
 
@@ -113,7 +118,85 @@ def test_truncated_bag_is_reported_on_as_far_as_it_goes(tmp_path, capsys) -> Non
 
 
 def test_bag_of_another_robot_is_told(tmp_path, capsys) -> None:
-    assert main([str(make_bag(tmp_path / "run", 0)), "--out", str(tmp_path / "out")]) == 1
+    bag = make_bag(tmp_path / "run", 0)
+    assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert "another robot's; has: /controller/active_goal" in told
+
+
+def report(*arguments: str, limit: int | None = None, **environment: str):
+    """Run the command in a process of its own, which may write files up to a limit [bytes]."""
+    def restrict() -> None:
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return subprocess.run(
+        [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "report", *arguments],
+        capture_output=True, text=True, timeout=120.0, preexec_fn=restrict,
+        env={**os.environ, **environment},
+    )
+
+
+TABLES = {"motion.csv", "motion.parquet", "solves.csv", "solves.parquet"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("limit", "failed", "left"),
+    [(64, "summary.json", set()), (4096, "motion.csv", {"summary.json"}),
+     (35_000, "panels.png", {"summary.json", *TABLES})],
+)
+def test_a_file_that_cannot_be_written_is_named_and_numbers_stay(
+    tmp_path, limit, failed, left
+) -> None:
+    bag, out = make_bag(tmp_path / "run"), tmp_path / "out"
+    ended = report(str(bag), "--out", str(out), "--csv", "--parquet", limit=limit)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1] == f"sphere_nmpc report: {out / failed}: File too large"
+    assert "Traceback" not in ended.stderr and "run: final error" in ended.stdout
+    assert {file.name for file in out.iterdir()} == left
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of four megabytes."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(disk)]
+    if os.geteuid() or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("a small disk needs root and the right to mount")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.slow
+def test_a_disk_that_fills_up_keeps_whole_files_only(tmp_path, small_disk) -> None:
+    bag, whole, out = make_bag(tmp_path / "run"), tmp_path / "whole", small_disk / "out"
+    options = ("--csv", "--animation")
+    assert report(str(bag), "--out", str(whole), *options).returncode == 0
+    size = {file.name: file.stat().st_size for file in whole.iterdir()}
+    # All but the last picture fits, which is half of what is missing too much.
+    pages = sum(-(-count // 4096) for name, count in size.items() if name != "animation.gif")
+    free = os.statvfs(small_disk).f_bavail - pages - size["animation.gif"] // 8192
+    (small_disk / "fill").write_bytes(bytes(4096 * free))
+    ended = report(str(bag), "--out", str(out), *options)
+    told = f"sphere_nmpc report: {out / 'animation.gif'}: No space left on device"
+    assert ended.returncode == 1 and ended.stderr.splitlines()[-1] == told
+    assert {file.name for file in out.iterdir()} == set(size) - {"animation.gif"}
+    for name in set(size) - {"animation.gif", "summary.json"}:
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_names_that_the_locale_does_not_know_are_written_as_they_are(tmp_path) -> None:
+    bags = [str(make_bag(tmp_path / name)) for name in ("büg", "other")]
+    out = tmp_path / "örep"
+    ended = report(
+        *bags, "--out", str(out), "--csv", LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0",
+        PYTHONIOENCODING="ascii",
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert (out / "büg_panels.png").exists() and (out / "büg_motion.csv").exists()
+    assert "<h2>büg</h2>" in (out / "report.html").read_text(encoding="utf-8")
+    assert "büg" in json.loads((out / "summary.json").read_text(encoding="utf-8"))

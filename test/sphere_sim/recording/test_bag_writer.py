@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag opens in independent readers at every moment, whatever ended its writer."""
 
+import os
 import resource
 import signal
 import subprocess
@@ -120,6 +121,21 @@ def test_full_disk_leaves_what_was_recorded(tmp_path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert counts(tmp_path / "bag") == (1, 1)
+
+
+@pytest.mark.parametrize("limit", [10, 300])
+def test_a_disk_that_is_full_at_the_start_leaves_no_folder_in_the_way(tmp_path, limit) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    files = len(os.listdir("/proc/self/fd"))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        with pytest.raises(BagError, match="cannot be written: File too large"):
+            BagWriter(tmp_path / "bag")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not (tmp_path / "bag").exists()
+    assert len(os.listdir("/proc/self/fd")) == files
+    BagWriter(tmp_path / "bag").close()
 
 
 def test_long_recording_commits_as_fast_as_a_short_one(tmp_path) -> None:

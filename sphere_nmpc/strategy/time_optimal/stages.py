@@ -20,11 +20,14 @@ from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.grid import MANOEUVRE
 
 FAR = 60.0
-"""Distance [m] beyond which a goal is approached by intermediate ones."""
-STAGE = 15.0
+"""Distance [m] beyond which a goal is approached by intermediate ones ..."""
+FAR_IN_TIME = 8.0
+"""... and the one where the answer may take a limited time: on a busy machine a tenth of a second
+finds no arrival over 10 m, and the sphere would not set off at all."""
+STAGE = 5.0
 """Distance of the first intermediate goal [m], and the one from which on the goal itself is aimed
 at."""
-_TURNS = 8
+_TURNS = 4
 """Turns of the shell by which it is moved on; an even number leaves the quaternion's sign."""
 _BRAKING = MANOEUVRE + 0.5
 """Time left of a plan [s] at which it still rolls on."""
@@ -64,7 +67,8 @@ class Stages:
         here, there = situation.state[POSITION], situation.goal[POSITION]
         distance = float(np.linalg.norm(there - here))
         before = self._place
-        if distance <= (FAR if before is None else STAGE):
+        reach = FAR if np.isinf(situation.time_budget) else FAR_IN_TIME
+        if distance <= (reach if before is None else STAGE):
             self._place = None
             return situation, before is not None, False
         is_onward = before is not None and 0.0 < time_left < _BRAKING

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The distance of a goal does not make a sample's work grow, and the way there is straight."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.stages import FAR, STAGE, Stages
+from sphere_nmpc.strategy.time_optimal.stages import FAR, FAR_IN_TIME, STAGE, Stages
 from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
 from sphere_sim.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.metrics import settling_index, state_errors
@@ -74,6 +76,16 @@ def test_it_rolls_on_at_top_speed_and_settles() -> None:
 
 def test_a_goal_within_reach_is_aimed_at_itself() -> None:
     near = situation(np.zeros(2), goal_at(0.99 * FAR))
+    assert Stages().aim(near, 0.0) == (near, False, False)
+
+
+def test_where_time_is_short_the_way_is_divided_earlier() -> None:
+    limited = replace(situation(np.zeros(2), goal_at(0.5 * FAR)), time_budget=0.1)
+    assert FAR_IN_TIME < 0.5 * FAR
+    first, is_new, _ = Stages().aim(limited, 0.0)
+    assert is_new
+    np.testing.assert_allclose(first.goal[POSITION], STAGE * DIRECTION)
+    near = replace(limited, goal=goal_at(0.99 * FAR_IN_TIME))
     assert Stages().aim(near, 0.0) == (near, False, False)
 
 

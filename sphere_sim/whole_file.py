@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
+def write_whole(path: Path, content: bytes | memoryview | str) -> None:
     """Write a file, text as UTF-8; where that fails, what was there before is there still.
 
     The content is made in memory first: libraries that fill a file leave half of it on a full

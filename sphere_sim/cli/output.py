@@ -28,12 +28,15 @@ class LossyFile(io.FileIO):
         """Why output was lost, from the first lost write on."""
 
     def write(self, data: Any, /) -> int:
-        """Write, or drop the data if that is not possible."""
+        """Write all of the data, or drop the rest of it if that is not possible."""
+        rest = memoryview(data).cast("B")
+        size = rest.nbytes
         try:
-            return super().write(data)
+            while rest:
+                rest = rest[super().write(rest) :]
         except OSError as error:
             self.failure = self.failure or error
-            return memoryview(data).nbytes
+        return size
 
 
 class Output:
@@ -64,9 +67,12 @@ class Output:
             descriptor = os.open(os.devnull, os.O_WRONLY)
         file = LossyFile(descriptor)
         self._files.append(file)
+        # As with PYTHONUNBUFFERED, where nothing may wait for a line's end.
+        at_once = bool(getattr(stream, "write_through", False))
         return io.TextIOWrapper(
-            io.BufferedWriter(file),
+            file if at_once else io.BufferedWriter(file),
             encoding=getattr(stream, "encoding", "utf-8"),
             errors="backslashreplace",
             line_buffering=bool(getattr(stream, "line_buffering", False)),
+            write_through=at_once,
         )

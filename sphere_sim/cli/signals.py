@@ -5,14 +5,17 @@
 import os
 import signal
 import sys
-import threading
 from types import FrameType
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _EXIT_CODE = 128
 """What a shell adds to the number of the signal that ended a program."""
-_AGAIN = 0.05
-"""Delay before a signal is repeated that a finaliser has swallowed [s]."""
+_AGAIN = 0.02
+"""Delay before a signal is repeated [s]."""
+_LOSING = "casadi."
+"""Modules in which an exception of a signal handler is lost."""
+_DEPTH = 3
+"""How many frames are looked at for such a module."""
 
 
 class Signals:
@@ -20,8 +23,10 @@ class Signals:
 
     While modules are loaded a signal ends the process at once: nothing has been started yet, and
     a KeyboardInterrupt in the middle of an import leaves as whatever the module makes of it.
-    After that it raises KeyboardInterrupt. A signal that is ignored from the start, as in the
-    background of a shell script, stays ignored.
+    After that it raises KeyboardInterrupt, where that is not lost: an exception in a finaliser
+    cannot be raised, and CasADi's bindings replace one that comes while they convert arguments.
+    There the signal is repeated a little later. A signal that is ignored from the start, as in
+    the background of a shell script, stays ignored.
     """
 
     def __init__(self) -> None:
@@ -37,6 +42,8 @@ class Signals:
     def interrupt(self) -> None:
         """Raise KeyboardInterrupt on a signal from now on."""
         sys.unraisablehook = self._repeat_if_swallowed
+        # A timer of the system: starting a thread within a signal handler could block for ever.
+        signal.signal(signal.SIGALRM, lambda _, frame: self._raise(self.received, frame))
         for number in STOPPING:
             if signal.getsignal(number) == self._exit:
                 signal.signal(number, self._raise)
@@ -57,13 +64,23 @@ class Signals:
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
         self.received = number
-        raise KeyboardInterrupt
+        if _loses_exceptions(frame):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        else:
+            raise KeyboardInterrupt
 
     def _repeat_if_swallowed(self, unraisable: "sys.UnraisableHookArgs") -> None:
-        # An exception in a finaliser cannot be raised: the interrupt would be lost.
         if isinstance(unraisable.exc_value, KeyboardInterrupt):
-            again = threading.Timer(_AGAIN, os.kill, (os.getpid(), self.received))
-            again.daemon = True
-            again.start()
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         elif not self.received:
             sys.__unraisablehook__(unraisable)
+
+
+def _loses_exceptions(frame: FrameType | None) -> bool:
+    for _ in range(_DEPTH):
+        if frame is None:
+            return False
+        if str(frame.f_globals.get("__name__", "")).startswith(_LOSING):
+            return True
+        frame = frame.f_back
+    return False

@@ -4,7 +4,6 @@
 
 import csv
 import io
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,29 +14,19 @@ from sphere_sim.scenario_file import SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenarios import Scenario
 from sphere_sim.study.errors import NotWrittenError
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord, Value
+from sphere_sim.whole_file import write_whole
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> None:
     """Write a file in one go: where that fails, what was there before is there still.
-
-    What is written is made in memory before: libraries that fill a file cannot be trusted to
-    close it in good order on a full disk.
 
     Raises
     ------
     NotWrittenError
         Naming the file and the reason.
     """
-    fresh = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        try:
-            with fresh.open("wb", buffering=0) as file:
-                rest = memoryview(content)
-                while rest:
-                    rest = rest[file.write(rest) :]
-            os.replace(fresh, path)
-        finally:
-            fresh.unlink(missing_ok=True)
+        write_whole(path, content)
     except OSError as error:
         raise NotWrittenError(path, error) from None
 

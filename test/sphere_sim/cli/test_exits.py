@@ -118,6 +118,39 @@ def test_signal_that_a_finaliser_swallows_comes_again(roll) -> None:
     assert time.monotonic() - began < 25.0
 
 
+COUNTING = """
+import signal
+import time
+import numpy as np
+from sphere_nmpc.model.tangent import carried
+
+def main(argv):
+    end = time.monotonic() + 60.0
+    state, speeds = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (np.zeros(2), np.ones(2))
+    while time.monotonic() < end:
+        # The next signal comes as soon as this is read, and must not be met before the `try`.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        print("up", flush=True)
+        try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            while time.monotonic() < end:
+                carried(state, speeds, 0.25, np.array([0.145, 0.5, 0.1, 0.2]))
+        except KeyboardInterrupt:
+            pass
+"""
+
+
+def test_no_signal_is_lost_in_the_bindings_of_casadi(roll) -> None:
+    process = roll(COUNTING)
+    for _ in range(40):
+        assert process.stdout.readline() == "up\n"
+        time.sleep(0.003)
+        process.send_signal(signal.SIGINT)
+    assert process.stdout.readline() == "up\n"
+    process.kill()
+    assert process.communicate()[1] == ""
+
+
 def test_signal_that_is_ignored_from_the_start_stays_ignored(roll) -> None:
     source = WAITING.format(during_import="", call="time.sleep(1.0)")
     process = roll(source, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))

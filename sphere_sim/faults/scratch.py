@@ -58,7 +58,7 @@ class Ended:
 
 
 class ScratchHome:
-    """A home folder and a cache of their own, with the compiled solver kept between commands.
+    """A home, a cache and a temporary folder of their own; the compiled solver is kept there.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class ScratchHome:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._number = 0
-        for name in ("home", "cache", "work"):
+        for name in ("home", "cache", "tmp", "work"):
             (folder / name).mkdir(parents=True, exist_ok=True)
 
     def fresh(self, name: str = "out") -> Path:
@@ -80,7 +80,8 @@ class ScratchHome:
     def environment(self, changes: Mapping[str, str | None]) -> dict[str, str]:
         """Return the variables of a command; None takes one away."""
         own = {k: v for k, v in os.environ.items() if k not in _DROPPED}
-        own |= {"HOME": str(self.folder / "home"), _CACHE: str(self.folder / "cache")}
+        own |= {"HOME": str(self.folder / "home"), "TMPDIR": str(self.folder / "tmp")}
+        own |= {_CACHE: str(self.folder / "cache")}
         own |= {name: value for name, value in changes.items() if value is not None}
         return {k: v for k, v in own.items() if changes.get(k, v) is not None}
 

@@ -111,6 +111,7 @@ def interrupted(verb: str, out: Path, bag: Path, moment: float) -> Interrupted:
     mark = uuid.uuid4().hex
     with tempfile.TemporaryDirectory() as scratch, tempfile.TemporaryFile("w+") as told:
         environment = {**os.environ, "INTERRUPTS_MARK": mark, "TMPDIR": scratch}
+        environment["PYTHONFAULTHANDLER"] = "1"
         process = command(verb, out, bag, stderr=told, env=environment)
         time.sleep(moment)
         began = time.monotonic()
@@ -145,8 +146,8 @@ def left_behind(mark: str) -> list[str]:
 def judged(verb: str, found: Interrupted, out: Path) -> list[str]:
     """Return what there is to complain about."""
     complaints = [f"left behind: {name}" for name in found.left]
-    if found.code not in (0, 130):
-        complaints.append(f"exit code {found.code}")
+    if found.code not in (0, 130, -signal.SIGINT):  # the last: while the interpreter ends
+        complaints.append(f"exit code {found.code}: {found.told[-2000:]}")
     words = [line for line in found.told.splitlines() if line.strip()]
     if "Traceback" in found.told or "Exception ignored" in found.told:
         complaints.append(f"a traceback: {words[-1]}")

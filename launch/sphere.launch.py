@@ -4,10 +4,13 @@
 
 ros2 launch sphere_nmpc sphere.launch.py record:=true viewer:=true rviz:=true namespace:=second
 
-What is wrong with an argument is told in one line, and nothing is started.
+What is wrong with an argument is told in one line, and nothing is started; so it is where nodes
+of the same topics run already.
 """
 
+import os
 import re
+import subprocess
 import sys
 from collections.abc import Sequence
 from datetime import datetime
@@ -26,6 +29,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.control.settings import SAMPLE_PERIODS
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_sim.ros.domain_guests import FOUND, TOPICS
 from sphere_sim.simulator_settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
@@ -107,6 +111,7 @@ def actions(context: LaunchContext, names: Sequence[str]) -> list:
     if pace := value["real_time_factor"]:
         simulator["real_time_factor"] = real_time_factor(pace, value["clock"])
     controller = {**clock, **unless_empty("strategy", value["strategy"])}
+    refuse_company(place, value["clock"])
     common = {"namespace": f"/{place}", "output": "screen"}
     # The nodes of this package go by the clock of their namespace; others have to be told.
     foreign = {**common, "remappings": [("/clock", "clock")]}
@@ -146,6 +151,19 @@ def is_this_file(package: str, file: str) -> bool:
     return (package, file) == (PACKAGE, here.name) or (
         Path(file).name == here.name and Path(file).exists() and here.samefile(file)
     )
+
+
+def refuse_company(place: str, clock: str) -> None:
+    """Refuse to start beside nodes of this namespace that publish the same topics."""
+    topics = [topic for topic in TOPICS if topic != "clock" or clock == "simulated"]
+    look = ["-m", "sphere_sim.ros.domain_guests", f"/{place}", *topics]
+    done = subprocess.run([sys.executable, *look], stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode == FOUND:
+        raise RuntimeError(
+            f"{done.stdout.strip()}: running already in ROS domain "
+            f"{os.environ.get('ROS_DOMAIN_ID') or 0}, where clocks and commands would mix; end "
+            "them, or give namespace:=NAME or another ROS_DOMAIN_ID"
+        )
 
 
 def existing(params_file: str) -> str:

@@ -15,6 +15,7 @@ from sphere_sim.cli.main import VERBS
 from sphere_sim.simulator_settings import SimulatorSettings
 
 sys.path.append(str(Path(__file__).parent / "support"))
+sys.path.append(str(Path(__file__).parent))
 
 from launch_stand_in import LAUNCH, ROOT, Made, declared_arguments, started
 
@@ -202,6 +203,25 @@ def test_unknown_argument_is_refused_however_the_file_is_named(command, monkeypa
 )
 def test_arguments_of_an_including_file_are_left_alone(command) -> None:
     assert nodes(started("colour:=red", command=command))
+
+
+@pytest.mark.slow
+def test_it_does_not_start_beside_nodes_of_the_same_topics(capfd) -> None:
+    pytest.importorskip("rclpy")
+    from ros_graph import started as running
+
+    with running("simulator", "-r", "__ns:=/left") as simulator:
+        for line in simulator.stderr:
+            if "ROS domain" in line:
+                break
+        told = r"/left/simulator: running already in ROS domain \d+"
+        with pytest.raises(RuntimeError, match=told):
+            started("namespace:=left", looks=True)
+        assert nodes(started("namespace:=right", looks=True))
+        # With the system's clock for all it is no matter whose clock there is besides.
+        assert nodes(started("clock:=system", looks=True))
+    assert nodes(started("namespace:=left", looks=True))
+    assert not capfd.readouterr().err
 
 
 def test_arguments_of_launch_itself_are_known() -> None:

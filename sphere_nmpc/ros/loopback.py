@@ -53,11 +53,18 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
         environment[name] = str(PROFILES)
 
 
-def heed_localhost_only(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Stay on the loopback if ``ROS_LOCALHOST_ONLY`` is 1; else leave everything as it is."""
+def heed_localhost_only(environment: MutableMapping[str, str] = os.environ) -> bool:
+    """Stay on the loopback if ``ROS_LOCALHOST_ONLY`` is 1; return whether that is the case."""
     if environment.get(SWITCH) == "1":
         environment.pop(RANGE, None)  # as in ROS, where the switch goes before the range
         stay_on_this_machine(environment)
+    return _is_on_loopback(environment)
+
+
+def _is_on_loopback(environment: Mapping[str, str]) -> bool:
+    given = next((environment[name] for name in _PROFILES if environment.get(name)), "")
+    reach = environment.get(RANGE, "").upper()
+    return given == str(PROFILES) and reach == "SYSTEM_DEFAULT"
 
 
 def audience(environment: Mapping[str, str] = os.environ) -> str:
@@ -66,7 +73,7 @@ def audience(environment: Mapping[str, str] = os.environ) -> str:
     reach = environment.get(RANGE, "").upper()
     if environment.get(SWITCH) == "1":
         reach = "LOCALHOST"
-    if given == str(PROFILES) and reach == "SYSTEM_DEFAULT":
+    if _is_on_loopback(environment):
         heard = "on this machine only, over the loopback"
     elif server := environment.get(_SERVER):
         heard = f"by the nodes of the discovery server {server}"

@@ -38,16 +38,24 @@ def temporary_folder() -> Path:
     name is taken by somebody else, it is a new one that only this process knows.
     """
     try:
-        base = Path(tempfile.gettempdir())
-        # Elsewhere than on POSIX the temporary folder is the user's own.
-        folder = base / f"sphere_nmpc-{os.geteuid() if hasattr(os, 'geteuid') else 'user'}"
+        folder = temporary_path()
         make_private(folder)
         if folder.is_symlink() or distrust(folder) is not None:
-            folder = Path(tempfile.mkdtemp(prefix="sphere_nmpc-", dir=base))
+            folder = Path(tempfile.mkdtemp(prefix="sphere_nmpc-", dir=folder.parent))
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
         return folder
     except OSError:
         return _NOWHERE
+
+
+def temporary_path() -> Path:
+    """Return what `temporary_folder` is called unless somebody else has taken the name."""
+    try:
+        base = Path(tempfile.gettempdir())
+    except OSError:
+        return _NOWHERE
+    # Elsewhere than on POSIX the temporary folder is the user's own.
+    return base / f"sphere_nmpc-{os.geteuid() if hasattr(os, 'geteuid') else 'user'}"
 
 
 def make_private(folder: Path) -> None:

@@ -29,6 +29,7 @@ from sphere_nmpc.solver.cache import (
     distrust,
     make_private,
     temporary_folder,
+    temporary_path,
 )
 from sphere_nmpc.solver.compiler import (
     FLAGS,
@@ -66,13 +67,14 @@ def load_library() -> ctypes.CDLL:
     sources = {name: _text("sphere_nmpc.solver", name) for name in _C_SOURCES}
     name = f"hold_solver-{_content_key(sources)}.so"
     # Absolute, as a name without a folder is looked for among the system's libraries.
-    folders = list(dict.fromkeys(p.absolute() for p in (cache_folder(), temporary_folder())))
-    for folder in folders:
+    for folder in (cache_folder(), temporary_path()):
         with contextlib.suppress(OSError):
-            return _loaded(folder / name)
+            return _loaded(folder.absolute() / name)
     commands = compilers()
     trouble: list[str] = []
-    for folder in folders:
+    # The second is not made unless the first does not do.
+    for find in (cache_folder, temporary_folder):
+        folder = find().absolute()
         try:
             library = _built(folder / name, commands, sources)
         except OSError as problem:

@@ -3,15 +3,13 @@
 """``sphere_nmpc benchmark``: the solver beside its peers, on this machine."""
 
 import argparse
-import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -156,7 +154,7 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
 
     extra: dict[str, Any] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress, contextlib.ExitStack() as exits:
+    with Progress(*columns, console=console) as progress:
         makers = QUICK if options.quick else ALL
         if options.acados_python or not options.quick:
             makers = {**makers, **acados_makers(options.acados_python)}
@@ -165,50 +163,18 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         def told(name: str) -> None:
             progress.update(task, description=f"setting up {name}", advance=1)
 
-        stop_if_told = exits.enter_context(_told_to_stop())
         contenders, records, missing = set_up(makers, told)
         samples = round(options.duration / SAMPLE_PERIOD)
         total = options.rounds * len(options.cases) * samples * len(contenders)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
         for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
-            stop_if_told()
             progress.advance(task)
         extra["floor_us"] = measure_floor()
         if options.random:
             comparison = Comparison()
             task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
             for _ in compare(ipopt(), options.random, 0, comparison):
-                stop_if_told()
-                progress.advance(task)
+                    progress.advance(task)
             extra["random"] = comparison.summary()
     return records, missing, extra
-
-
-@contextlib.contextmanager
-def _told_to_stop() -> Iterator[Callable[[], None]]:
-    """Yield what raises KeyboardInterrupt after Ctrl-C.
-
-    A solver of CasADi takes an interrupt for its own, ends its solve and reports no more than a
-    solve that has failed.
-    """
-    heard = []
-    before = signal.getsignal(signal.SIGINT)
-
-    def note(number: int, frame: Any) -> None:
-        heard.append(number)
-        if callable(before):
-            before(number, frame)
-
-    def check() -> None:
-        if heard:
-            raise KeyboardInterrupt
-
-    if before is signal.SIG_IGN:
-        yield check
-        return
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)

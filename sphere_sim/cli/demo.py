@@ -6,6 +6,7 @@ import contextlib
 import json
 import re
 import select
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -168,7 +169,8 @@ def _conclude(plan: DemoPlan, arrived: bool, console: Console) -> int:
     console.print(table(plan, runs))
     files = ", ".join(["bag", *filter(None, left)])
     console.print(f"{files} and summary.json are in {plan.folder}", soft_wrap=True)
-    console.print(f"once more: sphere_nmpc viewer --replay {plan.bag}", soft_wrap=True)
+    bag = shlex.quote(str(plan.bag))
+    console.print(f"once more: sphere_nmpc viewer --replay {bag}", soft_wrap=True)
     if not arrived:
         print(
             f"demo: not at the goal after {run.times[-1]:.1f} s: error {metrics.final_error:.3g}, "

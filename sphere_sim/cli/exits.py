@@ -43,6 +43,7 @@ def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = 
     try:
         return call()
     except (Exception, KeyboardInterrupt) as error:
+        signals.ended = True
         if debug:
             import traceback
 
@@ -55,6 +56,8 @@ def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = 
             message = "; ".join(("interrupted", *map(str, words)))
         print(f"{name}: {message}", file=sys.stderr)
         return code
+    finally:
+        signals.ended = True
 
 
 def in_words(error: BaseException) -> str:

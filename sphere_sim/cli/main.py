@@ -8,6 +8,7 @@ needs no more than what the verb needs. Each verb is an executable of its own to
 ``--debug``, before or after the verb, shows the traceback of what goes wrong.
 """
 
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ VERBS = {
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
     "faults": ("sphere_sim.cli.faults", "inject faults and measure the recovery"),
 }
+_WITHOUT_ROS = ("study", "benchmark", "report")
 _DEBUG = "--debug"
 _ROS_ARGUMENTS = "--ros-args"
 
@@ -55,6 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(argv, signals)
     signals.install()
     output.install()
+    # Where matplotlib keeps its fonts is nothing that a user needs many lines about.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         code = _run(of_process(), signals)
     finally:
@@ -81,6 +85,10 @@ def _run(argv: Sequence[str], signals: Signals) -> int:
         return 2
 
     def call() -> int:
+        if os.environ.get("RMW_IMPLEMENTATION") and verb not in _WITHOUT_ROS:
+            from sphere_nmpc.ros.environment import check_middleware
+
+            check_middleware()  # now, as loading rclpy with a wrong one ends the process
         module = import_module(VERBS[verb][0])
         signals.interrupt()
         code: int = module.main(rest)

@@ -32,6 +32,8 @@ class Signals:
     def __init__(self) -> None:
         self.received = 0
         """Number of the signal that has come; 0 before."""
+        self.ended = False
+        """Whether the work is over, so that there is nothing left to interrupt."""
 
     def install(self) -> None:
         """End the process on a signal from now on."""
@@ -63,6 +65,8 @@ class Signals:
         os._exit(_EXIT_CODE + number)
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
+        if self.ended:
+            return
         self.received = number
         if _loses_exceptions(frame):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)

@@ -17,12 +17,12 @@ import rclpy
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.joining import join
 from sphere_sim.faults.processes import NodeProcess, stop_together
 from sphere_sim.ros.fault_monitor import FaultMonitor
 from sphere_sim.ros.fault_proxy import REMAPPED, FaultProxy
@@ -223,7 +223,7 @@ class FaultSession:
 @contextmanager
 def joined(settings: SessionSettings) -> Iterator[FaultSession]:
     """Make a session whose nodes are up, and end it whatever happens."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    join([], quiet=True)
     try:
         session = FaultSession(settings)
         try:

@@ -3,7 +3,6 @@
 """A study on one page."""
 
 import io
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -43,8 +42,6 @@ def draw(
     about : str
         Under which conditions they were made.
     """
-    # Where matplotlib may keep its fonts is nothing that a study needs many lines about.
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     # No pyplot: it would look for a display and keep the figure.
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine

@@ -79,6 +79,7 @@ def started(
     installed: Iterable[str] = (),
     pushed: str = "",
     command: Sequence[str] = ON_COMMAND_LINE,
+    looks: bool = False,
 ) -> list[Made]:
     """Return what the launch file starts.
 
@@ -92,6 +93,8 @@ def started(
         Namespace that an including file has pushed.
     command : sequence of str
         What stands before the arguments on the command line.
+    looks : bool
+        Whether to look for others in the domain, which takes a second.
 
     Raises
     ------
@@ -101,7 +104,10 @@ def started(
     with patch.dict(sys.modules, _modules(installed)), patch.object(
         sys, "argv", [*command, *words]
     ):
-        *declared, function = _loaded().generate_launch_description()
+        file = _loaded()
+        if not looks:
+            file.refuse_company = lambda place, clock: None
+        *declared, function = file.generate_launch_description()
         given = dict(word.split(":=", 1) for word in words)
         value = {}
         for argument in declared:

@@ -155,7 +155,8 @@ def test_without_compiler_the_virtual_machine_takes_over(filled, tmp_path, envir
 def test_demanded_without_compiler_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setenv(native.CACHE_VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setattr(native, "temporary_folder", lambda: tmp_path / "temporary")
+    for name in ("temporary_folder", "temporary_path"):
+        monkeypatch.setattr(native, name, lambda: tmp_path / "temporary")
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(native.CompilerError, match="no C compiler found"):
         native.load_library()

@@ -146,7 +146,7 @@ def left_behind(mark: str) -> list[str]:
 def judged(verb: str, found: Interrupted, out: Path) -> list[str]:
     """Return what there is to complain about."""
     complaints = [f"left behind: {name}" for name in found.left]
-    if found.code not in (0, 130, -signal.SIGINT):  # the last: while the interpreter ends
+    if found.code not in (0, 130):
         complaints.append(f"exit code {found.code}: {found.told[-2000:]}")
     words = [line for line in found.told.splitlines() if line.strip()]
     if "Traceback" in found.told or "Exception ignored" in found.told:

@@ -55,14 +55,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     signals, output = Signals(), Output()
     if argv is not None:
         return _run(argv, signals)
-    signals.install()
+    signals.exit_at_once()
     output.install()
     # Where matplotlib keeps its fonts is nothing that a user needs many lines about.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         code = _run(of_process(), signals)
     finally:
-        signals.die()
+        signals.exit_at_once()
     failure = output.failure()
     if failure:
         print(f"sphere_nmpc: {failure}", file=sys.stderr)

@@ -35,8 +35,8 @@ class Signals:
         self.ended = False
         """Whether the work is over, so that there is nothing left to interrupt."""
 
-    def install(self) -> None:
-        """End the process on a signal from now on."""
+    def exit_at_once(self) -> None:
+        """End the process on a signal from now on: nothing is begun yet, or all is done."""
         for number in STOPPING:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._exit)
@@ -49,12 +49,6 @@ class Signals:
         for number in STOPPING:
             if signal.getsignal(number) == self._exit:
                 signal.signal(number, self._raise)
-
-    def die(self) -> None:
-        """Leave further signals to the system: there is nothing to clean up any more."""
-        for number in STOPPING:
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, signal.SIG_DFL)
 
     @property
     def exit_code(self) -> int:

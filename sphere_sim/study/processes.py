@@ -1,6 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Calls spread over processes of this machine, none of which outlives its parent."""
+"""Calls spread over processes of this machine, none of which outlives its parent.
+
+The pool of `concurrent.futures` does not serve: its processes outlive a parent that is killed, and
+when one of them dies it does not tell over which call, and gives up all of them.
+"""
 
 import contextlib
 import logging

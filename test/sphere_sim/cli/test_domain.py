@@ -24,6 +24,7 @@ from rosgraph_msgs.msg import Clock
 from sphere_nmpc.ros.environment import RosEnvironmentError
 from sphere_nmpc.ros.loopback import stay_on_this_machine
 from sphere_sim.cli.domain import own_domain
+from sphere_sim.ros import domain_guests
 from sphere_sim.ros.domain_guests import DomainTakenError, look_for_guests, refuse_company
 
 SESSION = int(os.environ["ROS_DOMAIN_ID"])
@@ -43,8 +44,10 @@ def locks(monkeypatch, tmp_path) -> Path:
 
 
 @pytest.fixture
-def simulator() -> Iterator[subprocess.Popen]:
+def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
     """A simulator in the domain of this session, once it is found there."""
+    # How long a look takes is measured, not tested: a busy machine may need more.
+    monkeypatch.setattr(domain_guests, "_LOOKS", {True: (10.0,), False: (10.0,)})
     with started("simulator", "-p", "start_paused:=true") as process:
         end = time.monotonic() + 60.0
         while not look_for_guests():

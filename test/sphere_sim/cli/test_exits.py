@@ -27,15 +27,20 @@ sys.exit(cli.main())
 
 @pytest.fixture
 def roll(tmp_path):
-    """Return a function that starts the verb `roll`, given by its source."""
+    """Return a function that starts the verb `roll`, from its source; it ends with the test."""
+    running = []
 
     def start(source: str, *arguments: str, **options) -> subprocess.Popen:
         (tmp_path / "a_verb.py").write_text(textwrap.dedent(source))
         command = [sys.executable, "-c", COMMAND, str(tmp_path), "roll", *arguments]
         options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
-        return subprocess.Popen(command, **options)
+        running.append(subprocess.Popen(command, **options))
+        return running[-1]
 
-    return start
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
 
 
 def raising(error: BaseException):

@@ -33,6 +33,7 @@ from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
 from sphere_sim.ros.demo_director import DemoDirector, directing
+from sphere_sim.whole_file import write_whole
 
 _READY_TIMEOUT = 45.0
 """How long the nodes may take to come together [s]; a busy machine needs some ten."""
@@ -182,7 +183,7 @@ def _conclude(plan: DemoPlan, arrived: bool, console: Console) -> int:
 
 def _write_summary(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> None:
     summary = json.dumps(summarise(plan, arrived, runs), indent=2)
-    (plan.folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
+    write_whole(plan.folder / "summary.json", summary + "\n")
 
 
 def _draw(figure: Figure, folder: Path, name: str) -> str:

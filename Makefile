@@ -12,6 +12,8 @@ COLCON_VENV := .venv-colcon
 # virtual environment's Python would load the wrong libraries.
 unexport LD_LIBRARY_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Tests start hundreds of processes; none of them should compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-fast check venv homes clean

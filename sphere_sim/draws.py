@@ -1,13 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts and goals drawn at random, of the kinds that are hard in their own ways."""
+"""Starts and goals drawn at random, of the kinds that are hard in their own ways.
+
+SciPy is loaded where it is used: who takes the names of the kinds only has no need to wait.
+"""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.state import Vector, make_state
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Ends = tuple[Vector, Vector]
 
@@ -39,6 +45,8 @@ def circle(rng: np.random.Generator) -> Ends:
 
 def half_turn(rng: np.random.Generator) -> Ends:
     """Draw the same place, turned by half a turn about any axis."""
+    from scipy.spatial.transform import Rotation
+
     start = _state(rng)
     axis = rng.normal(size=3)
     turn = Rotation.from_rotvec(np.pi * axis / np.linalg.norm(axis))
@@ -68,11 +76,13 @@ def _orientation(rng: np.random.Generator) -> Vector:
 
 
 def _on_circle(rng: np.random.Generator) -> Vector:
+    from scipy.spatial.transform import Rotation
+
     # The contact point is on Gamma where the body's z axis lies level.
     heading, roll = rng.uniform(0.0, 2.0 * np.pi, size=2)
     return _quaternion(Rotation.from_euler("ZYZ", [heading, 0.5 * np.pi, roll]))
 
 
-def _quaternion(rotation: Rotation) -> Vector:
+def _quaternion(rotation: "Rotation") -> Vector:
     x, y, z, w = rotation.as_quat()
     return np.array([w, x, y, z])

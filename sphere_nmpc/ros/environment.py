@@ -16,12 +16,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.loopback import PROFILE_VARIABLES
 
 DOMAIN = "ROS_DOMAIN_ID"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 _HIGHEST_DOMAIN = 232
 """The ports of Fast DDS end there."""
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _LOGS = "ROS_LOG_DIR"
 
 
@@ -53,8 +53,7 @@ def check_environment(environment: Mapping[str, str] = os.environ) -> None:
         Naming the variable.
     """
     domain_of(environment)
-    check_middleware(environment)
-    for name in _PROFILES:
+    for name in PROFILE_VARIABLES:
         if path := environment.get(name):
             _check_profiles(name, path)
     for peer in environment.get("ROS_STATIC_PEERS", "").split(";"):
@@ -97,12 +96,14 @@ def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
         With the names of those that are installed.
     """
     given = environment.get(_MIDDLEWARE)
+    if not given:
+        return
     prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     index = Path("share/ament_index/resource_index/rmw_typesupport")
     folders = [folder for prefix in prefixes if (folder := Path(prefix) / index).is_dir()]
     there = {entry.name for folder in folders for entry in folder.iterdir()}
     there.discard("rmw_implementation")  # which only chooses one of the others
-    if given and there and given not in there:
+    if there and given not in there:
         raise RosEnvironmentError(_MIDDLEWARE, given, " or ".join(sorted(there)))
 
 

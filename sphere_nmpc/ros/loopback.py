@@ -15,10 +15,10 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 SWITCH = "ROS_LOCALHOST_ONLY"
 PROFILES = Path(__file__).with_name("loopback.xml")
 """Settings of Fast DDS with which it uses the loopback alone."""
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where Fast DDS looks for its settings, up to version 2 and from 3 on."""
 _PEERS, _SERVER = "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
-CHOICES = (_PEERS, _SERVER, "FASTDDS_BUILTIN_TRANSPORTS", *_PROFILES)
+CHOICES = (_PEERS, _SERVER, "FASTDDS_BUILTIN_TRANSPORTS", *PROFILE_VARIABLES)
 """With one of these set, the user has chosen who is to be heard."""
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 _REACH = {
@@ -49,7 +49,7 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
         return
     # So it does in any other range.
     environment[RANGE] = "SYSTEM_DEFAULT"
-    for name in _PROFILES:
+    for name in PROFILE_VARIABLES:
         environment[name] = str(PROFILES)
 
 
@@ -62,14 +62,14 @@ def heed_localhost_only(environment: MutableMapping[str, str] = os.environ) -> b
 
 
 def _is_on_loopback(environment: Mapping[str, str]) -> bool:
-    given = next((environment[name] for name in _PROFILES if environment.get(name)), "")
+    given = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
     reach = environment.get(RANGE, "").upper()
     return given == str(PROFILES) and reach == "SYSTEM_DEFAULT"
 
 
 def audience(environment: Mapping[str, str] = os.environ) -> str:
     """Return in one line who can hear a node with this environment."""
-    given = next((environment[name] for name in _PROFILES if environment.get(name)), "")
+    given = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
     reach = environment.get(RANGE, "").upper()
     if environment.get(SWITCH) == "1":
         reach = "LOCALHOST"

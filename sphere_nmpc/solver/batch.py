@@ -3,9 +3,8 @@
 """Many solves at once: multi-start searches and sets of problems, on several threads."""
 
 import threading
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,7 @@ from numpy.typing import NDArray
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver import compiled
 from sphere_nmpc.solver.compiled import Slot, body_size, library, new_workspace
-from sphere_nmpc.solver.levenberg_marquardt import minimise
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
-from sphere_nmpc.solver.vector_objective import VectorObjective
 
 _NO_WINNER = np.iinfo(np.int64).max
 
@@ -136,47 +133,4 @@ def solve_batch_compiled(
         heads[:, compiled.KKT_RESIDUAL].copy(),
         heads[:, compiled.SOLVE_TIME].copy(),
         settings.target_cost,
-    )
-
-
-def solve_batch_in_python(
-    problems: Sequence[HoldProblem],
-    starts: Sequence[Vector],
-    settings: SolverSettings,
-    stop_at_first: bool,
-    time_budget: float,
-) -> BatchSolution:
-    """Solve one after the other without the compiled solver; see `HoldSolver.solve_batch`."""
-    began = time.perf_counter()
-    answers: list[HoldSolution] = []
-    done = False
-    for problem, start in zip(problems, starts, strict=True):
-        left = time_budget - (time.perf_counter() - began)
-        if done or left <= 0.0:
-            answers.append(_never_begun(problem, start))
-            continue
-        limited = replace(settings, time_budget=min(settings.time_budget, left))
-        answers.append(minimise(VectorObjective(problem), problem, start, limited))
-        done = stop_at_first and answers[-1].cost <= settings.target_cost
-    return BatchSolution(
-        [answer.inputs for answer in answers],
-        [answer.states for answer in answers],
-        np.array([answer.cost for answer in answers]),
-        np.array([answer.iterations for answer in answers], dtype=np.int64),
-        [answer.status for answer in answers],
-        np.array([answer.kkt_residual for answer in answers]),
-        np.array([answer.solve_time for answer in answers]),
-        settings.target_cost,
-    )
-
-
-def _never_begun(problem: HoldProblem, start: Vector) -> HoldSolution:
-    return HoldSolution(
-        inputs=np.vstack((problem.input_in_force, start)),
-        states=np.full((problem.intervals + 1, 6), np.nan),
-        cost=np.inf,
-        status=SolveStatus.ABANDONED,
-        iterations=0,
-        kkt_residual=np.inf,
-        solve_time=0.0,
     )

@@ -7,24 +7,20 @@ import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.batch import (
-    BatchSolution,
-    solve_batch_compiled,
-    solve_batch_in_python,
-)
+from sphere_nmpc.solver.batch import BatchSolution, solve_batch_compiled
 from sphere_nmpc.solver.compiled import TIME_BUDGET, Slot, library
-from sphere_nmpc.solver.levenberg_marquardt import minimise
-from sphere_nmpc.solver.native import CompilerError
+from sphere_nmpc.solver.compiler import CompilerError
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
-from sphere_nmpc.solver.vector_objective import VectorObjective
 
 BACKENDS = ("auto", "compiled", "vm")
+_NUMPY_SOLVER = "sphere_nmpc.solver.numpy_solver"
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -53,6 +49,8 @@ class HoldSolver:
         self.settings = SolverSettings() if settings is None else settings
         self.backend = _resolve(backend)
         self._slots = threading.local()
+        # Loaded only where it is needed, and now rather than within the first solve.
+        self._numpy: Any = import_module(_NUMPY_SOLVER) if self.backend == "vm" else None
 
     def solve(
         self, problem: HoldProblem, start: Vector, time_budget: float | None = None
@@ -76,7 +74,8 @@ class HoldSolver:
         budget = settings.time_budget if time_budget is None else time_budget
         if self.backend == "vm":
             limited = replace(settings, time_budget=budget)
-            return minimise(VectorObjective(problem), problem, start, limited)
+            answer: HoldSolution = self._numpy.minimise(problem, start, limited)
+            return answer
         slot = self._slot(problem.durations.size)
         slot.write(problem)
         slot.head[TIME_BUDGET] = budget
@@ -87,7 +86,8 @@ class HoldSolver:
     def roll_out(self, problem: HoldProblem, inputs: Vector) -> Vector:
         """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, (N + 1, 2)."""
         if self.backend == "vm":
-            return VectorObjective(problem).states(inputs)
+            states: Vector = self._numpy.roll_out(problem, inputs)
+            return states
         slot = self._slot(problem.durations.size)
         slot.write(problem)
         slot.inputs[:] = inputs
@@ -131,7 +131,10 @@ class HoldSolver:
                 f"batch: given {len(many)} problems and {count} starts, expected as many"
             )
         if self.backend == "vm":
-            return solve_batch_in_python(many, guesses, self.settings, stop_at_first, time_budget)
+            answers: BatchSolution = self._numpy.solve_batch(
+                many, guesses, self.settings, stop_at_first, time_budget
+            )
+            return answers
         return solve_batch_compiled(
             many, guesses, self.settings, threads, stop_at_first, time_budget
         )

@@ -11,7 +11,6 @@ a standstill, while the damped model always descends.
 
 import math
 import time
-from typing import Protocol
 
 import numpy as np
 
@@ -23,43 +22,17 @@ from sphere_nmpc.solver.problem import (
     SolveStatus,
 )
 from sphere_nmpc.solver.quadratic_model import QuadraticModel
+from sphere_nmpc.solver.vector_objective import VectorObjective
 
 MIN_DAMPING = 1e-12
 MAX_DAMPING = 1e12
 
 
-class Objective(Protocol):
-    """A cost of unknowns v, shape (2 N,): the scaled knots u_1 ... u_N in any order."""
-
-    lower: Vector
-    upper: Vector
-
-    def scaled(self, inputs: Vector) -> Vector:
-        """Return the unknowns for knots u_1 ... u_N [rad/s], shape (N, 2)."""
-        ...
-
-    def inputs(self, v: Vector) -> Vector:
-        """Return u_0 ... u_N [rad/s], shape (N + 1, 2)."""
-        ...
-
-    def evaluate(self, v: Vector) -> tuple[float, Vector]:
-        """Return the cost and the states at the knots, shape (N + 1, 6)."""
-        ...
-
-    def expand(self, v: Vector) -> QuadraticModel:
-        """Return a model of the cost at v, where it was evaluated last."""
-        ...
-
-
-def minimise(
-    objective: Objective, problem: HoldProblem, start: Vector, settings: SolverSettings
-) -> HoldSolution:
+def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
     """Solve a problem from a start; the compiled solver takes the same steps.
 
     Parameters
     ----------
-    objective : Objective
-        Computes the cost of the problem.
     problem : HoldProblem
         What to solve.
     start : ndarray, shape (N, 2)
@@ -72,6 +45,7 @@ def minimise(
     HoldSolution
     """
     began = time.perf_counter()
+    objective = VectorObjective(problem)
     lower, upper = objective.lower, objective.upper
     v = _clipped(objective.scaled(start), lower, upper)
     value, states = objective.evaluate(v)

@@ -40,8 +40,6 @@ from sphere_nmpc.solver.compiler import (
     target_flags,
 )
 
-__all__ = ["CACHE_VARIABLE", "CompilerError", "cache_folder", "load_library"]
-
 _C_SOURCES = ("driver.c", "vectors.h", "hold.h", "expansion.h", "step.h")
 _GENERATORS = (
     ("sphere_nmpc.model", "dynamics.py"),

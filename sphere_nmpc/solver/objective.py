@@ -10,37 +10,6 @@ from sphere_nmpc.solver.quadratic_model import DenseModel
 from sphere_nmpc.solver.shooting import roll_out, roll_out_with_sensitivity
 
 
-class HoldObjective:
-    """See `sphere_nmpc.solver.levenberg_marquardt.Objective`; unknowns knot by knot.
-
-    Parameters
-    ----------
-    problem : HoldProblem
-        What to solve.
-    """
-
-    def __init__(self, problem: HoldProblem) -> None:
-        self._problem = problem
-        self.lower, self.upper = self.scaled(problem.lower), self.scaled(problem.upper)
-
-    def scaled(self, inputs: Vector) -> Vector:
-        """Return the unknowns v, shape (2 N,), for knots u_1 ... u_N [rad/s], shape (N, 2)."""
-        unknowns: Vector = inputs.ravel() / self._problem.input_scale
-        return unknowns
-
-    def inputs(self, v: Vector) -> Vector:
-        """Return u_0 ... u_N [rad/s], shape (N + 1, 2)."""
-        return all_knots(self._problem, v)
-
-    def evaluate(self, v: Vector) -> tuple[float, Vector]:
-        """Return the cost and the states, shape (N + 1, 6)."""
-        return cost(self._problem, v)
-
-    def expand(self, v: Vector) -> DenseModel:
-        """Return the Gauss-Newton model of the cost at v."""
-        return expand(self._problem, v)
-
-
 def all_knots(problem: HoldProblem, scaled: Vector) -> Vector:
     """Return u_0 ... u_N [rad/s], shape (N + 1, 2), for scaled free knots v, shape (2 N,)."""
     free = problem.input_scale * scaled.reshape(-1, INPUT_SIZE)

@@ -24,7 +24,7 @@ _DIAGONAL = np.arange(_MISS)
 
 
 class VectorObjective:
-    """See `sphere_nmpc.solver.levenberg_marquardt.Objective`.
+    """Cost of the scaled knots v, shape (2 N,), those of rotor 1 first.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class VectorObjective:
         knots[1:] = problem.input_scale * v.reshape(2, -1).T
         states = self.states(knots)
         misses = states[1:] - problem.goal
-        self._misses, self._v = misses, v
+        self._misses = misses
         value = problem.terminal_weight * float(misses[-1] @ misses[-1])
         value += problem.input_weight * float(v @ v)
         if problem.stage_weight > 0.0:

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import in_words
 from sphere_sim.cli.places import prepare_folder
-
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+from sphere_sim.whole_file import write_whole
 
 _WIDE = 160
 
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parse(argv)
     prepare_folder(options.json.parent)
     # Before numpy is loaded: its libraries read them once.
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    os.environ.update(ONE_EACH)
     from rich.console import Console
 
     from sphere_sim.benchmark.report import OURS, as_numbers, draw, show
@@ -74,12 +74,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _write(path: Path, report: dict[str, Any]) -> None:
-    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(report, indent=2) + "\n")
 
 
 def _first_use() -> float | None:
     """Return how long the first solve takes on a clean cache [s]; None where it fails."""
-    from sphere_nmpc.solver.native import CACHE_VARIABLE
+    from sphere_nmpc.solver.cache import CACHE_VARIABLE
 
     try:
         with tempfile.TemporaryDirectory() as empty:
@@ -175,6 +175,6 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
             comparison = Comparison()
             task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
             for _ in compare(ipopt(), options.random, 0, comparison):
-                    progress.advance(task)
+                progress.advance(task)
             extra["random"] = comparison.summary()
     return records, missing, extra

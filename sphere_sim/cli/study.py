@@ -3,12 +3,12 @@
 """``sphere_nmpc study``: run many scenarios and write tables of the outcome."""
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.library_threads import limit_library_threads
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.simulator_settings import PLANTS
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sphere_sim.study.conditions import StudyConditions
 
 _KINDS = ("anywhere", "far", "circle", "half_turn")
-"""The names in `sphere_sim.draws.DRAWS`, which would load SciPy; a test compares them."""
+"""The names in `sphere_sim.draws.DRAWS`, which would load NumPy; a test compares them."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
 """More are a slip of the finger."""
 
@@ -44,10 +44,7 @@ def main(argv: Sequence[str]) -> int:
         With words about what is left.
     """
     arguments = _parser().parse_args(argv)
-    # A library that starts a thread a core slows down small problems and other processes; read
-    # by numpy when it is imported, hence the imports below.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    limit_library_threads()  # before numpy is loaded, hence the imports below
     try:
         return _run(arguments)
     except KeyboardInterrupt as error:

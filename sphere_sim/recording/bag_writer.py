@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rosbag2 folder (metadata.yaml of version 9 and one MCAP file), complete after every commit."""
 
-import contextlib
 import errno
 import io
-import os
 import shutil
 import textwrap
 from collections.abc import Sequence
@@ -20,6 +18,7 @@ from ruamel.yaml import YAML
 from sphere_nmpc import __version__
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.mcap_file import McapFile
+from sphere_sim.whole_file import write_whole
 
 METADATA = "metadata.yaml"
 _LIBRARY = f"sphere_nmpc {__version__}"
@@ -157,7 +156,10 @@ class BagWriter:
         information = self._information()
         self._file.commit({"rosbag2": {"serialized_metadata": information}})
         indented = textwrap.indent(information, "  ")
-        _replace(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
+        try:
+            write_whole(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
+        except OSError as error:
+            raise BagError(self.folder, f"cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
         """Commit what is left and close the file.
@@ -214,15 +216,3 @@ class BagWriter:
             "custom_data": dict(self.custom_data),
             "ros_distro": _ROS_DISTRO,
         }
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that a reader finds either the old text or the new."""
-    fresh = path.with_suffix(".yaml.part")
-    try:
-        fresh.write_text(text, encoding="utf-8")
-        os.replace(fresh, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            fresh.unlink(missing_ok=True)
-        raise BagError(path.parent, f"cannot be written: {error.strerror}") from error

@@ -22,7 +22,7 @@ from rich.progress import Progress
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, nearer_sign, state_error
-from sphere_nmpc.solver.native import cache_folder
+from sphere_nmpc.solver.cache import cache_folder
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, Effort
 from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch

@@ -20,12 +20,12 @@ from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
+from sphere_nmpc.library_threads import limit_library_threads
 from sphere_sim.study.errors import WorkersError
 
 TRIES = 3
 """How often a call is made anew whose process died over it."""
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -185,8 +185,7 @@ def _interrupts_later() -> Iterator[None]:
 
 def _serve(link: Connection) -> None:
     """Answer calls until the parent is gone."""
-    for name in _ONE_THREAD:
-        os.environ.setdefault(name, "1")
+    limit_library_threads()
     # What there is to tell the parent has told.
     logging.getLogger("sphere_nmpc").setLevel(logging.ERROR)
     with contextlib.suppress(RuntimeError):  # no thread to be had: it ends after its call

@@ -54,7 +54,7 @@ def solve_elsewhere(cache, code=SOLVE, **environment):
     return subprocess.Popen(
         [sys.executable, "-c", code],
         env={
-            **inherited, native.CACHE_VARIABLE: str(cache), "TMPDIR": str(cache.parent),
+            **inherited, places.CACHE_VARIABLE: str(cache), "TMPDIR": str(cache.parent),
             **environment,
         },
         stdout=subprocess.PIPE,
@@ -154,7 +154,7 @@ def test_without_compiler_the_virtual_machine_takes_over(filled, tmp_path, envir
 
 def test_demanded_without_compiler_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", "")
-    monkeypatch.setenv(native.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(places.CACHE_VARIABLE, str(tmp_path / "cache"))
     for name in ("temporary_folder", "temporary_path"):
         monkeypatch.setattr(native, name, lambda: tmp_path / "temporary")
     monkeypatch.delenv("CC", raising=False)
@@ -225,7 +225,7 @@ def test_where_no_file_may_be_large_both_folders_are_told(tmp_path):
     out, err = answer(solve_elsewhere(tmp_path / "cache", code))
     assert out[0].startswith("vm") and len(err.splitlines()) == 1
     assert err.count("File too large (errno 27)") == 2 and str(tmp_path / "cache") in err
-    assert native.CACHE_VARIABLE in err and "compiler" not in err
+    assert places.CACHE_VARIABLE in err and "compiler" not in err
 
 
 @pytest.mark.parametrize("part", ("folder", "file"))
@@ -267,17 +267,17 @@ def test_user_without_a_home_builds_in_the_temporary_folder():
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
         base.chmod(0o1777)
-        environment = {native.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": name}
+        environment = {places.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": name}
         out, err = answer(solve_elsewhere(base / "x", AS_NOBODY, **environment))
         assert out[0] == str(base / "sphere_nmpc-54321")
         assert out[1].startswith(out[0]) and err.count("\n") == 1
 
 
 def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
-    monkeypatch.delenv(native.CACHE_VARIABLE, raising=False)
+    monkeypatch.delenv(places.CACHE_VARIABLE, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert native.cache_folder() == tmp_path / "sphere_nmpc"
-    monkeypatch.setenv(native.CACHE_VARIABLE, str(tmp_path / "mine"))
+    monkeypatch.setenv(places.CACHE_VARIABLE, str(tmp_path / "mine"))
     assert native.cache_folder() == tmp_path / "mine"
 
 

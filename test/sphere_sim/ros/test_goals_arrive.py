@@ -53,7 +53,8 @@ def company(graph, tmp_path, monkeypatch) -> list[Node]:
     ids=["--once beside recorder, viewer and markers", "-t 3, as printed, beside an echo too"],
 )
 def test_goal_that_is_sent_arrives(graph, company, times, echoes) -> None:
-    graph.add(SimulatorNode())
+    # All nodes share one thread here; at full pace it would have no time for a goal.
+    graph.add(SimulatorNode([Parameter("real_time_factor", value=0.1)]))
     graph.add(ControllerNode([Parameter("use_sim_time", value=True)]))
     accepted = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
     if echoes:

@@ -7,6 +7,9 @@ ARGS ?=
 HOMES ?= $(PYTHON)
 VENV := .venv
 COLCON_VENV := .venv-colcon
+# Tests of running nodes wait more than they work, hence more processes than a small machine has
+# cores. Tests of one file share what they have started.
+SPREAD := --numprocesses 3 --dist loadfile
 
 # The ROS wheels set these two in every process they start; a child that is started with another
 # virtual environment's Python would load the wrong libraries.
@@ -25,10 +28,10 @@ demo: $(VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2")
 	$(VENV)/bin/sphere_nmpc demo $(ARGS)
 
 test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test (ARGS="-k name")
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python -m pytest $(SPREAD) $(ARGS)
 
 test-fast: $(VENV)/.stamp  ## Run the tests that take no more than a few seconds
-	$(VENV)/bin/python -m pytest -m "not slow" $(ARGS)
+	$(VENV)/bin/python -m pytest $(SPREAD) -m "not slow" $(ARGS)
 
 check: $(VENV)/.stamp  ## Lint and type check
 	$(VENV)/bin/ruff check .

@@ -35,7 +35,14 @@ EXTRAS = {
         "pyarrow>=16",
     ],
     # launch_testing's pytest plugin breaks under pytest 9.
-    "test": ["pytest>=7.4,<9", "hypothesis>=6.100", "ruff>=0.9", "mypy>=1.14", "packaging"],
+    "test": [
+        "pytest>=7.4,<9",
+        "pytest-xdist>=3.3",
+        "hypothesis>=6.100",
+        "ruff>=0.9",
+        "mypy>=1.14",
+        "packaging",
+    ],
 }
 
 setup(

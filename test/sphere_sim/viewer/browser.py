@@ -45,7 +45,7 @@ def find_browser() -> str | None:
 class Browser:
     """One page in a browser of its own; ends with the context."""
 
-    def __init__(self, executable: str, folder: Path, size: tuple[int, int] = (1000, 480),
+    def __init__(self, executable: str, folder: Path, size: tuple[int, int] = (800, 400),
                  sharpness: float = 1.0) -> None:
         self._folder = folder
         self.size = size

@@ -93,6 +93,8 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
     finally:
         graph.close()
         stop(processes.values())
+        for log in sorted(folder.glob("*.log")):  # shown where a test failed
+            print(f"{log.name}:\n{log.read_text(errors='replace')[-3000:]}")
 
 
 def told_in_time(stage: Stage, name: str, arguments: tuple[str, ...], words: str) -> bool:

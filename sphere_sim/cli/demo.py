@@ -23,7 +23,7 @@ from sphere_sim.cli.demo_comparison import compute_other
 from sphere_sim.cli.demo_plan import DemoPlan, parse
 from sphere_sim.cli.demo_summary import summarise, table
 from sphere_sim.cli.domain import own_domain
-from sphere_sim.cli.exits import in_words
+from sphere_sim.cli.exits import if_interrupted, in_words
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.cli.progress_display import ProgressDisplay
 from sphere_sim.figures.paper_panels import paper_panels
@@ -59,16 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ------
     SphereNmpcError
         If the run cannot be made.
-    KeyboardInterrupt
-        With words about what is left.
     """
     plan = parse(arguments)
-    try:
-        with own_domain() as domain:
-            return _demonstrate(plan, domain, Console())
-    except KeyboardInterrupt as error:
+
+    def left() -> str:
         kept = f"; {plan.bag} keeps what was recorded" if plan.bag.exists() else ""
-        raise KeyboardInterrupt(f"all nodes are stopped{kept}") from error
+        return f"all nodes are stopped{kept}"
+
+    with if_interrupted(left), own_domain() as domain:
+        return _demonstrate(plan, domain, Console())
 
 
 def _demonstrate(plan: DemoPlan, domain: int, console: Console) -> int:

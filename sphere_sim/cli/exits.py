@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a command ends: every exception becomes one line on standard error and an exit code."""
 
+import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 
 from sphere_sim.cli.signals import Signals
@@ -19,6 +20,8 @@ EXTRAS = {
     "report": ("pyarrow",),
 }
 
+_LEFT = "left_behind"
+
 
 def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = False) -> int:
     """Call a verb and return its exit code, whatever happens in it.
@@ -28,7 +31,7 @@ def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = 
     name : str
         What the message begins with.
     call : callable
-        Returns an exit code. A KeyboardInterrupt that it raises may carry words for the user.
+        Returns an exit code.
     signals : Signals
         Tells whether an exception comes from a signal.
     debug : bool, optional
@@ -52,12 +55,31 @@ def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = 
         # Libraries make errors of their own out of an interrupt.
         if signals.received or isinstance(error, KeyboardInterrupt):
             code = signals.exit_code
-            words = error.args if isinstance(error, KeyboardInterrupt) else ()
-            message = "; ".join(("interrupted", *map(str, words)))
+            message = "; ".join(("interrupted", *getattr(error, _LEFT, ())))
         print(f"{name}: {message}", file=sys.stderr)
         return code
     finally:
         signals.ended = True
+
+
+@contextlib.contextmanager
+def if_interrupted(left: Callable[[], str]) -> Iterator[None]:
+    """Have `guarded` tell what is left behind when a signal ends what is done in this context.
+
+    Whatever exception ends it: not every library lets a KeyboardInterrupt pass as it is. Of
+    contexts within each other the innermost tells.
+
+    Parameters
+    ----------
+    left : callable
+        Returns what is left behind and how to go on, in words.
+    """
+    try:
+        yield
+    except BaseException as error:
+        if not hasattr(error, _LEFT):
+            setattr(error, _LEFT, (left(),))
+        raise
 
 
 def in_words(error: BaseException) -> str:

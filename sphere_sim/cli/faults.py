@@ -21,6 +21,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.cli.arguments import whole
 from sphere_sim.cli.domain import own_domain
+from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
 from sphere_sim.faults.machine import MACHINE_FAULTS, MachineFault
@@ -43,8 +44,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ------
     SphereNmpcError
         If the campaign cannot be run.
-    KeyboardInterrupt
-        With words about what is left.
     """
     given = _parse(arguments)
     console = Console()
@@ -55,16 +54,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     machines = chosen(MACHINE_FAULTS.values(), given.fault, given.quick) * given.repeat
     prepare_folder(given.json.parent)
     outcomes: list[Outcome] = []
+
+    def left() -> str:
+        done = f"{len(outcomes)} of {len(trials) + len(machines)} trials"
+        return f"all nodes are stopped after {done}"
+
     try:
-        with _folder(given.out) as folder, own_domain():
+        with if_interrupted(left), _folder(given.out) as folder, own_domain():
             for outcome in chain(
                 _tried(trials, _settings(given, folder), console),
                 _tried_in_a_home(machines, console),
             ):
                 outcomes.append(outcome)
-    except KeyboardInterrupt as error:
-        done = f"{len(outcomes)} of {len(trials) + len(machines)} trials"
-        raise KeyboardInterrupt(f"all nodes are stopped after {done}") from error
     finally:
         table = rows(outcomes)
         if table:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_sim.cli.arguments import not_negative, positive, whole
+from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.simulator_settings import PLANTS
 
@@ -40,19 +41,13 @@ def main(argv: Sequence[str]) -> int:
     ------
     SphereNmpcError
         If the study cannot be made.
-    KeyboardInterrupt
-        With words about what is left.
     """
     arguments = _parser().parse_args(argv)
     limit_library_threads()  # before numpy is loaded, hence the imports below
-    try:
+    out = arguments.out
+    kept = f"{out} keeps the runs made so far and the same command goes on from them"
+    with if_interrupted(lambda: kept):
         return _run(arguments)
-    except KeyboardInterrupt as error:
-        if error.args:
-            raise
-        raise KeyboardInterrupt(
-            f"{arguments.out} keeps the runs made so far and the same command goes on from them"
-        ) from error
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -75,13 +70,12 @@ def _run(arguments: argparse.Namespace) -> int:
     def bounds(scenarios: "Sequence[Scenario]") -> Sequence[float]:
         progress.close()
         workers.close()  # the search has processes of its own
-        try:
+        left = (
+            f"{arguments.out} has all results but the best known times, for which the same "
+            "command goes on"
+        )
+        with if_interrupted(lambda: left):
             return best_known_times(scenarios, conditions.robot, jobs)
-        except KeyboardInterrupt as error:
-            raise KeyboardInterrupt(
-                f"{arguments.out} has all results but the best known times, for which the same "
-                "command goes on"
-            ) from error
 
     runs = len(scenarios) * len(strategies)
     with Workers(jobs, arguments.scheduler) as workers, StudyProgress(runs) as progress:

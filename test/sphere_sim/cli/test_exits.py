@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
-from sphere_sim.cli.exits import guarded, in_words
+from sphere_sim.cli.exits import guarded, if_interrupted, in_words
 from sphere_sim.cli.signals import Signals
 
 COMMAND = """
@@ -60,12 +60,23 @@ def raising(error: BaseException):
         (MemoryError(), 1, "there is not enough memory"),
         (TypeError("two\nlines"), 1, "unexpected TypeError: two lines (--debug shows where)"),
         (KeyboardInterrupt(), 130, "interrupted"),
-        (KeyboardInterrupt("a bag is left"), 130, "interrupted; a bag is left"),
     ],
 )
 def test_every_exception_is_a_line_and_a_code(error, code, told, capsys) -> None:
     assert guarded("verb", raising(error), Signals()) == code
     assert capsys.readouterr().err == f"verb: {told}\n"
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("of a library")])
+def test_what_an_interrupt_leaves_behind_is_told_whatever_it_has_become(error, capsys) -> None:
+    def verb() -> int:
+        with if_interrupted(lambda: "all is kept"), if_interrupted(lambda: "a bag is left"):
+            raise error
+
+    signals = Signals()
+    signals.received = signal.SIGTERM
+    assert guarded("verb", verb, signals) == 143
+    assert capsys.readouterr().err == "verb: interrupted; a bag is left\n"
 
 
 def test_traceback_is_shown_on_request(roll) -> None:

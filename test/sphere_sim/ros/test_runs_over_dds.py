@@ -34,7 +34,7 @@ def processes(**parameters: dict[str, object]) -> Iterator[None]:
         for name, given in parameters.items():
             options = [f"{key}:={str(value).lower()}" for key, value in given.items()]
             arguments = (part for item in options for part in ("-p", item))
-            nodes.enter_context(started(name, *arguments, patience=10.0))
+            nodes.enter_context(started(name, *arguments))
         yield
 
 
@@ -55,7 +55,7 @@ def run(
         sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
         graph.until(lambda: goals)
         graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
-        graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) >= until * 1e9, patience=60.0)
+        graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) >= until * 1e9)
         end = stamp_from_ros(poses[-1].header.stamp) // sample * sample
     seen = {stamp_from_ros(p.header.stamp): pose_from_ros(p).tolist() for p in poses}
     sent = {

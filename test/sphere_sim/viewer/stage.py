@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from browser import Browser
+from browser import PATIENCE, Browser
 from PIL import Image
 
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT
@@ -58,7 +58,7 @@ def insist(
         with contextlib.suppress(AssertionError):
             act()
         with contextlib.suppress(AssertionError):
-            until(effect, 15.0)
+            until(effect, 40.0)
             return
     raise AssertionError("no effect after four tries")
 
@@ -98,7 +98,7 @@ def scene_of(page: Browser, path: Path) -> np.ndarray:
 
 def wait_for_scene(page: Browser, path: Path) -> None:
     """Wait until the scene, which fades in, is there."""
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + PATIENCE
     while np.std(scene_of(page, path)) < 5.0:
         assert time.monotonic() < end, "an empty scene"
         time.sleep(0.5)

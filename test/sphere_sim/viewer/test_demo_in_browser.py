@@ -81,7 +81,7 @@ def _pick_a_goal(page: Browser) -> None:
             graph.until, lambda: page.choose("pick a goal …", "start of the paper's case 1"),
             lambda: state_error(pose_from_ros(goals[-1]), goal) < 1e-9,
         )
-        graph.until(lambda: away() < 0.05, 60.0)
+        graph.until(lambda: away() < 0.05)
     finally:
         graph.close()
 
@@ -107,7 +107,7 @@ def test_demo_shows_the_run_and_leaves_the_sphere_to_who_watches(
         assert (tmp_path / "out" / "summary.json").exists()
         with Browser(BROWSER, home) as page:
             page.open(address)
-            page.wait_for("live", 60.0)
+            page.wait_for("live")
             assert re.search(r"to the goal: 0\.0", page.text)
             _pick_a_goal(page)
             assert page.console == []

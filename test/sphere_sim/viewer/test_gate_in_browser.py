@@ -50,7 +50,7 @@ def page(tmp_path: Path) -> Iterator[Browser]:
 def test_the_page_comes_up_and_comes_back_when_it_is_loaded_again(server, page) -> None:
     for address in (server.url, server.url.replace("127.0.0.1", "localhost")):
         page.open(address)
-        page.wait_for("this is the panel", 60.0)
+        page.wait_for("this is the panel")
         page.evaluate("document.body.append('stale')")
         page.call("Page.reload")
         end = time.monotonic() + 60.0
@@ -63,7 +63,7 @@ def test_the_page_comes_up_and_comes_back_when_it_is_loaded_again(server, page) 
 
 def test_without_the_token_the_page_says_what_to_do(server, page) -> None:
     page.open(server.url.partition("?")[0])
-    page.wait_for("open the address that the viewer printed", 20.0)
+    page.wait_for("open the address that the viewer printed")
     assert not server.get_clients()
 
 
@@ -86,7 +86,7 @@ def test_a_page_of_another_site_reaches_nothing(server, page, knows_token) -> No
     with ThreadingHTTPServer(("127.0.0.1", 0), Evil) as site:
         threading.Thread(target=site.serve_forever, daemon=True).start()
         page.open(f"http://127.0.0.1:{site.server_port}/")
-        page.wait_for("it is ", 20.0)
+        page.wait_for("it is ")
         assert "it is closed" in page.text
         site.shutdown()
     assert not server.get_clients()

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("viser")
 
-from browser import Browser, find_browser
+from browser import PATIENCE, Browser, find_browser
 from rosbags.typesys import Stores, get_typestore
 from stage import insist, page_of, scene_of, start, stop, wait_for_scene
 
@@ -72,7 +72,7 @@ def shown(page: Browser) -> float:
     return float(re.search(r"t = ([\d.]+) s", page.text).group(1))
 
 
-def wait_until(condition, patience: float = 20.0) -> None:
+def wait_until(condition, patience: float = PATIENCE) -> None:
     end = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -80,10 +80,10 @@ def wait_until(condition, patience: float = 20.0) -> None:
 
 
 def test_a_recording_plays_to_its_end_and_stops(page, tmp_path) -> None:
-    page.wait_for("recording", 60.0)
+    page.wait_for("recording")
     page.settle()
     wait_for_scene(page, tmp_path / "scene.png")
-    page.wait_for("recording, stopped", 60.0)
+    page.wait_for("recording, stopped")
     wait_until(lambda: shown(page) == pytest.approx(LENGTH, abs=0.01))
 
 

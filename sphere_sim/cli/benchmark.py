@@ -3,19 +3,20 @@
 """``sphere_nmpc benchmark``: the solver beside its peers, on this machine."""
 
 import argparse
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
-from sphere_sim.cli.exits import in_words
+from sphere_sim.cli.exits import if_interrupted, in_words
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.whole_file import write_whole
 
@@ -75,6 +76,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _write(path: Path, report: dict[str, Any]) -> None:
     write_whole(path, json.dumps(report, indent=2) + "\n")
+
+
+@contextlib.contextmanager
+def _kept_if_interrupted(path: Path, numbers: Callable[[], dict[str, Any]]) -> Iterator[None]:
+    """Write the numbers so far beside `path`, which may hold those of a whole run."""
+    kept = path.with_name(f"{path.stem}_interrupted.json")
+    with if_interrupted(lambda: f"{kept} has the numbers so far"):
+        try:
+            yield
+        except BaseException:
+            _write(kept, numbers())
+            raise
 
 
 def _first_use() -> float | None:
@@ -150,6 +163,7 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
     from sphere_sim.benchmark.nlp_peers import ipopt
     from sphere_sim.benchmark.race import race, set_up
     from sphere_sim.benchmark.random_problems import Comparison, compare
+    from sphere_sim.benchmark.report import as_numbers
     from sphere_sim.scenarios import PAPER_CASES
 
     extra: dict[str, Any] = {}
@@ -168,13 +182,14 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         total = options.rounds * len(options.cases) * samples * len(contenders)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
-        for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
-            progress.advance(task)
-        extra["floor_us"] = measure_floor()
-        if options.random:
-            comparison = Comparison()
-            task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
-            for _ in compare(ipopt(), options.random, 0, comparison):
+        with _kept_if_interrupted(options.json, lambda: {**as_numbers(records, missing), **extra}):
+            for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
                 progress.advance(task)
-            extra["random"] = comparison.summary()
+            extra["floor_us"] = measure_floor()
+            if options.random:
+                comparison = Comparison()
+                task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
+                for _ in compare(ipopt(), options.random, 0, comparison):
+                    progress.advance(task)
+                extra["random"] = comparison.summary()
     return records, missing, extra

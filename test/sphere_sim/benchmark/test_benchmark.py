@@ -170,6 +170,20 @@ def test_picture_that_cannot_be_drawn_leaves_the_numbers(tmp_path, capsys):
     assert f"{tmp_path / 'x.png'} not drawn" in told
 
 
+def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    (tmp_path / "x.json").write_text("{}")
+    monkeypatch.setattr("sphere_sim.benchmark.floor.measure_floor", interrupt)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        main(["--json", str(tmp_path / "x.json"), *QUICK])
+    kept = tmp_path / "x_interrupted.json"
+    assert json.loads(kept.read_text())["solvers"]["sphere_nmpc"]["solves"] == 4
+    assert str(kept) in stopped.value.left_behind[0]
+    assert (tmp_path / "x.json").read_text() == "{}"
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
 def test_interrupt_is_heard_whoever_solves(tmp_path, delay):
     """A solver of another library may take an interrupt for itself."""

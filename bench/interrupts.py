@@ -161,7 +161,8 @@ def judged(verb: str, found: Interrupted, out: Path) -> list[str]:
         try:
             read_run(out / "bag")
         except SphereNmpcError as error:
-            if "no message on" not in str(error):  # interrupted before the first pose
+            # Interrupted before the first pose.
+            if not any(why in str(error) for why in ("no message on", "is empty")):
                 complaints.append(str(error))
     return complaints
 

@@ -97,7 +97,7 @@ def main() -> None:
         home.mkdir()
         with Browser(find_browser() or "", home) as page:
             page.open(address)
-            page.wait_for("live", 120.0)
+            page.wait_for("live")
             page.settle()
             clock.tell("page opened, scene drawn (without a graphics card)")
             wait_for(terminal, "the sphere is yours", said)

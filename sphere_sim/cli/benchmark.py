@@ -3,14 +3,13 @@
 """``sphere_nmpc benchmark``: the solver beside its peers, on this machine."""
 
 import argparse
-import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,14 +50,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.update(ONE_EACH)
     from rich.console import Console
 
-    from sphere_sim.benchmark.report import OURS, as_numbers, draw, show
+    from sphere_sim.benchmark.report import OURS, draw, show
 
     console = Console()
     if not console.is_terminal:
         # In a file the table has the room it needs.
         console = Console(width=_WIDE)
-    records, missing, extra = _run(options, console)
-    report = {**as_numbers(records, missing), **extra}
+    records, missing, report = _run(options, console)
     _write(options.json, report)
     if not options.quick and (took := _first_use()) is not None:
         report["first_use_s"] = took
@@ -78,16 +76,14 @@ def _write(path: Path, report: dict[str, Any]) -> None:
     write_whole(path, json.dumps(report, indent=2) + "\n")
 
 
-@contextlib.contextmanager
-def _kept_if_interrupted(path: Path, numbers: Callable[[], dict[str, Any]]) -> Iterator[None]:
-    """Write the numbers so far beside `path`, which may hold those of a whole run."""
+def _keep(path: Path, report: dict[str, Any]) -> str:
+    """Write the numbers so far beside `path`, which may hold those of a whole run; tell where."""
     kept = path.with_name(f"{path.stem}_interrupted.json")
-    with if_interrupted(lambda: f"{kept} has the numbers so far"):
-        try:
-            yield
-        except BaseException:
-            _write(kept, numbers())
-            raise
+    try:
+        _write(kept, report)
+    except OSError as error:
+        return f"no numbers are kept: {in_words(error)}"
+    return f"{kept} has the numbers so far"
 
 
 def _first_use() -> float | None:
@@ -182,7 +178,11 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         total = options.rounds * len(options.cases) * samples * len(contenders)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
-        with _kept_if_interrupted(options.json, lambda: {**as_numbers(records, missing), **extra}):
+
+        def report() -> dict[str, Any]:
+            return {**as_numbers(records, missing), **extra}
+
+        with if_interrupted(lambda: _keep(options.json, report())):
             for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
                 progress.advance(task)
             extra["floor_us"] = measure_floor()
@@ -192,4 +192,4 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
                 for _ in compare(ipopt(), options.random, 0, comparison):
                     progress.advance(task)
                 extra["random"] = comparison.summary()
-    return records, missing, extra
+    return records, missing, report()

@@ -145,16 +145,14 @@ class Browser:
         """What there is to read on the page."""
         return str(self.evaluate("document.body ? document.body.innerText : ''"))
 
-    def wait_for(self, words: str, patience: float = PATIENCE) -> float:
-        """Return how long it took until the page has some words [s]."""
-        began = time.monotonic()
+    def wait_for(self, words: str) -> None:
+        """Wait until the page has some words."""
+        end = time.monotonic() + PATIENCE
         while words not in self.text:
-            waited = time.monotonic() - began
-            assert waited < patience, (
-                f"no '{words}' on the page after {patience} s:\n{self.text}\n{self.console}"
+            assert time.monotonic() < end, (
+                f"no '{words}' on the page after {PATIENCE} s:\n{self.text}\n{self.console}"
             )
             time.sleep(0.05)
-        return time.monotonic() - began
 
     def settle(self, patience: float = PATIENCE) -> None:
         """Wait until the page draws steadily: first its shaders are compiled, for some seconds."""

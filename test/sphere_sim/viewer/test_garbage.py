@@ -215,8 +215,9 @@ def test_values_that_no_page_sends_do_not_end_the_viewer(capfd) -> None:
                 page.send(pack(CAMERA))
                 while messages:
                     page.send(pack(messages.popleft()))
-                    answered = page.ping()
+                    answered, end = page.ping(), time.monotonic() + 60.0
                     while not answered.wait(0.0):
+                        assert time.monotonic() < end, "it answers no more"
                         with suppress(TimeoutError):
                             page.recv(timeout=0.01)
                     viewer.tick()

@@ -30,9 +30,9 @@ from printed_model import PrintedModel
 
 from sphere_nmpc.model.dynamics import rotor_torque
 from sphere_nmpc.model.state import angle_error, position_error
-from sphere_sim.plant.rigid_body.rigid_body_plant import RigidBodyPlant
-from sphere_sim.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -14,16 +14,21 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.metrics import angle_errors, position_errors, settling_index, state_errors
-from sphere_sim.plant.rigid_body.rigid_body_plant import RigidBodyPlant
-from sphere_sim.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.evaluation.metrics import (
+    angle_errors,
+    position_errors,
+    settling_index,
+    state_errors,
+)
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 TAIL = 5.0

@@ -19,7 +19,7 @@ import numpy as np
 from node_runs import Observer, Record, hogs, machine, running, write_json
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.scenario.scenarios import draw_scenarios
 
 _NEW_GOAL_EVERY = 8.0
 """Simulated time to each goal [s]."""

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from node_runs import Observer, machine, running, write_json
 
-from sphere_nmpc.control.settings import SAMPLE_PERIODS
 from sphere_nmpc.model.state import Vector, state_error
-from sphere_sim.scenarios import draw_scenarios
-from sphere_sim.simulator_settings import CLOCKS
+from sphere_nmpc.settings import SAMPLE_PERIODS
+from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.world.settings import CLOCKS
 
 _ARRIVED = 1e-2
 _STAYS = 0.5

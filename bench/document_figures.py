@@ -16,12 +16,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_sim.figures.animation import write_animation
-from sphere_sim.figures.contact_locus import contact_locus
-from sphere_sim.figures.paper_panels import paper_panels
-from sphere_sim.figures.style import styled
 from sphere_sim.recording.bag import read_run
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.report.figures.animation import write_animation
+from sphere_sim.report.figures.contact_locus import contact_locus
+from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.style import styled
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 STRATEGIES = ("paper", "time_optimal")
 

@@ -23,8 +23,8 @@ from node_runs import PATIENCE, machine, write_json
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from sphere_sim.cli.children import Children
-from sphere_sim.cli.domain import own_domain
+from sphere_sim.ros.session.children import Children
+from sphere_sim.ros.session.domain import own_domain
 
 _SENDER = Path(__file__).with_name("topic_pub.py")
 _COMPANY = {"alone": (), "recorder and viewer": ("recorder", "viewer")}

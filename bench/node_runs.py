@@ -31,8 +31,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
-from sphere_sim.cli.children import Children
-from sphere_sim.cli.domain import own_domain
+from sphere_sim.ros.session.children import Children
+from sphere_sim.ros.session.domain import own_domain
 
 PATIENCE = 60.0
 """How long nodes on a busy machine may take to come up [s]."""

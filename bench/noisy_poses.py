@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.metrics import angle_errors, position_errors
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.evaluation.metrics import angle_errors, position_errors
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 POSITION_NOISE, ANGLE_NOISE = 0.005, math.radians(1.0)
 RATE, LATENCY, LOST = 20.0, 0.05, 0.2

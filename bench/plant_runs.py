@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.plant.rigid_body.rigid_body_plant import RigidBodyPlant
-from sphere_sim.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 ROBOT = RobotParameters()
 KNOT_PERIOD = 0.5

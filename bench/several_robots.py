@@ -23,9 +23,9 @@ from std_msgs.msg import Bool
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import pose_to_ros
-from sphere_sim.cli.children import Children
-from sphere_sim.cli.domain import own_domain
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.ros.session.children import Children
+from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.scenario.scenarios import draw_scenarios
 
 _RADIUS = 0.3
 _LONGEST = 60.0

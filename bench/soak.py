@@ -29,9 +29,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, seconds, stamp_from_ros
-from sphere_sim.cli.children import Children
-from sphere_sim.cli.domain import own_domain
-from sphere_sim.ros.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.session.children import Children
+from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 
 SETTLED = 1e-2
 STAYED = 1.0

@@ -28,8 +28,8 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from sphere_nmpc.ros.conversions import pose_to_ros
-from sphere_sim.cli.domain import own_domain
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.scenario.scenarios import draw_scenarios
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "test" / "sphere_sim" / "viewer"))

@@ -14,15 +14,15 @@ import time
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.scenarios import draw_scenarios
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 RUNS = 6
 DURATION = 4.0

@@ -5,11 +5,16 @@
 import fcntl
 import os
 import signal
+import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+_HERE = Path(__file__).parent
+# What tests share, and the scripts among which some are tested.
+sys.path += [str(_HERE), str(_HERE / "support"), str(_HERE.parent / "bench")]
 
 
 def _lock_domain() -> int:

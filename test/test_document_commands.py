@@ -7,15 +7,12 @@ payloads into the messages, and launch arguments into the launch file.
 """
 
 import shlex
-import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.append(str(Path(__file__).parent / "support"))
 
 from command_checks import (
     SETTINGS,

@@ -13,7 +13,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 CORE_NEEDS = {"numpy", "scipy", "casadi", "sphere_nmpc"} | sys.stdlib_module_names
 ROS_NAMES = {"rclpy", "std_srvs", "rcl_interfaces", "builtin_interfaces", "tf2_ros", "rosbag2_py"}
-EDGE_ROOMS = {"sphere_nmpc.ros", "sphere_sim.ros", "sphere_sim.viewer", "sphere_sim.cli"}
+EDGE_ROOMS = {
+    "sphere_nmpc.ros", "sphere_sim.ros", "sphere_sim.viewer", "sphere_sim.cli", "sphere_sim.demo",
+}
 
 
 def imports_of(path: Path) -> Iterator[str]:

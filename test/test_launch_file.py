@@ -3,21 +3,16 @@
 """The launch file, run with stand-ins for launch wherever that is not installed."""
 
 import re
-import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
-
-from sphere_nmpc.control.settings import ControllerSettings
-from sphere_nmpc.quantity import quantities
-from sphere_sim.cli.main import VERBS
-from sphere_sim.simulator_settings import SimulatorSettings
-
-sys.path.append(str(Path(__file__).parent / "support"))
-sys.path.append(str(Path(__file__).parent))
-
 from launch_stand_in import LAUNCH, ROOT, Made, declared_arguments, started
+
+from sphere_nmpc.quantity import quantities
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.cli.main import VERBS
+from sphere_sim.world.settings import SimulatorSettings
 
 ARGUMENTS = {
     "strategy", "plant", "real_time_factor", "clock", "use_sim_time", "namespace", "params_file",

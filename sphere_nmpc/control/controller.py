@@ -9,11 +9,10 @@ import numpy as np
 
 from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.decision import Decision, Mode
-from sphere_nmpc.control.sent_inputs import SentInputs
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.belief import Belief, PoseNoise
 from sphere_nmpc.estimation.plant_estimator import PlantEstimator
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import StateEstimator
 from sphere_nmpc.estimation.unknowns import LONGEST_LAG
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -27,6 +26,7 @@ from sphere_nmpc.model.state import (
     state_error,
 )
 from sphere_nmpc.model.torque import within_torque
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.registry import make_strategy

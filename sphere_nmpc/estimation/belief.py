@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sphere_nmpc.control.sent_inputs import SentInputs
 from sphere_nmpc.estimation import unknowns as known
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.unknowns import LAG_PRIOR, Unknowns
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.tangent import (

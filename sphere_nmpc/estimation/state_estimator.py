@@ -15,8 +15,8 @@ that agree with each other are believed: then something else has moved the robot
 from collections import deque
 from dataclasses import dataclass, replace
 
-from sphere_nmpc.control.sent_inputs import SentInputs
 from sphere_nmpc.estimation.belief import Belief, PoseNoise
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.unknowns import Unknowns, noticeable
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector

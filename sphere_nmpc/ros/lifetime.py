@@ -24,7 +24,7 @@ from rclpy.utilities import remove_ros_args
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.joining import join, one_line
 from sphere_nmpc.ros.loopback import audience
-from sphere_nmpc.ros.precedence import refusal, schedule
+from sphere_nmpc.ros.scheduling import refusal, schedule
 
 _LOOK_UP = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""

@@ -10,8 +10,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.surroundings import Complaint, incompatible, rivals
-from sphere_nmpc.ros.throttle import FaultLog
 
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)

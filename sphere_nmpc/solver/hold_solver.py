@@ -14,13 +14,13 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.batch import BatchSolution, solve_batch_compiled
-from sphere_nmpc.solver.compiled import TIME_BUDGET, Slot, library
-from sphere_nmpc.solver.compiler import CompilerError
+from sphere_nmpc.solver.native.batch import BatchSolution, solve_batch_compiled
+from sphere_nmpc.solver.native.compiler import CompilerError
+from sphere_nmpc.solver.native.memory import TIME_BUDGET, Slot, library
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 
 BACKENDS = ("auto", "compiled", "vm")
-_NUMPY_SOLVER = "sphere_nmpc.solver.numpy_solver"
+_NUMPY_SOLVER = "sphere_nmpc.solver.numpy_backend.solver"
 
 _log = logging.getLogger("sphere_nmpc")
 

@@ -11,10 +11,10 @@ control rate answers a disturbance at once; at the paper's rate nothing of this 
 
 import numpy as np
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 from sphere_nmpc.strategy.contract import Situation

@@ -2,20 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's problem, solved so that what is planned is carried out.
 
-Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`; what differs is told in
-`sphere_nmpc.solver.both_signs`: both quaternions of the goal, and a minimisation that leaves alone
-a plan which is about to arrive. A sample takes tens of microseconds, hence this is the strategy
-for high control rates and small processors.
+Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`; what differs is in
+`sphere_nmpc.strategy.both_signs`: both quaternions of the goal, and a minimisation that leaves
+alone a plan which is about to arrive. A sample takes tens of microseconds: the
+strategy for high control rates and small processors.
 """
 
 from dataclasses import replace
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.both_signs import plan_keeping_solvers, solve_both_signs
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution
+from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
 from sphere_nmpc.strategy.paper import PaperStrategy
 
 

@@ -4,8 +4,8 @@
 
 from collections.abc import Callable
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Strategy
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan_keeping import PlanKeepingStrategy
@@ -16,7 +16,7 @@ _STRATEGIES: dict[str, Callable[[ControllerSettings, RobotParameters], Strategy]
     "plan_keeping": PlanKeepingStrategy,
     "paper": PaperStrategy,
 }
-"""The names are those of `sphere_nmpc.control.settings.SAMPLE_PERIODS`."""
+"""The names are those of `sphere_nmpc.settings.SAMPLE_PERIODS`."""
 
 
 def make_strategy(settings: ControllerSettings, robot: RobotParameters) -> Strategy:

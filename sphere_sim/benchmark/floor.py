@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.levenberg_marquardt import rest_start
+from sphere_nmpc.solver.numpy_backend.levenberg_marquardt import rest_start
 from sphere_nmpc.solver.problem import SolverSettings
 from sphere_sim.benchmark.contender import paper_problem
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 REPETITIONS = 400
 _ITERATIONS = 8

@@ -5,9 +5,9 @@
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.both_signs import plan_keeping_solvers, solve_both_signs
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
+from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
 from sphere_sim.benchmark.contender import HORIZON, Answer, paper_problem, shifted
 
 

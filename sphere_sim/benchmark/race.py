@@ -5,8 +5,8 @@
 A contender runs a case from end to end, as it would in a controller of its own; taking turns at
 every sample instead would have each pay for the caches that the one before it has filled. The
 order rotates, so that whatever else the machine does meanwhile hits all of them alike. Each has a
-world of its own, the plant of `sphere_sim.plant`, which integrates by another method than any
-solver predicts with.
+world of its own, the plant of `sphere_sim.world.plant`, which integrates by another method than
+any solver predicts with.
 """
 
 import contextlib
@@ -19,9 +19,9 @@ import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_sim.benchmark.contender import ROBOT, SAMPLE_PERIOD, Contender, Maker
-from sphere_sim.metrics import settling_index, state_errors
-from sphere_sim.plant.rolling_plant import RollingPlant
-from sphere_sim.scenarios import Scenario
+from sphere_sim.evaluation.metrics import settling_index, state_errors
+from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 _SOLVE_ERRORS = (RuntimeError, ArithmeticError, ValueError)
 WARM_UP_SOLVES, WARM_UP_SECONDS = 3, 0.5

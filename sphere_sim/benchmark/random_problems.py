@@ -12,7 +12,7 @@ from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 from sphere_sim.benchmark.contender import HORIZON, LIMIT, paper_problem
 from sphere_sim.benchmark.nlp_peers import CasadiSolver
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.scenario.scenarios import draw_scenarios
 
 NOT_WORSE = 1e-6
 """Relative excess of cost up to which a solution counts as not worse."""

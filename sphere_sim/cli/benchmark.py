@@ -27,7 +27,7 @@ _LONGEST = 1e5
 _FIRST_SOLVE = (
     "import numpy as np\n"
     "from sphere_sim.benchmark.ours import BothSigns\n"
-    "from sphere_sim.scenarios import PAPER_CASES\n"
+    "from sphere_sim.scenario.scenarios import PAPER_CASES\n"
     "ours = BothSigns()\n"
     "ours.start(PAPER_CASES[1].goal)\n"
     "ours.solve(PAPER_CASES[1].start, np.zeros(2))\n"
@@ -88,7 +88,7 @@ def _keep(path: Path, report: dict[str, Any]) -> str:
 
 def _first_use() -> float | None:
     """Return how long the first solve takes on a clean cache [s]; None where it fails."""
-    from sphere_nmpc.solver.cache import CACHE_VARIABLE
+    from sphere_nmpc.cache import CACHE_VARIABLE
 
     try:
         with tempfile.TemporaryDirectory() as empty:
@@ -160,7 +160,7 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
     from sphere_sim.benchmark.race import race, set_up
     from sphere_sim.benchmark.random_problems import Comparison, compare
     from sphere_sim.benchmark.report import as_numbers
-    from sphere_sim.scenarios import PAPER_CASES
+    from sphere_sim.scenario.scenarios import PAPER_CASES
 
     extra: dict[str, Any] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())

@@ -1,31 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m sphere_sim.cli.child VERB ...``: a verb that ends when its parent does."""
+"""``python -m sphere_sim.cli.child PARENT VERB ...``: a verb that ends when its parent does."""
 
-import ctypes
-import os
-import signal
 import sys
 
 from sphere_sim.cli.main import main
-
-_SET_PARENT_DEATH_SIGNAL = 1
-
-
-def end_with_parent(parent: int) -> None:
-    """Ask Linux for a SIGTERM when the parent process dies, however it dies.
-
-    Parameters
-    ----------
-    parent : int
-        Process that started this one; if it is gone already, this one ends at once.
-    """
-    if not sys.platform.startswith("linux"):
-        return
-    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
-    if os.getppid() != parent:
-        sys.exit(1)
-
+from sphere_sim.ros.session.parent import end_with_parent
 
 if __name__ == "__main__":
     end_with_parent(int(sys.argv.pop(1)))

@@ -18,21 +18,21 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.cli.children import Children
-from sphere_sim.cli.demo_comparison import compute_other
-from sphere_sim.cli.demo_plan import DemoPlan, parse
-from sphere_sim.cli.demo_summary import summarise, table
-from sphere_sim.cli.domain import own_domain
 from sphere_sim.cli.exits import if_interrupted, in_words
 from sphere_sim.cli.places import prepare_folder
-from sphere_sim.cli.progress_display import ProgressDisplay
-from sphere_sim.figures.paper_panels import paper_panels
-from sphere_sim.figures.side_by_side import side_by_side
-from sphere_sim.figures.style import save
+from sphere_sim.demo.comparison import compute_other
+from sphere_sim.demo.plan import DemoPlan, parse
+from sphere_sim.demo.progress_display import ProgressDisplay
+from sphere_sim.demo.summary import summarise, table
 from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
-from sphere_sim.ros.demo_director import DemoDirector, directing
+from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.side_by_side import side_by_side
+from sphere_sim.report.figures.style import save
+from sphere_sim.ros.session.children import Children
+from sphere_sim.ros.session.demo_director import DemoDirector, directing
+from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.whole_file import write_whole
 
 _READY_TIMEOUT = 45.0

@@ -16,18 +16,18 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_sim.cli.arguments import whole
-from sphere_sim.cli.domain import own_domain
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.cli.places import prepare_folder
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
-from sphere_sim.faults.machine import MACHINE_FAULTS, MachineFault
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
-from sphere_sim.ros.fault_session import SessionSettings, joined
-from sphere_sim.ros.fault_trial import Trial
+from sphere_sim.ros.faults.machine import MACHINE_FAULTS, MachineFault
+from sphere_sim.ros.faults.session import SessionSettings, joined
+from sphere_sim.ros.faults.trial import Trial
+from sphere_sim.ros.session.domain import own_domain
 
 _PAIRS = 12
 

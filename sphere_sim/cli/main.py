@@ -21,12 +21,12 @@ from sphere_sim.cli.signals import Signals
 
 VERBS = {
     "demo": ("sphere_sim.cli.demo", "run one of the paper's cases and watch it"),
-    "simulator": ("sphere_sim.ros.simulator_node", "start the simulator node"),
-    "controller": ("sphere_nmpc.ros.controller_node", "start the controller node"),
-    "recorder": ("sphere_sim.ros.recorder_node", "start the recorder node"),
-    "goal": ("sphere_sim.ros.goal_publisher", "publish a goal pose"),
+    "simulator": ("sphere_sim.ros.simulator.node", "start the simulator node"),
+    "controller": ("sphere_nmpc.ros.controller.node", "start the controller node"),
+    "recorder": ("sphere_sim.ros.recorder.node", "start the recorder node"),
+    "goal": ("sphere_sim.ros.session.goal_command", "publish a goal pose"),
     "viewer": ("sphere_sim.cli.viewer", "show a running or recorded sphere in the browser"),
-    "markers": ("sphere_sim.ros.marker_node", "publish what RViz shows as markers"),
+    "markers": ("sphere_sim.ros.viewer.markers", "publish what RViz shows as markers"),
     "study": ("sphere_sim.cli.study", "run many scenarios and write tables of the outcome"),
     "benchmark": ("sphere_sim.cli.benchmark", "time the solver on this machine"),
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),

@@ -12,15 +12,15 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from sphere_sim.cli.places import prepare_folder
-from sphere_sim.figures import analysis
-from sphere_sim.figures.animation import write_animation
-from sphere_sim.figures.comparison import comparison
-from sphere_sim.figures.contact_locus import contact_locus
-from sphere_sim.figures.paper_panels import paper_panels
-from sphere_sim.figures.style import save
 from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
+from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures.animation import write_animation
+from sphere_sim.report.figures.comparison import comparison
+from sphere_sim.report.figures.contact_locus import contact_locus
+from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import describe, write_page
 from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
 from sphere_sim.whole_file import as_text, write_whole

@@ -7,19 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.cli.places import prepare_folder
-from sphere_sim.simulator_settings import PLANTS
+from sphere_sim.world.settings import PLANTS
 
 if TYPE_CHECKING:
-    from sphere_sim.scenarios import Scenario
+    from sphere_sim.scenario.scenarios import Scenario
     from sphere_sim.study.conditions import StudyConditions
 
 _KINDS = ("anywhere", "far", "circle", "half_turn")
-"""The names in `sphere_sim.draws.DRAWS`, which would load NumPy; a test compares them."""
+"""The names in `sphere_sim.scenario.draws.DRAWS`, which would load NumPy; a test compares them."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
 """More are a slip of the finger."""
 
@@ -51,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sphere_sim.scenarios import draw_scenarios, read_scenarios
+    from sphere_sim.scenario.scenarios import draw_scenarios, read_scenarios
     from sphere_sim.study.bound import best_known_times
     from sphere_sim.study.progress import StudyProgress
     from sphere_sim.study.study import Study

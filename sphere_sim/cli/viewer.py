@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own = _parse(given[:at])
     if own.replay is None:
         # Where only bags are looked at, ROS need not be there.
-        from sphere_sim.ros import viewer_node
+        from sphere_sim.ros.viewer import node as viewer_node
 
         return viewer_node.main(given[at:], own.port)
     return _replay(own.replay, own.namespace, own.port)

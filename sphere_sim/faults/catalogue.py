@@ -40,7 +40,7 @@ class Fault:
     group : str
         What it concerns; the quick campaign tries one fault or two of each group.
     action : str
-        What brings it about, see `sphere_sim.ros.fault_actions`.
+        What brings it about, see `sphere_sim.ros.faults.actions`.
     options : dict
         For the action.
     duration : float

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
-from sphere_sim.metrics import Metrics, measure
+from sphere_sim.evaluation.metrics import Metrics, measure
 
 
 @dataclass(frozen=True, eq=False)

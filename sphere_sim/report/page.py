@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 from sphere_nmpc import __version__
-from sphere_sim.metrics import Metrics
+from sphere_sim.evaluation.metrics import Metrics
 from sphere_sim.recording.run import Run
 from sphere_sim.whole_file import write_whole
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.model.state import STATE_NAMES, Vector
-from sphere_sim.metrics import angle_errors, position_errors, state_errors
+from sphere_sim.evaluation.metrics import angle_errors, position_errors, state_errors
 from sphere_sim.recording.run import Run
 from sphere_sim.whole_file import write_whole
 

@@ -20,13 +20,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from sphere_nmpc.cache import cache_folder
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, nearer_sign, state_error
-from sphere_nmpc.solver.cache import cache_folder
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, Effort
 from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
-from sphere_sim.scenarios import Scenario
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.processes import Processes
 from sphere_sim.study.progress import shown
 

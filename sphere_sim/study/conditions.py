@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity, validate
-from sphere_sim.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.settings import SimulatorSettings
 
 _OF_THE_SCENARIO = ("initial_state", "seed")
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.metrics import SETTLED_ERROR
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.study.summary import Results, column, headline
 from sphere_sim.study.tables import replace_file
 

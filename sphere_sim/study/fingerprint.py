@@ -12,7 +12,7 @@ from typing import Any
 
 import sphere_nmpc
 import sphere_sim
-from sphere_sim.scenarios import Scenario
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 
 _SOURCES = {".py", ".c", ".h"}

@@ -9,16 +9,16 @@ import numpy as np
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
-from sphere_sim.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.metrics import measure, settling_index, state_errors
-from sphere_sim.perturbation import perturbed
-from sphere_sim.plant.factory import make_plant
-from sphere_sim.scenarios import Scenario
-from sphere_sim.simulator import Simulator
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.metrics import measure, settling_index, state_errors
+from sphere_sim.scenario.perturbation import perturbed
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.followed_inputs import followed_inputs
 from sphere_sim.study.record import RunRecord, Value, finite
 from sphere_sim.study.stability import stability_of
+from sphere_sim.world.plant.factory import make_plant
+from sphere_sim.world.simulator import Simulator
 
 LOOSELY_SETTLED = 5e-2
 """Error within which a run under noise can be expected to stay [mixed units]."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sphere_sim.scenarios import Scenario
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import StudyFolderError
 from sphere_sim.study.figure import FIGURES, draw

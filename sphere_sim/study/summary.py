@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.metrics import SETTLED_ERROR
-from sphere_sim.scenarios import Scenario
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.record import Value
 
 Results = Sequence[dict[str, Value]]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sphere_sim.scenario_file import SEED_COLUMN, STATE_COLUMNS
-from sphere_sim.scenarios import Scenario
+from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.errors import NotWrittenError
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord, Value
 from sphere_sim.whole_file import write_whole

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any
 
-from sphere_sim.scenarios import Scenario
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.fingerprint import code_digest

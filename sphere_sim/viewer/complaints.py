@@ -8,7 +8,7 @@ import logging
 import sys
 from typing import Any
 
-from sphere_nmpc.ros.throttle import FaultLog
+from sphere_nmpc.fault_log import FaultLog
 
 _PERIOD = 60.0
 """Least time between two lines about the same [s]."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from sphere_nmpc.model.dynamics import quaternion_product
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 _HALF = math.sqrt(0.5)
 

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
-from sphere_sim.scenario_file import STATE_COLUMNS, ScenarioFileError, read_rows
+from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_rows
 
 HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()
 ROW = b"2,-3,1,0,0,0,0,0,0,1,0,0,7"

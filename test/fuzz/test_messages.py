@@ -14,10 +14,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from sphere_nmpc.ros.controller_node import ControllerNode
+from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import JOINT_NAMES, hold_from_trajectory
 from sphere_sim.faults.limits import LimitCheck
-from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 NUMBERS = st.one_of(
     st.floats(), st.sampled_from([0.0, 1.0, -1.0, 0.5, math.sqrt(0.5), 1e6, 1e154, 5e-324])

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
+from sphere_nmpc.settings import ControllerSettings
 
 NAMES = st.sampled_from(
     [*quantities(ControllerSettings()), *(f"robot.{n}" for n in quantities(RobotParameters())),

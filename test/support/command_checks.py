@@ -12,15 +12,16 @@ from typing import Any, NoReturn
 
 import yaml
 from launch_stand_in import LAUNCH, ROOT, started
+from parameter_tables import NODES, PARTS
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
-from sphere_sim.cli import benchmark, demo_plan, faults, report, study, viewer
+from sphere_sim.cli import benchmark, faults, report, study, viewer
 from sphere_sim.cli.main import VERBS
-from sphere_sim.cli.parameter_tables import NODES, PARTS
+from sphere_sim.demo import plan as demo_plan
 from sphere_sim.recording.recorder_settings import RecorderSettings
-from sphere_sim.ros import goal_publisher
+from sphere_sim.ros.session import goal_command as goal_publisher
 
 PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "demo": demo_plan.parse,

@@ -14,10 +14,10 @@ import time
 
 import numpy as np
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, nearer_sign, state_error
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus

@@ -9,12 +9,12 @@ import pytest
 from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 TOLERANCE, DWELL = 0.01, 0.25
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, neighbourhood_radius
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 

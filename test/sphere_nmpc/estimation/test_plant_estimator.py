@@ -10,8 +10,8 @@ import pytest
 from sphere_nmpc.estimation.plant_estimator import JUMP, PlantEstimator
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.perturbation import perturbed
-from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.scenario.perturbation import perturbed
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 NOMINAL = RobotParameters()
 PERIOD = 0.25

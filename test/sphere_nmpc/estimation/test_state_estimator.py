@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.control.sent_inputs import SentInputs
 from sphere_nmpc.estimation.belief import PoseNoise
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import AGREEING, MEMORY, StateEstimator
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters

@@ -16,7 +16,7 @@ from sphere_nmpc.model.controllability import (
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 ROBOT = RobotParameters()
 

@@ -20,7 +20,7 @@ from sphere_nmpc.model.dynamics import (
 )
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 TABLE_1 = RobotParameters()
 HEAVY_ROTORS = RobotParameters(

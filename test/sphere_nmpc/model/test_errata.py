@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
 RADIUS = ROBOT.shell_radius

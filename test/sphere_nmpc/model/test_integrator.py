@@ -17,7 +17,7 @@ from sphere_nmpc.model.integrator import (
 )
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
-from sphere_sim.plant.rolling_plant import RollingPlant
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
 P = ROBOT.lumped.as_array()

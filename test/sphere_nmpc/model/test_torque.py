@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.model.torque import largest_acceleration, torques, within_torque
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.plant.rolling_plant import RollingPlant
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 INERTIA = ROBOT.rotor_axial_inertia

@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.ros import conversions as cv
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.scenario.scenarios import draw_scenarios
 
 NANOSECOND = 1e-9
 RADIUS = 0.3

@@ -25,12 +25,12 @@ from sphere_nmpc.ros.environment import (
 )
 from sphere_nmpc.ros.loopback import audience
 from sphere_nmpc.ros.shared_memory import TRANSPORTS, leave_to_others
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOWHERE = "/proc/nonexistent"
 """A folder that nobody can make, root neither."""
-CONTROLLER = "import sys; from sphere_nmpc.ros.controller_node import main; sys.exit(main())"
+CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 PATIENCE = 60.0
 
 

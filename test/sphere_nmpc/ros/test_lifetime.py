@@ -18,10 +18,10 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.ros.conversions import hold_from_trajectory, pose_to_ros, stamp_to_ros
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 CASE = PAPER_CASES[1]
-CONTROLLER = "import sys; from sphere_nmpc.ros.controller_node import main; sys.exit(main())"
+CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 
 
 def start(code: str, *arguments: str) -> subprocess.Popen:

@@ -15,9 +15,9 @@ pytest.importorskip("rclpy")
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.quantity import Quantity, quantities
 from sphere_nmpc.ros.parameters import DeclaredSettings
+from sphere_nmpc.settings import ControllerSettings
 
 DEFAULT = ControllerSettings()
 ABOUT = quantities(DEFAULT)

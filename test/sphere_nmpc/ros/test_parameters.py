@@ -3,14 +3,14 @@
 """What the nodes declare, what may change while they run, and what is refused."""
 
 import pytest
+from parameter_tables import NODES, PARTS
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
-from sphere_nmpc.ros.controller_node import ControllerNode
-from sphere_sim.cli.parameter_tables import NODES, PARTS
-from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
 

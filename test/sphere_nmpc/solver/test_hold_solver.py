@@ -8,9 +8,9 @@ import pytest
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.levenberg_marquardt import rest_start
-from sphere_nmpc.solver.objective import cost, expand
+from sphere_nmpc.solver.numpy_backend.levenberg_marquardt import rest_start
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
+from sphere_nmpc.solver.reference.objective import cost, expand
 
 BACKENDS = ("compiled", "vm")
 

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from sphere_nmpc.solver.cache import CACHE_VARIABLE
+from sphere_nmpc.cache import CACHE_VARIABLE
 
 HEARD_WITHIN = 10.0  # s; on an idle machine well below one
 

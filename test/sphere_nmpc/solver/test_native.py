@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from sphere_nmpc.solver import cache as places
-from sphere_nmpc.solver import native
+from sphere_nmpc import cache as places
+from sphere_nmpc.solver.native import library as native
 
 SOLVE = """
 import numpy as np
@@ -33,8 +33,8 @@ print(solver.backend, f"{solution.cost:.12e}")
 AS_NOBODY = """
 import importlib.readers  # while the interpreter's own files can still be read
 import os
-import sphere_nmpc.solver.kernels
-import sphere_nmpc.solver.native as native
+import sphere_nmpc.solver.native.codegen
+import sphere_nmpc.solver.native.library as native
 del os.environ["HOME"]
 os.setgroups([])
 os.setresgid(54321, 54321, 54321)
@@ -89,7 +89,7 @@ def test_two_processes_at_once_build_once_and_agree(filled):
 
 
 def test_second_use_builds_nothing_and_does_without_the_code_generator(filled):
-    generator = "import sys; print('sphere_nmpc.solver.kernels' in sys.modules)\n"
+    generator = "import sys; print('sphere_nmpc.solver.native.codegen' in sys.modules)\n"
     out, err = answer(solve_elsewhere(filled[0], SOLVE + generator))
     assert "compiling" not in err and out[-1] == "False"
 

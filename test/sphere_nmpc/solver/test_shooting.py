@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
-from sphere_nmpc.solver.objective import cost, expand
-from sphere_nmpc.solver.shooting import roll_out, roll_out_with_sensitivity
+from sphere_nmpc.solver.reference.objective import cost, expand
+from sphere_nmpc.solver.reference.shooting import roll_out, roll_out_with_sensitivity
 
 STEP = 1e-6  # of a scaled input; a central difference is then good to about 1e-9
 DIFFERENCE_TOLERANCE = 1e-7

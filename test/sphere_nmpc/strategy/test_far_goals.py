@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state
+from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.stages import FAR, FAR_IN_TIME, STAGE, Stages
 from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
-from sphere_sim.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.metrics import settling_index, state_errors
-from sphere_sim.plant.factory import make_plant
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.metrics import settling_index, state_errors
+from sphere_sim.world.plant.factory import make_plant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))

@@ -5,15 +5,15 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 ROBOT = RobotParameters()
 SETTINGS = ControllerSettings(strategy="paper")

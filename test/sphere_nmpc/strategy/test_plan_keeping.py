@@ -5,14 +5,14 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, flipped_sign
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan_keeping import PlanKeepingStrategy
-from sphere_sim.metrics import settling_index, state_errors
-from sphere_sim.plant.rolling_plant import RollingPlant
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.evaluation.metrics import settling_index, state_errors
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
 SETTINGS = ControllerSettings(strategy="plan_keeping")

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign, state_error
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal.grid import knot_durations, to_first_knot
 from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
-from sphere_sim.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.perturbation import perturbed
-from sphere_sim.plant.rolling_plant import RollingPlant
-from sphere_sim.scenarios import PAPER_CASES, Scenario
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.scenario.perturbation import perturbed
+from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 SETTINGS = ControllerSettings(strategy="time_optimal")

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rich")
 
 from sphere_nmpc.model.integrator import integrate
-from sphere_nmpc.solver.objective import cost
+from sphere_nmpc.solver.reference.objective import cost
 from sphere_sim.benchmark import acados_peer
 from sphere_sim.benchmark.acados_peer import Acados, acados_makers, clean_environment
 from sphere_sim.benchmark.contender import (
@@ -24,7 +24,7 @@ from sphere_sim.benchmark.contender import (
     paper_problem,
 )
 from sphere_sim.benchmark.race import race, set_up
-from sphere_sim.scenarios import PAPER_CASES, draw_scenarios
+from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 PYTHON = os.environ.get("SPHERE_TEST_ACADOS_PYTHON")
 needs_acados = pytest.mark.skipif(

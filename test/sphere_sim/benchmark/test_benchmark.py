@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rich")
 pytest.importorskip("matplotlib")
 
-from sphere_nmpc.solver.objective import cost
+from sphere_nmpc.solver.reference.objective import cost
 from sphere_sim.benchmark import numpy_peer
 from sphere_sim.benchmark.contender import Answer, paper_problem
 from sphere_sim.benchmark.nlp_peers import Slsqp, ipopt, nonlinear_program
@@ -23,7 +23,7 @@ from sphere_sim.benchmark.random_problems import Comparison, compare
 from sphere_sim.benchmark.report import as_numbers
 from sphere_sim.cli.benchmark import main
 from sphere_sim.cli.places import PlaceError
-from sphere_sim.scenarios import PAPER_CASES, draw_scenarios
+from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 
 class Idle:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from sphere_sim.cli.main import main as command
-from sphere_sim.plant.rolling_plant import RollingPlant
-from sphere_sim.scenario_file import STATE_COLUMNS
+from sphere_sim.scenario.csv_file import STATE_COLUMNS
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 BRIEF = ["--duration", "1", "--jobs", "1", "--no-bound"]
 

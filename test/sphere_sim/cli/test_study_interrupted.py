@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from sphere_nmpc.solver.cache import CACHE_VARIABLE
+from sphere_nmpc.cache import CACHE_VARIABLE
 
 COMMAND = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())", "study"]
 

@@ -7,8 +7,8 @@ import pytest
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
-from sphere_nmpc.control.settings import ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.registry import make_strategy
 from sphere_sim.faults.bad_strategy import BadStrategy
 from sphere_sim.faults.limits import LimitCheck

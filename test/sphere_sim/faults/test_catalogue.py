@@ -6,7 +6,7 @@ import pytest
 
 from sphere_sim.faults.catalogue import FAULTS, chosen, name_of, pairs
 from sphere_sim.faults.pose_stream import make_disturbance
-from sphere_sim.ros.fault_actions import action_of
+from sphere_sim.ros.faults.actions import action_of
 
 GROUPS = {
     "pose", "goal", "clock", "process", "solver", "cpu", "disk", "rival", "parameters",

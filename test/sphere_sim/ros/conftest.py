@@ -2,14 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A graph of nodes for each test that asks for one."""
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.append(str(Path(__file__).parents[2]))
 
 from ros_graph import Graph
 

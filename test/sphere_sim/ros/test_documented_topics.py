@@ -9,8 +9,8 @@ import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from sphere_nmpc.ros.controller_node import ControllerNode
-from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 DOCUMENT = Path(__file__).parents[3] / "msg_docs" / "topics.md"
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}

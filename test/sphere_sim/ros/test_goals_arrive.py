@@ -12,8 +12,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from sphere_nmpc.ros.controller_node import ControllerNode
-from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 GOALS = 4
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -34,9 +34,9 @@ def send(graph, goal: float, times: int) -> None:
 @pytest.fixture
 def company(graph, tmp_path, monkeypatch) -> list[Node]:
     """Everything else of the package that people let run."""
-    recorder = pytest.importorskip("sphere_sim.ros.recorder_node")
-    viewer = pytest.importorskip("sphere_sim.ros.viewer_node")
-    markers = pytest.importorskip("sphere_sim.ros.marker_node")
+    recorder = pytest.importorskip("sphere_sim.ros.recorder.node")
+    viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
+    markers = pytest.importorskip("sphere_sim.ros.viewer.markers")
     monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     nodes = [recorder.RecorderNode(), viewer.ViewerNode(0), markers.MarkerNode()]
     for node in nodes:

@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import pose_to_ros
-from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])

@@ -14,14 +14,14 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.settings import SAMPLE_PERIODS, ControllerSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros, stamp_from_ros
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator import Simulator
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

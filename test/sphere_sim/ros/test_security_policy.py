@@ -11,11 +11,11 @@ import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from sphere_nmpc.ros.controller_node import ControllerNode
-from sphere_sim.ros.goal_sender import GoalSender
-from sphere_sim.ros.marker_node import MarkerNode
-from sphere_sim.ros.recorder_node import RecorderNode
-from sphere_sim.ros.simulator_node import SimulatorNode
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_sim.ros.recorder.node import RecorderNode
+from sphere_sim.ros.session.goal_sender import GoalSender
+from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.viewer.markers import MarkerNode
 
 ROOT = Path(__file__).parents[3]
 POLICY = ROOT / "config" / "sros2_policy.xml"
@@ -74,7 +74,7 @@ def difference(probe: Node) -> dict[str, set[str]]:
 
 
 def test_policy_is_what_the_nodes_open(graph, tmp_path, monkeypatch) -> None:
-    viewer = pytest.importorskip("sphere_sim.ros.viewer_node")
+    viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
     monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     simulated = Parameter("use_sim_time", value=True)
     graph.add(SimulatorNode([Parameter("plant", value="rigid_body")]))

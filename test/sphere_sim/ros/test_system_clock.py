@@ -25,9 +25,9 @@ from sphere_nmpc.ros.conversions import (
     pose_to_ros,
     stamp_from_ros,
 )
-from sphere_sim.ros.simulator_node import SimulatorNode
-from sphere_sim.scenarios import PAPER_CASES
-from sphere_sim.simulator_settings import SimulatorSettings
+from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
 
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

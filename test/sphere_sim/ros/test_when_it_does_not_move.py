@@ -15,13 +15,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros import controller_node, surroundings
-from sphere_nmpc.ros.controller_node import ControllerNode
+from sphere_nmpc.ros import surroundings
+from sphere_nmpc.ros.controller import node as controller_node
+from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
-from sphere_nmpc.ros.throttle import FaultLog
-from sphere_sim.ros.simulator_node import SimulatorNode
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "when_it_does_not_move.md"
 ROWS = [

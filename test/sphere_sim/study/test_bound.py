@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from sphere_nmpc.solver.cache import CACHE_VARIABLE
+from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_sim.scenarios import Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study import bound
 from sphere_sim.study.bound import best_known_times
 

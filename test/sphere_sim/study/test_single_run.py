@@ -11,13 +11,13 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
-from sphere_sim.closed_loop import run_closed_loop
-from sphere_sim.plant.rolling_plant import RollingPlant
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.followed_inputs import followed_inputs
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
 from sphere_sim.study.single_run import prepare, run_scenario
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 SCENARIO = draw_scenarios(1, 5)[0]
 SHORT = StudyConditions(duration=4.0)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sphere_sim.scenario_file import STATE_COLUMNS
-from sphere_sim.scenarios import Scenario, draw_scenarios, read_scenarios
+from sphere_sim.scenario.csv_file import STATE_COLUMNS
+from sphere_sim.scenario.scenarios import Scenario, draw_scenarios, read_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import StudyFolderError
 from sphere_sim.study.figure import FIGURES

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from distributed import LocalCluster
 
-from sphere_sim.scenarios import draw_scenarios
+from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import workers as workers_module
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import WorkersError

@@ -23,7 +23,7 @@ from stage import insist
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 BROWSER = find_browser()
 pytestmark = [

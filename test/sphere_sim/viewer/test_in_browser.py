@@ -26,7 +26,7 @@ from stage import insist, page_of, pixel, scene_of, start, stop, wait_for_scene
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
-from sphere_sim.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 BROWSER = find_browser()
 pytestmark = [

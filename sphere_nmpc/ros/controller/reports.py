@@ -1,0 +1,227 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the controller tells people and tools about itself."""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Bool
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.sample_grid import SampleGrid
+from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.controller.status import ControllerStatus
+from sphere_nmpc.ros.controller.watch import ControllerWatch
+from sphere_nmpc.ros.conversions import path_to_ros, pose_to_ros
+from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
+from sphere_nmpc.settings import ControllerSettings
+
+_LEVELS = {
+    Mode.TRACKING: OK,
+    Mode.AT_GOAL: OK,
+    Mode.NO_GOAL: OK,
+    Mode.NO_CLOCK: STALE,
+    Mode.STANDSTILL: WARN,
+    Mode.DISABLED: OK,
+    Mode.NO_POSE: STALE,
+    Mode.BLIND: ERROR,
+    Mode.FALLBACK: WARN,
+}
+_KEPT = 1000
+"""Ticks behind the percentiles."""
+_TELL_EVERY = 0.0499
+"""Least control time between two statuses of the same mode [s]: 20 Hz."""
+_LONGEST_SILENCE = 0.4
+"""Wall time after which a status is published also where there was no sample instant [s]."""
+
+
+class ControllerReports:
+    """Publish goal, arrival, predicted path and status; report to diagnostics.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the publishers.
+    controller : Controller
+        Who is reported on.
+    grid : SampleGrid
+        Who counts missed ticks.
+    faults : FaultLog
+        Who counts faults.
+    robot : RobotParameters
+        What is believed about the robot.
+    settings : ControllerSettings
+        Strategy, weights and rates.
+    watch : ControllerWatch
+        Who knows what is wrong around the node.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        controller: Controller,
+        grid: SampleGrid,
+        faults: FaultLog,
+        robot: RobotParameters,
+        settings: ControllerSettings,
+        watch: ControllerWatch,
+    ) -> None:
+        self._controller = controller
+        self._watch = watch
+        self._grid = grid
+        self._faults = faults
+        self._radius = robot.shell_radius
+        self._period = settings.control_period
+        self._strategy = settings.strategy
+        self._told = ControllerStatus(controller, robot, settings)
+        self._solve_times: deque[float] = deque(maxlen=_KEPT)
+        self._tick_times: deque[float] = deque(maxlen=_KEPT)
+        self._gaps: deque[float] = deque(maxlen=_KEPT)
+        self._decision: Decision | None = None
+        self._ticks = self._ticks_told = 0
+        self._last_tick = float("nan")
+        self._last_told = (float("-inf"), Mode.NO_POSE)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._goal = node.create_publisher(PoseStamped, "~/active_goal", latched)
+        self._at_goal = node.create_publisher(Bool, "~/at_goal", latched)
+        self._arrived: bool | None = None
+        self._path = node.create_publisher(Path, "~/predicted_path", 10)
+        self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
+        self._name = status_name(node)
+        self._values: dict[str, Any] = {}
+        self._status_at = perf_counter()
+        self._tell_arrival()
+
+    def goal(self, goal: Vector, stamp: int) -> None:
+        """Publish the goal, shape (6,), that is now in force."""
+        self._goal.publish(pose_to_ros(goal, stamp, self._radius))
+        self._tell_arrival()
+
+    @property
+    def _mode(self) -> Mode:
+        """What there is to tell between sample instants."""
+        if math.isnan(self._watch.time):
+            return Mode.NO_CLOCK
+        if self._watch.stands_still:
+            return Mode.STANDSTILL
+        return Mode.NO_POSE if self._decision is None else self._decision.mode
+
+    def look(self) -> None:
+        """Publish a status where sample instants leave it silent, after each look of the watch."""
+        if perf_counter() - self._status_at < _LONGEST_SILENCE:
+            return
+        mode = self._mode
+        # Nothing was solved since, and so it must not be counted once more.
+        values = {"time_s": f"{self._watch.time:.9g}", "strategy": self._strategy}
+        values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
+        self._publish_status(mode, mode.value, values)
+
+    def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
+        """Publish a status; what is wrong around the node goes before its own message."""
+        level, found = _LEVELS[mode], self._watch.complaints
+        if found:
+            message = f"{found[0].kind}: {found[0].message}"
+            level = ERROR if found[0].severe else max(level, WARN)
+        self._status_at = perf_counter()
+        self._status.publish(status(self._name, level, message, values))
+
+    def _tell_arrival(self) -> None:
+        if self._controller.at_goal is not self._arrived:
+            self._arrived = self._controller.at_goal
+            self._at_goal.publish(Bool(data=self._arrived))
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Take over settings that may change while running."""
+        if settings.strategy != self._strategy:
+            for times in (self._solve_times, self._tick_times, self._gaps):
+                times.clear()
+        self._period, self._strategy = settings.control_period, settings.strategy
+        self._told.change(settings)
+
+    def tick(self, decision: Decision, time: float, duration: float, epoch: int) -> None:
+        """Take note of what was decided for the sample instant `time` [s] within `duration` [s].
+
+        At a high control rate not every instant is published: people and plots have enough of
+        some, and the control loop has better things to do.
+        """
+        self._ticks += 1
+        self._decision = decision
+        self._tick_times.append(duration)
+        wall = perf_counter()
+        self._gaps.append(wall - self._last_tick)
+        self._last_tick = wall
+        plan = decision.plan
+        if decision.solved:
+            self._solve_times.append(plan.solve_time)
+        if decision.mode is Mode.FALLBACK:
+            self._faults.report("solve failed", plan.message)
+        self._told.judge(decision, time)
+        self._tell_arrival()
+        last, mode = self._last_told
+        if decision.mode is mode and 0.0 <= time - last < _TELL_EVERY:
+            return
+        self._last_told = (time, decision.mode)
+        self._values = self._told.values(decision, time, duration, self._grid.missed)
+        self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
+        if len(plan.states):
+            self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
+
+    def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Report solve times and failures."""
+        median, p99, most = _percentiles(self._solve_times)
+        values = {
+            "strategy": self._strategy,
+            "median ms": median,
+            "p99 ms": p99,
+            "max ms": most,
+            "failures": self._controller.failures,
+        }
+        if self._decision is not None and self._decision.mode is Mode.FALLBACK:
+            return ERROR, self._decision.plan.message, values
+        if p99 > self._period * 1e3:
+            return WARN, "solving takes longer than the control period", values
+        return OK, "solving" if self._solve_times else "nothing solved yet", values
+
+    def loop(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Report the rate of ticks, missed ones and the age of the pose."""
+        ticks, self._ticks_told = self._ticks - self._ticks_told, self._ticks
+        decision = self._decision
+        tick_ms, gap_ms = _percentiles(self._tick_times), _percentiles(self._gaps)
+        values = {
+            "ticks since last report": ticks,
+            "control period s": self._period,
+            "wall period median ms": gap_ms[0],
+            "wall period p99 ms": gap_ms[1],
+            "tick median ms": tick_ms[0],
+            "tick p99 ms": tick_ms[1],
+            "missed ticks": self._grid.missed,
+            "late poses": self._controller.late_poses,
+            "pose age s": float("inf") if decision is None else decision.pose_age,
+            **self._faults.counts,
+        }
+        mode, found = self._mode, self._watch.complaints
+        if found:
+            return ERROR if found[0].severe else WARN, found[0].kind, values
+        if mode is Mode.STANDSTILL:
+            return WARN, f"{mode.value} at {self._watch.time:.3f} s", values
+        return _LEVELS[mode], mode.value, values
+
+
+def _percentiles(times: Iterable[float]) -> tuple[float, float, float]:
+    """Return median, 99th percentile and maximum of times [s] in ms; nan where there are none."""
+    known = [time for time in times if time == time]
+    values = np.array(known or [np.nan]) * 1e3
+    median, p99 = np.percentile(values, [50, 99])
+    return float(median), float(p99), float(np.max(values))

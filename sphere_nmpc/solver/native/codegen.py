@@ -1,0 +1,142 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The integration step as C source, written from the same CasADi expressions the reference runs.
+
+CasADi's own code generator knows one number type. Here a nominal value is a ``double`` and a
+derivative a ``tangent``, a handful of vector registers that carry all directions at once, so
+each operation is written once and the nominal value is computed once. That works because the step
+is made of sums, products and quotients alone, and a derivative is linear in its seeds: a
+tangent is only ever added to a tangent or scaled by a number. ``vectors.h`` says how.
+"""
+
+from collections.abc import Callable
+
+import casadi as ca
+
+from sphere_nmpc.solver.reference.shooting import tangent_step_function
+
+_NOMINAL_INPUTS = 5
+"""q, u_start, u_end, h, p come first in `tangent_step_function`; the seeds follow."""
+
+_SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+_TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}
+
+
+def kernel_source() -> str:
+    """Return the C functions ``nominal_step``, ``lane_step`` and ``tangent_step``."""
+    value = _without_repetition(tangent_step_function(0))
+    both = _without_repetition(tangent_step_function(1))
+    outputs = "{0} *restrict dxy, {0} *restrict q_end"
+    inputs = (
+        "const {0} *restrict q, const {0} *restrict u_start, const {0} *restrict u_end, "
+        "{1} h, const {1} *restrict p"
+    )
+    seeds = (
+        "const tangent *restrict dq, const tangent *restrict du_start, "
+        "const tangent *restrict du_end, "
+    )
+    tangents = ", tangent *restrict ddxy, tangent *restrict dq_end"
+    plain = inputs.format("double", "double") + ", " + outputs.format("double")
+    lanes = inputs.format("vec", "double") + ", " + outputs.format("vec")
+    with_seeds = (
+        inputs.format("double", "double") + ", " + seeds + outputs.format("double") + tangents
+    )
+    return "\n".join(
+        (
+            f"static void nominal_step({plain})\n{{\n{_body(value, 'double')}}}\n",
+            f"static void lane_step({lanes})\n{{\n{_body(value, 'vec')}}}\n",
+            f"static void tangent_step({with_seeds})\n{{\n{_body(both, 'double')}}}\n",
+        )
+    )
+
+
+def _without_repetition(function: ca.Function) -> ca.Function:
+    """Return the function with common subexpressions computed once: differentiating repeats."""
+    arguments = function.sx_in()
+    return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))
+
+
+def _body(function: ca.Function, number: str) -> str:
+    """Translate CasADi's instructions, one statement each; `number` is the C type of a value."""
+    # CasADi reuses its work vector; here every instruction gets a name of its own.
+    names: dict[int, str] = {}
+    is_tangent: dict[int, bool] = {}
+    lines: list[str] = []
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        sources = function.instruction_input(k)
+        targets = function.instruction_output(k)
+        if operation == ca.OP_OUTPUT:
+            result = ("dxy", "q_end", "ddxy", "dq_end")[targets[0]]
+            lines.append(f"{result}[{targets[1]}] = {names[sources[0]]};")
+            continue
+        target = targets[0]
+        name = f"a{k}"
+        if operation == ca.OP_INPUT:
+            is_tangent[target] = sources[0] >= _NOMINAL_INPUTS
+            lines.append(_read(function, name, number, sources[0], sources[1]))
+        elif operation == ca.OP_CONST:
+            is_tangent[target] = False
+            lines.append(f"const {number} {name} = {_constant(function, k, number)};")
+        else:
+            operands = [(names[i], is_tangent[i]) for i in sources]
+            is_tangent[target] = any(tangent for _, tangent in operands)
+            write = _tangent_statement if is_tangent[target] else _nominal_statement(number)
+            lines.append(write(name, operation, operands))
+        names[target] = name
+    return "".join(f"    {line}\n" for line in lines)
+
+
+def _read(function: ca.Function, name: str, number: str, argument: int, index: int) -> str:
+    source = ("q", "u_start", "u_end", "h", "p", "dq", "du_start", "du_end")[argument]
+    place = source if source == "h" else f"{source}[{index}]"
+    if argument >= _NOMINAL_INPUTS:
+        return f"TANGENT_COPY({name}, {place})"
+    if number == "vec" and source in ("h", "p"):
+        return f"const vec {name} = broadcast({place});"
+    return f"const {number} {name} = {place};"
+
+
+def _constant(function: ca.Function, k: int, number: str) -> str:
+    # Hexadecimal, so that C reads the very same number.
+    value = float(function.instruction_constant(k)).hex()
+    return f"broadcast({value})" if number == "vec" else value
+
+
+Operands = list[tuple[str, bool]]
+
+
+def _nominal_statement(number: str) -> Callable[[str, int, Operands], str]:
+    def write(name: str, operation: int, operands: Operands) -> str:
+        left, right = operands[0][0], operands[-1][0]
+        if operation in _SYMBOL:
+            expression = f"{left} {_SYMBOL[operation]} {right}"
+        elif operation == ca.OP_SQ:
+            expression = f"{left} * {left}"
+        elif operation == ca.OP_TWICE:
+            expression = f"{left} + {left}"
+        elif operation == ca.OP_NEG:
+            expression = f"-{left}"
+        elif operation == ca.OP_INV:
+            expression = f"1.0 / {left}"
+        else:
+            raise NotImplementedError(f"operation {operation} has no translation to vector code")
+        return f"const {number} {name} = {expression};"
+
+    return write
+
+
+def _tangent_statement(name: str, operation: int, operands: Operands) -> str:
+    (left, left_varies), (right, right_varies) = operands[0], operands[-1]
+    if operation in _TANGENT_NAME and left_varies and right_varies:
+        return f"{_TANGENT_NAME[operation]}({name}, {left}, {right})"
+    if operation == ca.OP_MUL and left_varies != right_varies:
+        number, tangent = (right, left) if left_varies else (left, right)
+        return f"TANGENT_SCALED({name}, {number}, {tangent})"
+    if operation == ca.OP_DIV and left_varies and not right_varies:
+        return f"TANGENT_SCALED({name}, 1.0 / {right}, {left})"
+    if operation == ca.OP_TWICE:
+        return f"TANGENT_SUM({name}, {left}, {left})"
+    if operation == ca.OP_NEG:
+        return f"TANGENT_NEGATIVE({name}, {left})"
+    raise NotImplementedError(f"operation {operation} is not linear in the seeds")

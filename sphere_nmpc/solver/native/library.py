@@ -1,0 +1,157 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Finds the compiled solver that this machine has kept, and builds it at its first use.
+
+A binary is found again by a hash over all that decides what it computes: the sources, CasADi's
+version, flags and processor. The compiler is not part of it: a binary serves on when the compiler
+is removed or renewed, and is built anew once its folder is emptied. CasADi is asked for the
+kernels only when there is none.
+
+It is kept in the user's cache folder; where that cannot be, in a folder of the user's own under
+the system's temporary one, which all processes of the user share.
+"""
+
+import contextlib
+import ctypes
+import hashlib
+import logging
+import os
+import platform
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+
+import casadi as ca
+
+from sphere_nmpc.cache import (
+    CACHE_VARIABLE,
+    cache_folder,
+    distrust,
+    make_private,
+    temporary_folder,
+    temporary_path,
+)
+from sphere_nmpc.solver.native.compiler import (
+    FLAGS,
+    CompilerError,
+    compile_library,
+    compilers,
+    processor,
+    target_flags,
+)
+
+_C_SOURCES = ("driver.c", "vectors.h", "hold.h", "expansion.h", "step.h")
+_GENERATORS = (
+    ("sphere_nmpc.model", "dynamics.py"),
+    ("sphere_nmpc.model", "integrator.py"),
+    ("sphere_nmpc.solver.reference", "shooting.py"),
+    ("sphere_nmpc.solver.native", "codegen.py"),
+)
+"""What decides the text of ``kernels.h``."""
+
+_DIGEST_SIZE = hashlib.sha256().digest_size
+
+_log = logging.getLogger("sphere_nmpc")
+
+
+def load_library() -> ctypes.CDLL:
+    """Return the compiled solver, building it first if this machine has not done so yet.
+
+    Raises
+    ------
+    CompilerError
+        If it is not there and cannot be built or kept.
+    """
+    sources = {name: _text("sphere_nmpc.solver.native", name) for name in _C_SOURCES}
+    name = f"hold_solver-{_content_key(sources)}.so"
+    # Absolute, as a name without a folder is looked for among the system's libraries.
+    for folder in (cache_folder(), temporary_path()):
+        with contextlib.suppress(OSError):
+            return _loaded(folder.absolute() / name)
+    commands = compilers()
+    trouble: list[str] = []
+    # The second is not made unless the first does not do.
+    for find in (cache_folder, temporary_folder):
+        folder = find().absolute()
+        try:
+            library = _built(folder / name, commands, sources)
+        except OSError as problem:
+            trouble.append(_cause(folder, problem))
+            continue
+        if trouble:
+            _log.warning("sphere_nmpc: the compiled solver is kept in %s: %s", folder, trouble[0])
+        return library
+    cause = "the compiled solver cannot be kept: " + ", nor: ".join(trouble)
+    raise CompilerError(cause, f"name a folder of your own with room in {CACHE_VARIABLE}")
+
+
+def _loaded(binary: Path) -> ctypes.CDLL:
+    """Return a binary that was kept; OSError where it is not there, not sound or not safe."""
+    for place in (binary.parent, binary):
+        reason = distrust(place)
+        if reason is not None:
+            raise PermissionError(reason)
+    # Its end is the digest of the rest: loading a torn one would crash.
+    content = binary.read_bytes()
+    body, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
+    if not body or hashlib.sha256(body).digest() != digest:
+        raise OSError(f"{binary} is damaged")
+    return ctypes.CDLL(str(binary))
+
+
+def _built(binary: Path, commands: list[list[str]], sources: dict[str, str]) -> ctypes.CDLL:
+    """Build a binary, keep it and return it; OSError where the folder does not allow it."""
+    folder = binary.parent
+    make_private(folder)
+    reason = distrust(folder)
+    if reason is not None:
+        raise PermissionError(reason)
+    with _locked(binary.with_suffix(".lock")):
+        # Another process may have built it while this one waited.
+        with contextlib.suppress(OSError):
+            return _loaded(binary)
+        # Here, not above: a process that finds its binary has no use for the code generator.
+        from sphere_nmpc.solver.native.codegen import kernel_source
+
+        body = compile_library(commands, {**sources, "kernels.h": kernel_source()}, folder)
+        made = binary.with_suffix(".new")
+        try:
+            made.write_bytes(body + hashlib.sha256(body).digest())
+            made.chmod(0o755)
+            # In one go, so that nobody ever sees half a file.
+            os.replace(made, binary)
+        except OSError:
+            made.unlink(missing_ok=True)
+            raise
+        return _loaded(binary)
+
+
+def _cause(folder: Path, problem: OSError) -> str:
+    """Return why a folder cannot keep the solver, with the folder's name."""
+    if problem.strerror is None:
+        return str(problem)
+    return f"{folder}: {problem.strerror} (errno {problem.errno})"
+
+
+def _content_key(sources: dict[str, str]) -> str:
+    parts = [ca.CasadiMeta.version(), platform.machine(), processor(), *FLAGS, *target_flags()]
+    parts += [*sources.values(), *(_text(package, name) for package, name in _GENERATORS)]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
+
+
+def _text(package: str, name: str) -> str:
+    return resources.files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Let one process build at a time; the others find the result."""
+    try:
+        import fcntl
+    except ImportError:
+        # No such locks on this system: at worst the same file is built twice.
+        yield
+        return
+    with open(path, "w", encoding="utf-8") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield

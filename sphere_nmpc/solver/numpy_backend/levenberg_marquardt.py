@@ -1,0 +1,115 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Projected Levenberg-Marquardt iteration on a box: the solver, in the form meant for reading.
+
+Each trial step minimises the damped Gauss-Newton model over the inputs that are not held at a
+bound; inputs that the step would carry through a bound are held there and the rest is solved
+again. The damping follows the gain ratio (Nielsen's rule). Indefinite second derivatives never
+enter: near a configuration where the robot is singular the exact Hessian sends a line search to
+a standstill, while the damped model always descends.
+"""
+
+import math
+import time
+
+import numpy as np
+
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.solver.numpy_backend.objective import VectorObjective
+from sphere_nmpc.solver.numpy_backend.quadratic_model import QuadraticModel
+from sphere_nmpc.solver.problem import (
+    HoldProblem,
+    HoldSolution,
+    SolverSettings,
+    SolveStatus,
+)
+
+MIN_DAMPING = 1e-12
+MAX_DAMPING = 1e12
+
+
+def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
+    """Solve a problem from a start; the compiled solver takes the same steps.
+
+    Parameters
+    ----------
+    problem : HoldProblem
+        What to solve.
+    start : ndarray, shape (N, 2)
+        First guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
+    settings : SolverSettings
+        When to stop.
+
+    Returns
+    -------
+    HoldSolution
+    """
+    began = time.perf_counter()
+    objective = VectorObjective(problem)
+    lower, upper = objective.lower, objective.upper
+    v = _clipped(objective.scaled(start), lower, upper)
+    value, states = objective.evaluate(v)
+    status = SolveStatus.CAPPED
+    iterations = 0
+    damping, growth = settings.initial_damping, 2.0
+    residual = np.inf
+    model: QuadraticModel | None = None
+    if not math.isfinite(value):
+        status = SolveStatus.NOT_FINITE
+    while status is not SolveStatus.NOT_FINITE:
+        if model is None:
+            model = objective.expand(v)
+            residual = _kkt_residual(v, model.gradient, lower, upper)
+            if residual <= settings.gradient_tolerance or value <= settings.target_cost:
+                status = SolveStatus.CONVERGED
+                break
+        if iterations >= settings.max_iterations:
+            break
+        if time.perf_counter() - began > settings.time_budget:
+            status = SolveStatus.BUDGET
+            break
+        iterations += 1
+        step = model.bounded_step(damping, lower - v, upper - v)
+        # Singular to working precision: no decrease, so the damping is raised.
+        trial, trial_value, trial_states = v, math.nan, states
+        if step is not None:
+            trial = _clipped(v + step, lower, upper)
+            trial_value, trial_states = objective.evaluate(trial)
+        decrease = value - trial_value
+        if step is not None and math.isfinite(trial_value) and decrease > 0.0:
+            gain = decrease / max(model.decrease(step), 1e-300)
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
+            damping = max(damping, MIN_DAMPING)
+            growth = 2.0
+            small = decrease <= max(settings.decrease_tolerance * value, settings.decrease_floor)
+            v, value, states, model = trial, trial_value, trial_states, None
+            if small:
+                residual = _kkt_residual(v, objective.expand(v).gradient, lower, upper)
+                status = SolveStatus.CONVERGED
+                break
+        else:
+            damping *= growth
+            growth *= 2.0
+            if damping > MAX_DAMPING:
+                # No descent left at working precision.
+                status = SolveStatus.CONVERGED
+                break
+    inputs = objective.inputs(v)
+    inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
+    elapsed = time.perf_counter() - began
+    return HoldSolution(inputs, states, value, status, iterations, residual, elapsed)
+
+
+def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:
+    # Several times faster than numpy.clip on so few numbers.
+    clipped: Vector = np.minimum(np.maximum(v, lower), upper)
+    return clipped
+
+
+def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> float:
+    return float(np.abs(_clipped(v - gradient, lower, upper) - v).max())
+
+
+def rest_start(problem: HoldProblem) -> Vector:
+    """Return the coldest first guess: all knots zero, shape (N, 2)."""
+    return np.zeros((problem.intervals, INPUT_SIZE))

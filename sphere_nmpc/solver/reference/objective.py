@@ -1,0 +1,76 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of a `HoldProblem` with its gradient and Gauss-Newton Hessian, in scaled inputs v = u/U."""
+
+import numpy as np
+
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.solver.numpy_backend.quadratic_model import DenseModel
+from sphere_nmpc.solver.problem import HoldProblem
+from sphere_nmpc.solver.reference.shooting import roll_out, roll_out_with_sensitivity
+
+
+def all_knots(problem: HoldProblem, scaled: Vector) -> Vector:
+    """Return u_0 ... u_N [rad/s], shape (N + 1, 2), for scaled free knots v, shape (2 N,)."""
+    free = problem.input_scale * scaled.reshape(-1, INPUT_SIZE)
+    return np.vstack((problem.input_in_force, free))
+
+
+def cost(problem: HoldProblem, scaled: Vector) -> tuple[float, Vector]:
+    """Return the cost and the states, shape (N + 1, 6), at scaled knots v, shape (2 N,)."""
+    inputs = all_knots(problem, scaled)
+    states = roll_out(problem, inputs)
+    return _cost_of(problem, inputs, states), states
+
+
+def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector) -> float:
+    misses = states[1:] - problem.goal
+    value = problem.terminal_weight * float(misses[-1] @ misses[-1])
+    value += problem.stage_weight * float(np.sum(misses[:-1] ** 2))
+    value += problem.input_weight * float(np.sum((inputs[1:] / problem.input_scale) ** 2))
+    if problem.slew_weight > 0.0:
+        value += problem.slew_weight * float(np.sum(_slew_excess(problem, inputs) ** 2))
+    return value
+
+
+def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:
+    """Signed excess of each knot difference over its limit, scaled, shape (N, 2)."""
+    change = np.diff(inputs, axis=0)
+    reach = problem.max_acceleration * problem.durations[:, None]
+    excess: Vector = (change - np.clip(change, -reach, reach)) / problem.input_scale
+    return excess
+
+
+def expand(problem: HoldProblem, scaled: Vector) -> DenseModel:
+    """Return gradient and Gauss-Newton Hessian of the cost at scaled knots v, shape (2 N,).
+
+    Second derivatives of the states are left out.
+    """
+    inputs = all_knots(problem, scaled)
+    states, sensitivities = roll_out_with_sensitivity(problem, inputs)
+    size = scaled.size
+    gradient = 2.0 * problem.input_weight * scaled
+    hessian = 2.0 * problem.input_weight * np.eye(size)
+    weights = np.full(problem.intervals, problem.stage_weight)
+    weights[-1] = problem.terminal_weight
+    for m in range(1, problem.intervals + 1):
+        if weights[m - 1] > 0.0:
+            jacobian = problem.input_scale * sensitivities[m]
+            gradient += 2.0 * weights[m - 1] * jacobian.T @ (states[m] - problem.goal)
+            hessian += 2.0 * weights[m - 1] * jacobian.T @ jacobian
+    if problem.slew_weight > 0.0:
+        _add_slew(problem, inputs, gradient, hessian)
+    return DenseModel(gradient, hessian)
+
+
+def _add_slew(problem: HoldProblem, inputs: Vector, gradient: Vector, hessian: Vector) -> None:
+    excess = _slew_excess(problem, inputs).ravel()
+    for i in np.flatnonzero(excess):
+        gradient[i] += 2.0 * problem.slew_weight * excess[i]
+        hessian[i, i] += 2.0 * problem.slew_weight
+        j = i - INPUT_SIZE
+        if j >= 0:
+            gradient[j] -= 2.0 * problem.slew_weight * excess[i]
+            hessian[j, j] += 2.0 * problem.slew_weight
+            hessian[i, j] -= 2.0 * problem.slew_weight
+            hessian[j, i] -= 2.0 * problem.slew_weight

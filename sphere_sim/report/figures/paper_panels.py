@@ -1,0 +1,119 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The four panels of the paper's Figs. 3 to 6: position, Euler parameters, path, rotor speeds."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sphere_nmpc.model.state import POSITION, QUATERNION
+from sphere_sim.recording.run import Run
+from sphere_sim.report.figures.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    DASHES,
+    GREY,
+    VERMILION,
+    say_missing,
+    styled,
+)
+
+_SMALLEST_VIEW = 0.3
+"""Smallest side of the path's panel [m]."""
+
+
+def paper_panels(run: Run, title: str | None = None) -> Figure:
+    """Draw a run as the paper does.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    title : str, optional
+        Above the panels.
+
+    Returns
+    -------
+    Figure
+    """
+    with styled():
+        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
+        position, euler, path, speeds = figure.subplots(2, 2).flat
+        draw_position(position, run)
+        draw_euler_parameters(euler, run)
+        draw_path(path, run)
+        draw_rotor_speeds(speeds, run)
+        if title:
+            figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
+    return figure
+
+
+def draw_position(axes: Axes, run: Run) -> None:
+    """Draw x and y of the centre over time, and of the goal."""
+    for i, name in enumerate(("x", "y")):
+        axes.plot(run.times, run.states[:, i], DASHES[i], color=COLOURS[i], label=name)
+    _draw_goal_lines(axes, run, POSITION)
+    _over_time(axes, run, "a: position of the sphere", "position [m]")
+    axes.legend(loc="best", ncols=2)
+
+
+def draw_euler_parameters(axes: Axes, run: Run) -> None:
+    """Draw the four parts of the quaternion over time, and of the goal."""
+    for i in range(4):
+        values = run.states[:, QUATERNION][:, i]
+        axes.plot(run.times, values, DASHES[i], color=COLOURS[i], label=f"$q_{i + 1}$")
+    _draw_goal_lines(axes, run, QUATERNION)
+    _over_time(axes, run, "b: Euler parameters", "Euler parameters [-]")
+    axes.set_ylim(-1.08, 1.08)
+    axes.legend(loc="best", ncols=4)
+
+
+def draw_path(axes: Axes, run: Run) -> None:
+    """Draw the path of the centre in the plane with start and goal."""
+    x, y = run.states[:, 0], run.states[:, 1]
+    axes.plot(x, y, color=BLUE)
+    axes.plot(x[0], y[0], "o", color=BLACK, markersize=6, label="start")
+    goal = run.goal
+    if goal is not None:
+        axes.plot(goal[0], goal[1], "*", color=VERMILION, markersize=13, label="goal", zorder=3)
+    # A run on the spot must not fill the panel with its last millimetres.
+    middle = 0.5 * np.array((x.min() + x.max(), y.min() + y.max()))
+    axes.update_datalim((middle - _SMALLEST_VIEW / 2.0, middle + _SMALLEST_VIEW / 2.0))
+    axes.margins(0.08)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("c: path on the plane")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.legend(loc="best")
+
+
+def draw_rotor_speeds(axes: Axes, run: Run) -> None:
+    """Draw the rotor speeds over time, with their limits."""
+    limit = run.robot.max_rotor_speed
+    if run.joint_times.size:
+        for i in range(2):
+            values = run.rotor_speeds[:, i]
+            axes.plot(run.joint_times, values, DASHES[i], color=COLOURS[i], label=f"$u_{i + 1}$")
+        for side in (-limit, limit):
+            axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
+        axes.set_ylim(-1.12 * limit, 1.12 * limit)
+        axes.legend(loc="best", ncols=2)
+        _over_time(axes, run, "d: rotor speeds", "rotor speed [rad/s]")
+    else:
+        axes.set_title("d: rotor speeds")
+        say_missing(axes, "rotor speeds")
+
+
+def _draw_goal_lines(axes: Axes, run: Run, part: slice) -> None:
+    goal = run.goal
+    if goal is not None:
+        for i, value in enumerate(goal[part]):
+            axes.axhline(value, color=COLOURS[i], linewidth=0.9, linestyle=":", alpha=0.8)
+
+
+def _over_time(axes: Axes, run: Run, title: str, label: str) -> None:
+    axes.set_title(title)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(label)
+    axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))

@@ -1,0 +1,36 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m sphere_sim.ros.faults.controller PARENT FILE ...``: a controller with a bad solver.
+
+It is the controller node itself, whose strategies are wrapped before it starts; the controller
+has no hook for this and needs none. FILE says what goes wrong, see `BadStrategy`.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from sphere_nmpc.control import controller
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.controller.node import main as run_controller
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Strategy
+from sphere_nmpc.strategy.registry import make_strategy
+from sphere_sim.faults.bad_strategy import BadStrategy
+from sphere_sim.ros.session.parent import end_with_parent
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the controller node with every strategy behind a `BadStrategy`."""
+    parent, told, *rest = arguments
+    end_with_parent(int(parent))
+
+    def make(settings: ControllerSettings, robot: RobotParameters) -> Strategy:
+        return BadStrategy(make_strategy(settings, robot), Path(told))
+
+    controller.make_strategy = make
+    return run_controller(rest)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,75 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals that come too often, too far away or broken."""
+
+import math
+import time
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_sim.ros.faults.session import RADIUS, FaultSession
+
+_BURST = 0.01
+"""Wall time between two goals of a burst [s]."""
+_SELDOM = 0.2
+"""Wall time between two goals otherwise [s]."""
+
+
+def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
+    """Return a goal, shape (6,), within a square of `reach` [m], with any orientation."""
+    quaternion = rng.normal(size=4)
+    return np.concatenate((rng.uniform(-reach, reach, 2), quaternion / np.linalg.norm(quaternion)))
+
+
+class BadGoals:
+    """Somebody sends goals that make no sense.
+
+    Parameters
+    ----------
+    kind : str
+        burst (sound ones at 100 Hz), unreachable or malformed.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+        self._sent = -math.inf
+        self._count = 0
+
+    def begin(self, session: FaultSession) -> None:
+        """Be ready to send."""
+        self._publisher = session.node.create_publisher(PoseStamped, "goal_pose", 1)
+        listening = self._publisher.get_subscription_count
+        session.wait(lambda: listening() > 0, 10.0, "somebody who listens to goals")
+
+    def keep_on(self, session: FaultSession) -> None:
+        """Send the next one when it is time."""
+        period = _BURST if self._kind == "burst" else _SELDOM
+        if time.monotonic() >= self._sent + period:
+            self._sent = time.monotonic()
+            self._publisher.publish(self._next(session.rng))
+            self._count += 1
+
+    def end(self, session: FaultSession) -> None:
+        """Send no more."""
+        session.node.destroy_publisher(self._publisher)
+
+    def _next(self, rng: np.random.Generator) -> PoseStamped:
+        goal = random_goal(rng)
+        if self._kind == "unreachable":
+            goal[:2] = rng.choice([1e5, 1e9, 1e150, 1e300, -1e308], size=2)
+        message = pose_to_ros(goal, 0, RADIUS, WORLD_FRAME)
+        if self._kind == "malformed":
+            broken = self._count % 4
+            if broken == 0:
+                message.pose.position.x = math.nan
+            elif broken == 1:
+                message.header.frame_id = "map"
+            elif broken == 2:
+                message.pose.orientation.w = math.inf
+            else:
+                message = PoseStamped()
+                message.pose.orientation.w = 0.0
+        return message

@@ -1,0 +1,89 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Command ``goal``: send one goal to the controller and tell whether it was accepted."""
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.utilities import remove_ros_args
+
+from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.ros.joining import join
+from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+_ANSWER_TIMEOUT = 5.0
+"""How long the controller may take to confirm the goal [s]."""
+
+
+def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
+    """Return the goal state, shape (6,), and how long to wait for a controller [s]."""
+    parser = argparse.ArgumentParser(
+        prog="goal",
+        description="Send a goal to the controller once it listens. Exits 0 when the controller "
+        "has accepted it, 1 when it has not, 2 when the arguments are not understood.",
+        epilog="ROS arguments follow --ros-args, for example: --ros-args -r __ns:=/left",
+    )
+    parser.add_argument("position", nargs="*", type=float, metavar="X Y", help="position [m]")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--quaternion", nargs=4, type=float, metavar=("W", "X", "Y", "Z"),
+        help="orientation, scalar first, body to world (default: 1 0 0 0)",
+    )
+    how.add_argument("--yaw", type=float, metavar="RAD", help="orientation about the vertical")
+    how.add_argument(
+        "--case", type=int, choices=sorted(PAPER_CASES), help="goal of a case of the paper"
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=10.0, metavar="S",
+        help="how long to wait for a controller [s] (default: %(default)g)",
+    )
+    given = parser.parse_args(arguments)
+    if given.case is not None:
+        if given.position:
+            parser.error("--case brings its own position")
+        return PAPER_CASES[given.case].goal, given.timeout
+    if len(given.position) != 2:
+        parser.error(f"expected a position X Y [m], given {len(given.position)} numbers")
+    quaternion = given.quaternion or (1.0, 0.0, 0.0, 0.0)
+    if given.yaw is not None:
+        quaternion = (math.cos(given.yaw / 2.0), 0.0, 0.0, math.sin(given.yaw / 2.0))
+    try:
+        return make_state(given.position, quaternion), given.timeout
+    except InvalidStateError as error:
+        parser.error(str(error))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Send the goal; see `parse` for the arguments.
+
+    Returns
+    -------
+    int
+        0 when the goal is in force, 1 when it is not.
+    """
+    given = list(sys.argv[1:] if args is None else args)
+    goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
+    join(given)
+    node = rclpy.create_node("goal")
+    told = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"
+    try:
+        sender = GoalSender(node, lambda: rclpy.spin_once(node, timeout_sec=0.05))
+        sender.wait_for_controller(timeout)
+        sender.send(goal, RobotParameters().shell_radius, _ANSWER_TIMEOUT)
+    except GoalNotAcceptedError as error:
+        print(f"{told}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"{told}: given up", file=sys.stderr)
+        return 1
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    print(f"{told}: in force")
+    return 0

@@ -1,0 +1,125 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator's two command inputs: what is refused, and what is passed on to the drives."""
+
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.ros.conversions import hold_from_trajectory, stamp_from_ros
+from sphere_sim.world.simulator import Simulator
+
+_AT_REST = 0.1
+"""Rotor speed that moves the sphere by less than a millimetre in a second [rad/s]."""
+
+
+class CommandIntake:
+    """Subscribe to both command topics; a message that is wrong changes nothing.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the subscriptions.
+    simulator : Simulator
+        Who follows the commands.
+    max_speed : float
+        What the drives limit a command to [rad/s].
+    horizon : float
+        How far ahead of simulated time a trajectory may start [s].
+    faults : FaultLog
+        Who is told of refused commands.
+    literal : bool
+        Whether stamp 0 means the first instant, as it does in lockstep, rather than at once.
+    on_trajectory : callable
+        Called with the stamp [ns] of each trajectory that was accepted.
+    epoch : callable
+        Returns the stamp [ns] of simulated time 0.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        simulator: Simulator,
+        max_speed: float,
+        horizon: float,
+        faults: FaultLog,
+        literal: bool,
+        on_trajectory: Callable[[int], object],
+        epoch: Callable[[], int],
+    ) -> None:
+        self._simulator = simulator
+        self._max_speed = max_speed
+        self._horizon = horizon
+        self._faults = faults
+        self._literal = literal
+        self._on_trajectory = on_trajectory
+        self._epoch = epoch
+        self.heard = 0
+        """Messages that came, accepted or not."""
+        self._trajectories = node.create_subscription(
+            JointTrajectory, "rotor_trajectory", self._take_trajectory, 10
+        )
+        self._speeds = node.create_subscription(
+            Float64MultiArray, "rotor_commands", self._take_speeds, 10
+        )
+
+    def _take_trajectory(self, message: JointTrajectory) -> None:
+        self.heard += 1
+        simulator = self._simulator
+        try:
+            epoch = self._epoch()
+            at_once = 0 if self._literal else epoch + simulator.now
+            hold = hold_from_trajectory(message, at_once, epoch)
+        except InvalidInputError as error:
+            self._faults.report("rotor_trajectory refused", str(error))
+            return
+        ahead = hold.start - simulator.time
+        if ahead > self._horizon:
+            self._faults.report(
+                "rotor_trajectory refused",
+                f"given a start {ahead:.6g} s ahead of the simulator's time, expected at most "
+                f"{self._horizon:g} s; its sender needs the simulator's clock: "
+                "use_sim_time:=true, or false with clock: system",
+            )
+            return
+        if hold.end < simulator.time - 1e-9 and not simulator.follower.is_newer(hold):
+            self._faults.report(
+                "rotor_trajectory refused",
+                f"given an end {simulator.time - hold.end:.6g} s ago and a start before that of "
+                "the one in force, expected a newer one",
+            )
+            return
+        fastest = max(np.abs(hold.speeds).max(), np.abs(simulator.speed_reference).max())
+        if hold.end < simulator.time - 1e-9 and fastest > _AT_REST:
+            # It may be a ramp to rest that was held up: what it replaces must not go on.
+            self._faults.report(
+                "rotor_trajectory late",
+                f"given an end {simulator.time - hold.end:.6g} s ago; the rotors ramp to rest",
+            )
+        self._count_clamped(lambda: simulator.follower.follow_trajectory(hold))
+        self._on_trajectory(stamp_from_ros(message.header.stamp))
+
+    def _take_speeds(self, message: Float64MultiArray) -> None:
+        self.heard += 1
+        simulator = self._simulator
+        speeds = np.array(message.data, dtype=float)
+        try:
+            self._count_clamped(lambda: simulator.follower.follow_speeds(speeds, simulator.time))
+        except InvalidInputError as error:
+            self._faults.report("rotor_commands refused", str(error))
+
+    def _count_clamped(self, follow: Callable[[], None]) -> None:
+        follower = self._simulator.follower
+        before = follower.clamped
+        follow()
+        if follower.clamped > before:
+            self._faults.report(
+                "command limited",
+                f"given more than the largest rotor speed, expected at most "
+                f"{self._max_speed:g} rad/s",
+            )

@@ -1,0 +1,101 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the simulated robot and its clock tell the graph."""
+
+import time
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from sphere_nmpc.ros import conversions
+from sphere_sim.world.simulator import Simulator
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not among the wheels of ROS; RViz, which needs it, is neither
+    TFMessage = None
+
+
+_DEPTH = 1000
+"""Messages kept for a reader that is behind: at full speed a sample takes milliseconds."""
+
+
+class WorldPublisher:
+    """Publish pose, odometry, joint states and, last of all, the clock.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the publishers.
+    shell_radius : float
+        Height of the centre [m].
+    body_frame : str
+        Name of the body frame.
+    clocked : bool
+        Whether to publish /clock.
+    """
+
+    def __init__(
+        self, node: Node, shell_radius: float, body_frame: str = conversions.BODY_FRAME,
+        clocked: bool = True,
+    ) -> None:
+        self._radius = shell_radius
+        self._frame = body_frame
+        self.epoch = 0
+        """Stamp of simulated time 0 [ns]."""
+        self._pose = node.create_publisher(PoseStamped, "pose", _DEPTH)
+        self._odometry = node.create_publisher(Odometry, "odom", _DEPTH)
+        self._joints = node.create_publisher(JointState, "joint_states", _DEPTH)
+        self._transforms = TFMessage and node.create_publisher(TFMessage, "/tf", 100)
+        self._clock = node.create_publisher(Clock, "/clock", _DEPTH) if clocked else None
+        self._last: list[tuple[Any, Any]] = []
+
+    def publish(self, simulator: Simulator) -> None:
+        """Publish the present instant; the noise of the pose is drawn once for it."""
+        now, plant = self.epoch + simulator.now, simulator.plant
+        poses = simulator.poses()
+        # A sensor that is late or slow is not what tools should draw: they get the truth then.
+        measured = poses[-1][1] if simulator.settings.is_sensor_plain else plant.state
+        self._last = [
+            (self._pose, conversions.pose_to_ros(seen, self.epoch + stamp, self._radius))
+            for stamp, seen in poses
+        ]
+        # At 2000 instants a second, what nobody listens to costs too much to make.
+        if self._odometry.get_subscription_count() > 0:
+            odometry = conversions.odometry_to_ros(
+                measured, plant.velocity, plant.body_rate, now, self._radius, self._frame
+            )
+            self._last.append((self._odometry, odometry))
+        if self._joints.get_subscription_count() > 0:
+            joints = conversions.joint_states_to_ros(
+                plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now
+            )
+            self._last.append((self._joints, joints))
+        if self._transforms and self._transforms.get_subscription_count() > 0:
+            pose = conversions.pose_to_ros(measured, now, self._radius)
+            transform = conversions.transform_from_pose(pose, self._frame)
+            self._last.append((self._transforms, TFMessage(transforms=[transform])))
+        # The clock comes last, so that who acts on it has the pose of that instant.
+        if self._clock is not None:
+            self._last.append((self._clock, Clock(clock=conversions.stamp_to_ros(now))))
+        self.repeat()
+
+    def flush(self, timeout: float) -> None:
+        """Wait until every reliable listener has what was published, or `timeout` [s] has passed.
+
+        At full speed a listener is behind; what ends it then must not cost the end of the run.
+        """
+        end = time.monotonic() + timeout
+        for publisher in {publisher for publisher, _ in self._last}:
+            left = max(0.0, end - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
+
+    def repeat(self) -> None:
+        """Publish the last instant once more, for those who came late while time stood still."""
+        for publisher, message in self._last:
+            publisher.publish(message)

@@ -1,0 +1,213 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Scenario files: CSV in UTF-8 with a header, a row a run, columns in any order.
+
+``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal; ``seed`` may follow
+(the number of the row, from 0, where it is left out). Other columns belong to the user.
+"""
+
+import csv
+import math
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
+from sphere_nmpc.model.state import FARTHEST, QUATERNION_NORM_TOLERANCE, Vector, as_state
+
+START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
+GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
+STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
+SEED_COLUMN = "seed"
+
+LARGEST_FILE = 2**28
+"""Bytes; about a million rows."""
+LONGEST_LINE = 2**20
+"""Characters."""
+LARGEST_SEED = 2**31 - 1
+
+
+class ScenarioFileError(SphereNmpcError, ValueError):
+    """A scenario file is not what it should be.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    given, expected : str
+        What was found and what would have been accepted.
+    line : int, optional
+        Line of the file, counted from 1.
+    column : str, optional
+        Name of the column.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self, path: Path, given: str, expected: str, line: int | None = None, column: str = ""
+    ) -> None:
+        where = str(path)
+        if line is not None:
+            where += f", line {line}"
+        if column:
+            where += f", column {column}"
+        super().__init__(f"{where}: given {given}, expected {expected}")
+        self.path = path
+        self.line = line
+        self.column = column
+        self.given = given
+        self.expected = expected
+
+
+class ScenarioRow(NamedTuple):
+    """A row of the file; the attributes are those of `sphere_sim.scenario.scenarios.Scenario`."""
+
+    start: Vector
+    goal: Vector
+    seed: int
+    extra: dict[str, str]
+    given: dict[str, str]
+
+
+def read_rows(path: Path) -> list[ScenarioRow]:
+    """Read all rows of a scenario file, at least one.
+
+    Raises
+    ------
+    ScenarioFileError
+        Naming file, line and column, what is given and what is expected.
+    """
+    try:
+        _refuse_what_does_not_end(path)
+        # The signature that some spreadsheets put in front is no part of the first name.
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(_rows(path, file))
+    except UnicodeDecodeError as error:
+        raise ScenarioFileError(
+            path, f"the byte 0x{error.object[error.start]:02x}", "text encoded in UTF-8",
+            _line_of_bad_byte(path),
+        ) from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ScenarioFileError(path, reason.lower(), "a CSV file that can be read") from None
+    if not rows:
+        raise ScenarioFileError(path, "a header alone", "at least one scenario")
+    return rows
+
+
+def _refuse_what_does_not_end(path: Path) -> None:
+    """Refuse devices and pipes, which cannot be read twice or do not end, and far too much."""
+    about = path.stat()
+    kinds = {stat.S_ISDIR: "a directory", stat.S_ISFIFO: "a pipe", stat.S_ISREG: ""}
+    given = next((kind for test, kind in kinds.items() if test(about.st_mode)), "a device")
+    if given:
+        raise ScenarioFileError(path, given, "a CSV file")
+    if about.st_size > LARGEST_FILE:
+        raise ScenarioFileError(
+            path, f"{about.st_size / 2**20:.0f} MiB", f"at most {LARGEST_FILE / 2**20:.0f} MiB"
+        )
+
+
+def _lines(path: Path, file: TextIO) -> Iterator[str]:
+    number = 0
+    while line := file.readline(LONGEST_LINE):
+        number += 1
+        if len(line) == LONGEST_LINE:
+            raise ScenarioFileError(
+                path, "an endless line", f"at most {LONGEST_LINE - 1} characters", number
+            )
+        yield line
+
+
+def _rows(path: Path, file: TextIO) -> Iterator[ScenarioRow]:
+    reader = csv.reader(_lines(path, file), strict=True)
+    header: list[str] | None = None
+    number = 0
+    while True:
+        line = reader.line_num + 1
+        try:
+            fields = next(reader, None)
+        except csv.Error as error:
+            raise ScenarioFileError(path, str(error), "a row of CSV", line) from None
+        if fields is None:
+            break
+        if not any(text.strip() for text in fields):
+            continue
+        if header is None:
+            header = _header(path, line, [text.strip() for text in fields])
+            continue
+        if len(fields) != len(header):
+            raise ScenarioFileError(
+                path, f"{len(fields)} fields", f"{len(header)}, as in the header", line
+            )
+        yield _row(path, line, dict(zip(header, fields, strict=True)), number)
+        number += 1
+    if header is None:
+        raise ScenarioFileError(path, "an empty file", f"a header {','.join(STATE_COLUMNS)}")
+
+
+def _header(path: Path, line: int, names: list[str]) -> list[str]:
+    for name in STATE_COLUMNS:
+        if name not in names:
+            raise ScenarioFileError(
+                path, f"the columns {','.join(names)}", "a column of this name", line, name
+            )
+    for name in names:
+        if names.count(name) > 1:
+            raise ScenarioFileError(path, "a name twice", "each column once", line, name)
+    return names
+
+
+def _row(path: Path, line: int, fields: dict[str, str], number: int) -> ScenarioRow:
+    given = {name: fields.pop(name).strip() for name in STATE_COLUMNS}
+    seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), number)
+    start, goal = (_state(path, line, given, names) for names in (START_COLUMNS, GOAL_COLUMNS))
+    return ScenarioRow(start, goal, seed, fields, given)
+
+
+def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...]) -> Vector:
+    values = [_number(path, line, name, given[name]) for name in names]
+    for name, value in zip(names[:2], values, strict=False):
+        if abs(value) > FARTHEST:
+            raise ScenarioFileError(
+                path, given[name], f"-{FARTHEST:g} to {FARTHEST:g} [m]", line, name
+            )
+    try:
+        return as_state(values)
+    except InvalidStateError:
+        raise ScenarioFileError(
+            path, f"a norm of {math.hypot(*values[2:]):.6g}",
+            f"a quaternion of norm 1 within {QUATERNION_NORM_TOLERANCE:g}",
+            line, f"{names[2]} to {names[-1]}",
+        ) from None
+
+
+def _number(path: Path, line: int, name: str, text: str) -> float:
+    try:
+        # Python would take 1_000 too, which no other reader of the same file does.
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ScenarioFileError(path, f"'{text}'", "a finite number", line, name)
+    return value
+
+
+def _seed(path: Path, line: int, text: str, number: int) -> int:
+    if not text:
+        return number
+    if not (text.isascii() and text.isdigit()) or int(text[:11]) > LARGEST_SEED:
+        raise ScenarioFileError(
+            path, f"'{text}'", f"a whole number from 0 to {LARGEST_SEED}", line, SEED_COLUMN
+        )
+    return int(text)
+
+
+def _line_of_bad_byte(path: Path) -> int | None:
+    try:
+        path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        return error.object[: error.start].count(b"\n") + 1
+    return None

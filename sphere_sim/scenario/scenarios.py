@@ -1,0 +1,85 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Where runs start and where they should end: the paper's cases, files, random draws."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sphere_nmpc.model.state import Vector, as_state
+from sphere_sim.scenario.csv_file import read_rows
+from sphere_sim.scenario.draws import DRAWS
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """One run to make.
+
+    Attributes
+    ----------
+    start, goal : ndarray, shape (6,)
+        Initial and desired state; the sphere starts at rest.
+    seed : int
+        Seed of all that is random in the run.
+    extra : dict of str to str
+        Further columns of the scenario file, carried through to the results.
+    given : dict of str to str
+        The columns of the two states as the file has them, before they were normalised; empty
+        where there is no file.
+    """
+
+    start: Vector
+    goal: Vector
+    seed: int = 0
+    extra: dict[str, str] = field(default_factory=dict)
+    given: dict[str, str] = field(default_factory=dict)
+
+
+def _paper_case(start: list[float], goal: list[float]) -> Scenario:
+    return Scenario(as_state(start), as_state(goal))
+
+
+_ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+_ON_THE_CIRCLE = [0.0, 0.0, 0.7071, 0.0, 0.7071, 0.0]
+
+PAPER_CASES: dict[int, Scenario] = {
+    1: _paper_case([2.0, -3.0, 0.03, 0.454, 0.88, 0.1363], _ORIGIN),
+    2: _paper_case([1.0, 2.0, 0.5, 0.5, 0.5, 0.5], _ON_THE_CIRCLE),
+    3: _paper_case([0.0, 0.0, 0.6521, 0.1132, 0.1115, 0.7413], _ORIGIN),
+    4: _paper_case([0.0, 0.0, 0.2734, 0.5628, 0.4281, 0.6521], _ON_THE_CIRCLE),
+}
+"""The four cases of section 4 of the paper; case 4 there runs with noise and wrong parameters."""
+
+
+def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scenario]:
+    """Draw starts and goals of one of the kinds in `sphere_sim.scenario.draws`.
+
+    Parameters
+    ----------
+    number : int
+        How many scenarios.
+    seed : int
+        Seed of the draw; scenario i is the same whatever `number` is.
+    kind : str
+        One of `DRAWS`.
+    """
+    scenarios = []
+    for i in range(number):
+        rng = np.random.default_rng([seed, i])
+        start, goal = DRAWS[kind](rng)
+        scenarios.append(Scenario(start, goal, seed=int(rng.integers(2**31))))
+    return scenarios
+
+
+def read_scenarios(path: Path) -> list[Scenario]:
+    """Read scenarios from a CSV file; `sphere_sim.scenario.csv_file` tells its format.
+
+    Raises
+    ------
+    ScenarioFileError
+        If the file is not what it should be; tells where, what is given and what is expected.
+    """
+    return [
+        Scenario(row.start, row.goal, row.seed, row.extra, row.given) for row in read_rows(path)
+    ]

@@ -1,0 +1,45 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Plants by name."""
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.settings import PLANTS
+
+
+def make_plant(
+    name: str,
+    robot: RobotParameters,
+    state: Vector,
+    settings: RigidBodySettings | None = None,
+) -> Plant:
+    """Build a plant.
+
+    Parameters
+    ----------
+    name : str
+        "rolling", the ideal sphere, or "rigid_body", the one with contact and drives.
+    robot : RobotParameters
+        True parameters of the robot.
+    state : ndarray, shape (6,)
+        Where it starts at rest.
+    settings : RigidBodySettings, optional
+        What "rigid_body" is to be like; "rolling" has nothing to set.
+
+    Raises
+    ------
+    InvalidParameterError
+        If there is no plant of that name.
+    MissingEngineError
+        If "rigid_body" is asked for where MuJoCo is not installed.
+    """
+    if name == "rolling":
+        return RollingPlant(robot, state)
+    if name == "rigid_body":
+        return RigidBodyPlant(robot, state, settings)
+    raise InvalidParameterError("plant", name, " or ".join(PLANTS))

@@ -1,0 +1,160 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The robot and its floor in MuJoCo's own language, MJCF."""
+
+import math
+from collections.abc import Iterable
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.world.plant.rigid_body.bodies import Body, build_mechanism
+from sphere_sim.world.plant.rigid_body.floor import RoughFloor
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s^2]."""
+
+_IMPEDANCE_RATIO = 10
+"""How much harder friction holds than the normal force; at 1 the angle deviates twice as much."""
+
+_FLOOR_BASE = 0.5
+"""Thickness of a rough floor under its lowest point [m]."""
+
+
+def make_mjcf(
+    robot: RobotParameters, settings: RigidBodySettings, floor: RoughFloor | None = None
+) -> str:
+    """Write the model.
+
+    Parameters
+    ----------
+    robot : RobotParameters
+        True parameters of the robot.
+    settings : RigidBodySettings
+        Drives, floor, contact and integration.
+    floor : RoughFloor, optional
+        Whose heights the caller puts into the compiled model; a plane without.
+
+    Returns
+    -------
+    str
+        MJCF with actuators and joints in the order rotor 1, rotor 2. Its world frame is the
+        floor's: a slope tilts gravity, so that x and y stay coordinates in the floor.
+    """
+    root = ElementTree.Element("mujoco", model="sphere")
+    _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    option = _add(
+        root,
+        "option",
+        timestep=_text(settings.time_step),
+        gravity=_gravity(settings),
+        # Runge-Kutta: the gyroscopic forces of fast rotors make first-order steps drift.
+        integrator="RK4",
+        cone="elliptic",
+        impratio=_text(_IMPEDANCE_RATIO),
+    )
+    # A state that explodes must be seen, not silently put back to the start.
+    _add(option, "flag", autoreset="disable")
+    if floor is not None:
+        _add(
+            _add(root, "asset"),
+            "hfield",
+            name="floor",
+            nrow=str(floor.heights.shape[0]),
+            ncol=str(floor.heights.shape[1]),
+            size=_text(floor.extent, floor.extent, floor.span, _FLOOR_BASE),
+        )
+    world = _add(root, "worldbody")
+    _add(world, "geom", name="plane", type="plane", size="0 0 1")
+    if floor is not None:
+        _add(world, "geom", name="floor", type="hfield", hfield="floor")
+    _add_robot(world, robot, settings)
+    actuators = _add(root, "actuator")
+    gain = servo_gain(robot, settings)
+    for i in (1, 2):
+        # Its activation is the speed reference, its control the reference's slope: ramps exactly.
+        _add(
+            actuators,
+            "general",
+            name=f"rotor_{i}_drive",
+            joint=f"rotor_{i}_joint",
+            dyntype="integrator",
+            gainprm=_text(gain),
+            biastype="affine",
+            biasprm=_text(0.0, 0.0, -gain),
+            forcerange=_text(-settings.torque_limit, settings.torque_limit),
+        )
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def servo_gain(robot: RobotParameters, settings: RigidBodySettings) -> float:
+    """Return the torque of a drive over its speed error [N m s].
+
+    The bandwidth is cut where explicit steps of the servo would begin to ring.
+    """
+    bandwidth = min(settings.drive_bandwidth, 1.0 / settings.time_step)
+    return robot.rotor_axial_inertia * bandwidth
+
+
+def _add_robot(
+    world: ElementTree.Element, robot: RobotParameters, settings: RigidBodySettings
+) -> None:
+    mechanism = build_mechanism(robot, settings.balanced)
+    base = _add(world, "body", name="base_link", pos=_text(0.0, 0.0, robot.shell_radius))
+    _add(base, "freejoint", name="base_joint")
+    _add_inertial(base, mechanism.shell, mechanism.shell.position)
+    # Without spin friction, as the rolling model has it, the contact transmits forces alone.
+    spinning, rolling = settings.torsional_friction > 0.0, settings.rolling_friction > 0.0
+    condim = 6 if rolling else 4 if spinning else 3
+    _add(
+        base,
+        "geom",
+        name="shell",
+        type="sphere",
+        size=_text(robot.shell_radius),
+        priority="1",
+        condim=str(condim),
+        friction=_text(settings.friction, settings.torsional_friction, settings.rolling_friction),
+        solref=_text(settings.contact_time_constant, 1.0),
+        solimp=_text(settings.contact_impedance, settings.contact_impedance, 0.001),
+    )
+    for i, rotor in enumerate(mechanism.rotors):
+        body = _add(base, "body", name=rotor.name, pos=_text(*rotor.position))
+        axis = _text(*np.eye(3)[i])
+        _add(body, "joint", name=f"{rotor.name}_joint", type="hinge", axis=axis)
+        _add_inertial(body, rotor, np.zeros(3))
+    for weight in mechanism.counterweights:
+        body = _add(base, "body", name=weight.name, pos=_text(*weight.position))
+        _add_inertial(body, weight, np.zeros(3))
+
+
+def _add_inertial(parent: ElementTree.Element, body: Body, position: Iterable[float]) -> None:
+    full = body.inertia
+    if np.count_nonzero(full - np.diag(np.diag(full))) == 0:
+        # The engine takes a point mass in this form only.
+        inertia = {"diaginertia": _text(*np.diag(full))}
+    else:
+        inertia = {
+            "fullinertia": _text(*np.diag(full), full[0, 1], full[0, 2], full[1, 2]),
+        }
+    _add(parent, "inertial", pos=_text(*position), mass=_text(body.mass), **inertia)
+
+
+def _gravity(settings: RigidBodySettings) -> str:
+    along = GRAVITY * math.sin(settings.slope)
+    return _text(
+        along * math.cos(settings.slope_direction),
+        along * math.sin(settings.slope_direction),
+        -GRAVITY * math.cos(settings.slope),
+    )
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _text(*numbers: float) -> str:
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,157 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The robot as URDF, for RViz and whatever else reads it.
+
+``python -m sphere_sim.world.plant.rigid_body.urdf > urdf/sphere.urdf`` writes the file anew.
+"""
+
+import math
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.world.plant.rigid_body.bodies import Body, build_mechanism
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+
+_NOTICE = """
+  Copyright 2026 sphere_nmpc contributors
+  SPDX-License-Identifier: Apache-2.0
+  Written by sphere_sim.world.plant.rigid_body.urdf from the robot's parameters; do not edit.
+"""
+
+_COLOURS = {
+    "shell": "0.7 0.8 0.9 0.25",
+    "rotor_1": "0.84 0.15 0.16 1",
+    "rotor_2": "0.17 0.63 0.17 1",
+    "counterweight_1": "0.35 0.35 0.35 1",
+    "counterweight_2": "0.35 0.35 0.35 1",
+}
+_MIN_THICKNESS = 0.02
+"""Thickness in which the rotors, flat discs by their inertias, are drawn [m]."""
+
+
+def make_urdf(robot: RobotParameters, settings: RigidBodySettings | None = None) -> str:
+    """Write the model.
+
+    `base_link` is the body frame at the centre of the shell and has no mass of its own, since
+    readers of URDF do not accept inertia at the root; the shell and the counterweights are fixed
+    to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes.
+
+    Parameters
+    ----------
+    robot : RobotParameters
+        Parameters of the robot.
+    settings : RigidBodySettings, optional
+        Where the torque limit is taken from.
+
+    Returns
+    -------
+    str
+        URDF.
+    """
+    limits = RigidBodySettings() if settings is None else settings
+    mechanism = build_mechanism(robot, limits.balanced)
+    root = ElementTree.Element("robot", name="sphere")
+    root.append(ElementTree.Comment(_NOTICE))
+    for name, colour in _COLOURS.items():
+        _add(_add(root, "material", name=name), "color", rgba=colour)
+    _add(root, "link", name="base_link")
+    shell = _add_link(root, mechanism.shell)
+    _add_shape(shell, "visual", "shell", (0.0, 0.0), "sphere", radius=robot.shell_radius)
+    _add_shape(shell, "collision", "", (0.0, 0.0), "sphere", radius=robot.shell_radius)
+    _add_joint(root, "shell", np.zeros(3), "fixed")
+    for i, rotor in enumerate(mechanism.rotors):
+        link = _add_link(root, rotor)
+        _add_rotor_shapes(link, rotor, i)
+        joint = _add_joint(root, rotor.name, rotor.position, "continuous")
+        _add(joint, "axis", xyz=_text(*np.eye(3)[i]))
+        speed = robot.max_rotor_speed
+        _add(joint, "limit", effort=_text(limits.torque_limit), velocity=_text(speed))
+    for weight in mechanism.counterweights:
+        link = _add_link(root, weight)
+        # A ball of steel of that mass.
+        radius = (weight.mass / 7850.0 / (4.0 / 3.0 * math.pi)) ** (1.0 / 3.0)
+        _add_shape(link, "visual", weight.name, (0.0, 0.0), "sphere", radius=radius)
+        _add_joint(root, weight.name, weight.position, "fixed")
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0"?>\n{text}\n'
+
+
+def _add_link(root: ElementTree.Element, body: Body) -> ElementTree.Element:
+    link = _add(root, "link", name=body.name)
+    inertial = _add(link, "inertial")
+    # The frame of the shell is its centre; those of the others are their centres of mass.
+    centre = body.position if body.name == "shell" else np.zeros(3)
+    _add(inertial, "origin", xyz=_text(*centre), rpy=_text(0.0, 0.0, 0.0))
+    _add(inertial, "mass", value=_text(body.mass))
+    full = body.inertia
+    _add(
+        inertial,
+        "inertia",
+        ixx=_text(full[0, 0]),
+        ixy=_text(full[0, 1]),
+        ixz=_text(full[0, 2]),
+        iyy=_text(full[1, 1]),
+        iyz=_text(full[1, 2]),
+        izz=_text(full[2, 2]),
+    )
+    return link
+
+
+def _add_rotor_shapes(link: ElementTree.Element, rotor: Body, index: int) -> None:
+    """Draw the disc that has these inertias, with a bar across by which its turning is seen."""
+    axial, transverse = rotor.inertia[index, index], rotor.inertia[2, 2]
+    radius = math.sqrt(2.0 * axial / rotor.mass)
+    square = 12.0 * transverse / rotor.mass - 3.0 * radius**2
+    thickness = max(_MIN_THICKNESS, math.sqrt(max(0.0, square)))
+    # URDF cylinders stand on z; turn them onto the rotor's axis.
+    tilt = (0.0, 0.5 * math.pi) if index == 0 else (0.5 * math.pi, 0.0)
+    _add_shape(link, "visual", rotor.name, tilt, "cylinder", radius=radius, length=thickness)
+    size = [0.1 * radius, 0.1 * radius, 1.9 * radius]
+    size[index] = 1.2 * thickness
+    _add_shape(link, "visual", "counterweight_1", (0.0, 0.0), "box", size=size)
+
+
+def _add_shape(
+    link: ElementTree.Element,
+    kind: str,
+    material: str,
+    tilt: tuple[float, float],
+    shape: str,
+    **dimensions: float | list[float],
+) -> None:
+    element = _add(link, kind)
+    _add(element, "origin", xyz=_text(0.0, 0.0, 0.0), rpy=_text(*tilt, 0.0))
+    texts = {
+        name: _text(*value) if isinstance(value, list) else _text(value)
+        for name, value in dimensions.items()
+    }
+    _add(_add(element, "geometry"), shape, **texts)
+    if material:
+        _add(element, "material", name=material)
+
+
+def _add_joint(
+    root: ElementTree.Element, child: str, position: np.ndarray, kind: str
+) -> ElementTree.Element:
+    joint = _add(root, "joint", name=f"{child}_joint", type=kind)
+    _add(joint, "parent", link="base_link")
+    _add(joint, "child", link=child)
+    _add(joint, "origin", xyz=_text(*position), rpy=_text(0.0, 0.0, 0.0))
+    return joint
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _text(*numbers: float) -> str:
+    # Adding zero turns -0.0 into 0.0.
+    return " ".join(f"{float(number) + 0.0:.9g}" for number in numbers)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(make_urdf(RobotParameters()))

@@ -1,0 +1,111 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated world: a plant, its drives, its noise and its clock."""
+
+import numpy as np
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, as_state
+from sphere_sim.world.drives import CommandFollower
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.factory import make_plant
+from sphere_sim.world.sensor import NANOSECONDS, PoseSensor
+from sphere_sim.world.settings import SimulatorSettings
+
+_LONGEST_STEP = 10_000_000
+"""Longest step between two looks at the command [ns]."""
+
+
+class Simulator:
+    """Advance a plant on a clock of whole nanoseconds, the same way under ROS and without.
+
+    Parameters
+    ----------
+    settings : SimulatorSettings
+        Start, noise, timing.
+    robot : RobotParameters
+        True parameters of the plant.
+    plant : Plant, optional
+        Defaults to the one named in `settings`, with its own settings as they come.
+    """
+
+    def __init__(
+        self, settings: SimulatorSettings, robot: RobotParameters, plant: Plant | None = None
+    ) -> None:
+        self._settings = settings
+        start = as_state(settings.initial_state)
+        self.plant = make_plant(settings.plant, robot, start) if plant is None else plant
+        self.follower = CommandFollower(
+            robot.max_rotor_speed, robot.max_rotor_acceleration, settings.command_timeout
+        )
+        self._noise_period = round(settings.noise_period * NANOSECONDS)
+        self._process = np.random.default_rng([settings.seed, 0])
+        self._sensor = PoseSensor(settings)
+        self.speed_reference: Vector = np.zeros(INPUT_SIZE)
+        """What the rotors were last told to turn at [rad/s], shape (2,); drives may lag behind."""
+        self.now = 0
+        """Simulated time [ns]."""
+        self._look()
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.now / NANOSECONDS
+
+    @property
+    def settings(self) -> SimulatorSettings:
+        """The settings in force."""
+        return self._settings
+
+    def change(self, settings: SimulatorSettings) -> None:
+        """Take over the settings that may change while running (noise, sensor)."""
+        self._settings = settings
+        self._sensor.change(settings)
+
+    def reset(self) -> None:
+        """Put the sphere back to its start at rest; time goes on, noise goes on."""
+        self.follower.reset()
+        self.speed_reference = np.zeros(INPUT_SIZE)
+        self.plant.reset(as_state(self._settings.initial_state))
+
+    def advance_to(self, then: int) -> None:
+        """Let the world run up to `then` [ns]."""
+        while self.now < then:
+            noise = (self.now // self._noise_period + 1) * self._noise_period
+            grid = (self.now // _LONGEST_STEP + 1) * _LONGEST_STEP
+            look = self._sensor.next_instant(self.now)
+            stop = min(then, noise, grid if look is None else min(grid, look))
+            bends = self.follower.knots_between(self.time, stop / NANOSECONDS)
+            if bends:
+                stop = min(stop, max(self.now + 1, round(bends[0] * NANOSECONDS)))
+            duration = (stop - self.now) / NANOSECONDS
+            target = self.follower.speeds_after(self.speed_reference, self.time, duration)
+            self.plant.advance(target, duration)
+            self.speed_reference = target
+            self.now = stop
+            if stop == noise and self._settings.process_noise > 0.0:
+                self._disturb()
+            self._look()
+
+    def poses(self) -> list[tuple[int, Vector]]:
+        """Return stamps [ns] and poses, shape (6,), that the sensor has handed over by now.
+
+        Each is returned once. A sensor without a rate of its own looks whenever it is asked.
+        """
+        if self._settings.sensor_rate <= 0.0:
+            self._sensor.look(self.now, self.plant.state)
+        return self._sensor.delivered(self.now)
+
+    def measured_state(self) -> Vector:
+        """Return the state as a sensor sees it now, shape (6,); draws fresh noise each call."""
+        return self._sensor.measured(self.plant.state)
+
+    def _look(self) -> None:
+        if self._sensor.is_due(self.now):
+            self._sensor.look(self.now, self.plant.state)
+
+    def _disturb(self) -> None:
+        """Add the disturbance W(k) of Eq. (43) and return to the unit quaternions."""
+        state = self.plant.state + self._settings.process_noise * self._process.normal(size=6)
+        state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
+        self.plant.displace(state)

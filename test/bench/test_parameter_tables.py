@@ -1,0 +1,36 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The parameter table and the default YAML are what the settings say."""
+
+import dataclasses
+
+import pytest
+import yaml
+from parameter_tables import NODES, PARTS, outputs, parameters_yaml
+
+from sphere_nmpc.model.parameters import RobotParameters
+
+
+@pytest.mark.parametrize("path", outputs(), ids=lambda path: path.name)
+def test_file_is_up_to_date(path) -> None:
+    assert path.read_text(encoding="utf-8") == outputs()[path], (
+        "run python bench/parameter_tables.py"
+    )
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_yaml_gives_the_defaults_back(node) -> None:
+    given = yaml.safe_load(parameters_yaml())[f"/**/{node}"]["ros__parameters"]
+    robot = given.pop("robot")
+    given.pop("use_sim_time", None)
+    expected = dataclasses.asdict(NODES[node])
+    for prefix, _, settings in PARTS[node]:
+        if prefix:
+            assert given.pop(prefix) == dataclasses.asdict(settings)
+        else:
+            expected |= dataclasses.asdict(settings)
+    assert {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()} == expected
+    assert robot == dataclasses.asdict(RobotParameters())
+    for key, value in given.items():
+        # YAML 1.1 has its own idea of what looks like a number.
+        assert isinstance(value, list) or type(value) is type(expected[key])

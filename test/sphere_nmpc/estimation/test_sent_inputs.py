@@ -1,0 +1,154 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What was sent, and where it must have taken the robot."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, as_state
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+
+ROBOT = RobotParameters()
+P = ROBOT.lumped.as_array()
+START = as_state([1.0, -2.0, 0.1, 0.7, -0.1, 0.7])
+
+
+def ramp(start: float, first: list[float], last: list[float], length: float) -> FirstOrderHold:
+    return FirstOrderHold(np.array([start, start + length]), np.array([first, last], dtype=float))
+
+
+def replaced(holds: list[FirstOrderHold]) -> SentInputs:
+    sent = SentInputs()
+    for hold in holds:
+        sent.record(hold.starting_at(hold.start, sent.at(hold.start)))
+    return sent
+
+
+def test_nothing_sent_is_no_speed_and_no_motion() -> None:
+    sent = SentInputs()
+    np.testing.assert_array_equal(sent.at(3.0), [0.0, 0.0])
+    np.testing.assert_array_equal(sent.predict(START, 0.0, 5.0, P), START)
+    assert sent.newest is None
+    assert not sent.moves_after(0.0)
+
+
+@given(
+    st.floats(0.0, 2.0), st.floats(0.0, 1.0),
+    st.lists(st.floats(-50.0, 50.0), min_size=6, max_size=6),
+)
+def test_until_a_hold_begins_what_is_in_force_goes_on(
+    now: float, ahead: float, speeds: list[float]
+) -> None:
+    sent = SentInputs()
+    knots = np.reshape([0.0, 0.0, *speeds], (4, 2))
+    before = FirstOrderHold(np.array([0.0, 0.7, 1.4, 2.9]), knots)
+    sent.record(before)
+    begins = now + ahead
+    hold = ramp(begins, before.at(begins).tolist(), [7.0, 8.0], 0.5)
+    followed = sent.leading_to(hold, now)
+    assert followed.start == now
+    for t in np.linspace(now, begins, 20):
+        np.testing.assert_allclose(followed.at(t), before.at(t), atol=1e-3)  # bends 1e-6 s apart
+    for t in np.linspace(begins, begins + 1.0, 20):
+        np.testing.assert_allclose(followed.at(t), hold.at(t), atol=1e-3)
+
+
+def test_hold_that_has_begun_is_joined_at_its_next_knot() -> None:
+    sent = SentInputs()
+    sent.record(ramp(0.0, [0, 0], [10, 0], 1.0))
+    followed = sent.leading_to(ramp(0.2, [2, 0], [5, 5], 0.5), 0.3)
+    np.testing.assert_allclose(followed.times, [0.3, 0.7])
+    np.testing.assert_allclose(followed.speeds, [[3, 0], [5, 5]])
+
+
+def test_each_hold_lasts_until_the_next_takes_effect() -> None:
+    sent = SentInputs()
+    sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))
+    sent.record(ramp(1.5, [5, 10], [0, 0], 0.5))
+    np.testing.assert_allclose(sent.at(0.5), [0, 0])
+    np.testing.assert_allclose(sent.at(1.25), [2.5, 5])
+    np.testing.assert_allclose(sent.at(1.75), [2.5, 5])
+    np.testing.assert_allclose(sent.at(9.0), [0, 0])
+
+
+def test_hold_that_takes_effect_earlier_replaces_what_was_to_come() -> None:
+    sent = SentInputs()
+    sent.record(FirstOrderHold.constant(2.0, np.array([50.0, 50.0])))
+    sent.record(FirstOrderHold.constant(1.0, np.array([1.0, 1.0])))
+    np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
+
+
+def test_motion_after_is_seen_at_once_and_later_but_not_when_it_is_over() -> None:
+    sent = SentInputs()
+    sent.record(FirstOrderHold(np.array([0.0, 1.0, 2.0]), np.array([[0, 0], [9, 0], [0, 0.0]])))
+    assert sent.moves_after(0.0)
+    assert sent.moves_after(1.5)
+    assert not sent.moves_after(2.0)
+    sent.clear()
+    assert not sent.moves_after(0.0)
+
+
+speeds = st.lists(st.floats(-100.0, 100.0), min_size=2, max_size=2)
+
+
+@settings(max_examples=40)
+@given(
+    gaps=st.lists(st.tuples(st.floats(0.01, 0.6), speeds, st.floats(0.05, 0.8)), min_size=1,
+                  max_size=4),
+    lead=st.floats(-0.2, 0.3),
+    length=st.floats(0.0, 1.0),
+)
+def test_prediction_agrees_with_the_plant_driven_by_the_same_speeds(
+    gaps: list[tuple[float, list[float], float]], lead: float, length: float
+) -> None:
+    begin, holds = 0.0, []
+    for gap, target, duration in gaps:
+        begin += gap
+        holds.append(ramp(begin, [0, 0], target, duration))
+    sent = replaced(holds)
+    start = holds[0].start + lead
+    end = start + length
+    plant = RollingPlant(ROBOT, START)
+    plant._speeds = sent.at(start)
+    bends = {t for hold in holds for t in (hold.start, hold.end) if start < t < end}
+    here = start
+    for there in sorted(bends | {end}):
+        if there > here:
+            plant.advance(sent.at(there), there - here)
+        here = there
+    predicted = sent.predict(START, start, end, P, max_step=0.0125)
+    # Both methods make below 1e-6 in a second at full speed.
+    np.testing.assert_allclose(predicted, plant.state, atol=2e-6)
+
+
+def test_prediction_into_the_past_changes_nothing() -> None:
+    sent = replaced([ramp(0.0, [0, 0], [50, 50], 1.0)])
+    np.testing.assert_array_equal(sent.predict(START, 0.8, 0.5, P), START)
+
+
+def test_prediction_in_two_parts_is_that_in_one() -> None:
+    sent = replaced([ramp(0.0, [0, 0], [50, -80], 0.4), ramp(0.5, [0, 0], [-20, 10], 0.5)])
+    middle = sent.predict(START, 0.1, 0.5, P, max_step=0.01)
+    in_two: Vector = sent.predict(middle, 0.5, 0.9, P, max_step=0.01)
+    np.testing.assert_allclose(in_two, sent.predict(START, 0.1, 0.9, P, max_step=0.01), atol=1e-9)
+
+
+def test_prediction_over_a_short_time_costs_little_however_much_was_sent() -> None:
+    sent = SentInputs()
+    for i in range(3000):
+        sent.record(ramp(1e-3 * i, [0, 0], [1, 1], 2.0))
+    spent = []
+    for _ in range(10):
+        began = time.process_time()
+        sent.predict(START, 2.99, 3.0, P)
+        spent.append(time.process_time() - began)
+    # Eleven holds are in force in these 10 ms; a look at all 2048 kept would take ten times this.
+    assert min(spent) < 3e-3
+    assert sent.at(0.5) == pytest.approx([0.0, 0.0])  # forgotten

@@ -1,0 +1,554 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The controller over real DDS, in front of a robot that stands where it is told to stand."""
+
+import math
+import re
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool, Float64MultiArray
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.model.state import make_state
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.conversions import (
+    hold_from_trajectory,
+    pose_from_ros,
+    pose_to_ros,
+    stamp_from_ros,
+    stamp_to_ros,
+)
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+CASE = PAPER_CASES[1]
+TICK = 10_000_000
+"""Spacing of poses and clock messages [ns]."""
+AT_REST = 1e-9
+"""What a ramp may leave to rounding [rad/s]."""
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture(autouse=True)
+def _goals_of_others(monkeypatch, tmp_path) -> None:
+    """Keep the goals that controllers leave behind away from those of other tests."""
+    monkeypatch.setattr(
+        "sphere_nmpc.ros.controller.node.goal_file", lambda node: tmp_path / node.get_name()
+    )
+
+
+class Robot:
+    """Publishes a pose and the clock; `pass_time` lets simulated time run as fast as it can."""
+
+    def __init__(self, graph, **settings) -> None:
+        self.graph = graph
+        settings = {"use_sim_time": True, "strategy": "paper", **settings}
+        self.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+        graph.add(self.node)
+        self.trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
+        self.commands = graph.hear(Float64MultiArray, "rotor_commands")
+        self.statuses = graph.hear(DiagnosticStatus, "controller/status")
+        self.goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+        self.goal_sender = graph.speaker(PoseStamped, "goal_pose")
+        self.pose_sender = graph.speaker(PoseStamped, "pose")
+        self.clock = graph.speaker(Clock, "/clock")
+        self.now = 0
+        self.pose = pose_to_ros(CASE.start, 0, 0.3)
+        self.seeing = True
+
+    def pass_time(self, duration: float) -> None:
+        """Let simulated time pass [s], each tick heard before the next."""
+        end = self.now + round(duration * 1e9)
+        while self.now < end:
+            self.now += TICK
+            if self.seeing:
+                self.pose.header.stamp = stamp_to_ros(self.now)
+                self.pose_sender.publish(self.pose)
+                self.graph.spin()
+            self.clock.publish(Clock(clock=stamp_to_ros(self.now)))
+            self.graph.until(lambda: self.node._stamp() == self.now)
+        for _ in range(10):
+            self.graph.spin()
+
+    def ask(self, goal=CASE.goal) -> None:
+        heard = len(self.goals)
+        self.goal_sender.publish(pose_to_ros(goal, 0, 0.3))
+        self.graph.until(lambda: len(self.goals) > heard)
+
+    def holds(self) -> list:
+        return [hold_from_trajectory(message, 0) for message in self.trajectories]
+
+    def status(self) -> dict[str, str]:
+        return {value.key: value.value for value in self.statuses[-1].values}
+
+    def moved(self) -> bool:
+        sent = [hold.speeds for hold in self.holds()] + [np.array(c.data) for c in self.commands]
+        return any(np.any(speeds) for speeds in sent)
+
+
+@pytest.fixture
+def robot(graph) -> Robot:
+    return Robot(graph)
+
+
+def test_goal_is_answered_with_a_plan_each_sample(robot) -> None:
+    paths = robot.graph.hear(Path, "controller/predicted_path")
+    robot.ask()
+    robot.pass_time(2.2)
+    robot.graph.until(lambda: len(robot.trajectories) >= 4 and len(paths) >= 4)
+    starts = [hold.start for hold in robot.holds()]
+    # To the tick of the clock, and what of control time passes while a plan is made.
+    np.testing.assert_allclose(np.diff(starts), 0.5, atol=0.01 + 0.04)
+    for hold in robot.holds():
+        assert np.max(np.abs(hold.speeds)) <= 100.0 + 1e-9
+        assert not hold.speeds[-1].any(), "a plan ends at rest"
+        slews = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
+        assert np.max(slews) <= 400.0 * (1 + 1e-6)
+    np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12)
+    assert len(paths[-1].poses) == 5
+    status = robot.status()
+    assert robot.statuses[-1].level == DiagnosticStatus.OK
+    assert status["strategy"] == "paper" and status["plan"] == "solved"
+    assert float(status["error"]) > 1.0 and float(status["solve_time_s"]) > 0.0
+    assert status["missed_ticks"] == "0"
+
+
+def test_goal_is_left_for_at_once_and_the_grid_of_samples_begins_there(robot) -> None:
+    robot.pass_time(0.33)
+    robot.ask()
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: len(robot.trajectories) >= 3)
+    starts = [hold.start for hold in robot.holds()]
+    np.testing.assert_allclose(starts, 0.34 + 0.5 * np.arange(len(starts)), atol=0.05)
+
+
+def test_time_optimal_plans_an_arrival_within_its_share_of_the_sample(graph) -> None:
+    robot = Robot(graph, strategy="time_optimal")
+    robot.ask()
+    robot.pass_time(0.6)
+    graph.until(lambda: robot.statuses and robot.status()["mode"] == "on the way to the goal")
+    status = robot.status()
+    assert status["strategy"] == "time_optimal"
+    if status["plan"] in ("solved", "best so far"):
+        assert 4.0 < float(status["arrival_s"]) < 20.0
+    pace = robot.node._planning.pace
+    assert float(status["solve_time_s"]) < 0.5 * 0.25 / pace + 0.1, "little overrun when busy"
+
+
+def test_status_tells_what_was_learnt_and_how_steadily_it_goes(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.7)
+    status = robot.status()
+    for name, value in zip(("shell_radius_m", "c1", "r1", "r3"), (0.3, *[None] * 3), strict=True):
+        learnt = float(status[f"learnt_{name}"])
+        assert value is None or learnt == pytest.approx(value, rel=0.2)
+        assert float(status[f"learnt_{name}_deviation"]) > 0.0
+    assert float(status["learnt_noise"]) > 0.0 and float(status["learnt_lag_s"]) >= 0.0
+    assert int(status["stability_steps"]) >= 1
+    assert 0.0 <= float(status["distance_to_gamma_rad"]) <= math.pi / 2
+    assert float(status["smallest_singular_value"]) >= 0.0
+
+
+def test_each_plan_leaves_from_the_speeds_in_force(robot) -> None:
+    robot.ask()
+    robot.pass_time(2.2)
+    holds = robot.holds()
+    for before, after in pairwise(holds):
+        np.testing.assert_allclose(after.speeds[0], before.at(after.start), atol=1e-6)
+
+
+def test_commands_are_the_hold_sampled(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.6)
+    data = np.array([command.data for command in robot.commands])
+    assert 140 <= len(data) <= 165, "100 a second, from the start on"
+    hold = robot.holds()[-1]
+    samples = np.array([hold.at(t) for t in np.arange(0.0, 3.0, 0.01)])
+    distance = np.min(np.linalg.norm(samples - data[-1], axis=1))
+    assert distance < 2.5, "no further from the hold than half a sample"
+    assert np.max(np.abs(np.diff(data, axis=0))) <= 3 * 400.0 * 0.01
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        (lambda pose: setattr(pose.pose.position, "x", math.nan), "expected finite numbers"),
+        (lambda pose: setattr(pose.pose.orientation, "w", 3.0), "expected norm 1"),
+        (lambda pose: setattr(pose.header, "frame_id", "map"), "expected 'world'"),
+    ],
+    ids=["nan", "not a rotation", "frame"],
+)
+def test_wrong_pose_is_told_once_and_moves_nothing(robot, capfd, change, told) -> None:
+    robot.ask()
+    change(robot.pose)
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: robot.statuses)
+    assert not robot.moved()
+    assert robot.status()["mode"] == "no pose yet"
+    lines = [line for line in capfd.readouterr().err.splitlines() if "pose refused" in line]
+    assert len(lines) == 1 and told in lines[0]
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        (lambda goal: setattr(goal.pose.position, "y", math.inf), "expected finite numbers"),
+        (lambda goal: setattr(goal.pose.orientation, "w", 0.5), "expected norm 1"),
+        (lambda goal: setattr(goal.header, "frame_id", "map"), "given 'map', expected 'world'"),
+    ],
+    ids=["inf", "not a rotation", "frame"],
+)
+def test_wrong_goal_is_told_once_and_leaves_the_goal_in_force(robot, capfd, change, told) -> None:
+    robot.ask()
+    wrong = pose_to_ros(CASE.start, 0, 0.3)
+    change(wrong)
+    for _ in range(5):
+        robot.goal_sender.publish(wrong)
+        robot.pass_time(0.05)
+    lines = [line for line in capfd.readouterr().err.splitlines() if "goal_pose refused" in line]
+    assert len(lines) == 1 and told in lines[0]
+    np.testing.assert_array_equal(robot.node.controller.goal, CASE.goal)
+    assert len(robot.goals) == 1
+
+
+def test_second_goal_replaces_the_first_on_the_way(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    other = PAPER_CASES[2].goal
+    robot.ask(other)
+    robot.pass_time(1.0)
+    np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), other, atol=1e-12)
+    np.testing.assert_array_equal(robot.node.controller.goal, other)
+    holds = robot.holds()
+    for before, after in pairwise(holds):
+        np.testing.assert_allclose(after.speeds[0], before.at(after.start), atol=1e-6)
+
+
+def test_flood_of_goals_is_told_in_few_lines_with_the_last_of_them(robot, capfd) -> None:
+    told = ""
+    for number in range(100):
+        robot.ask(make_state((0.01 * number, 0.0), CASE.goal[2:]))
+
+    def is_told() -> bool:
+        nonlocal told
+        told += capfd.readouterr().err
+        return "goal: [0.99," in told
+
+    robot.graph.until(is_told)
+    lines = [line for line in told.splitlines() if "goal: [" in line]
+    assert len(lines) < 20
+    counted = sum(int(n) for n in re.findall(r"[(](\d+) more since last told", told))
+    assert len(lines) + counted == 100
+
+
+def test_stale_pose_ramps_to_rest(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    assert robot.moved()
+    robot.seeing = False
+    robot.pass_time(1.5)
+    assert robot.statuses[-1].level == DiagnosticStatus.ERROR
+    assert robot.status()["mode"] == "no fresh pose, ramping to rest"
+    np.testing.assert_allclose(robot.node.controller.speeds_at(robot.now / 1e9), 0.0, atol=AT_REST)
+    np.testing.assert_allclose(robot.commands[-1].data, 0.0, atol=AT_REST)
+
+
+def test_pose_from_the_future_is_refused(robot, capfd) -> None:
+    robot.ask()
+    robot.seeing = False
+    robot.pose.header.stamp = stamp_to_ros(3600 * 10**9)
+    robot.pass_time(0.1)
+    robot.pose_sender.publish(robot.pose)
+    robot.pass_time(1.0)
+    assert not robot.moved()
+    assert "ahead of this node's clock" in capfd.readouterr().err
+
+
+def test_pose_whose_clock_is_still_on_its_way_is_taken(robot, capfd) -> None:
+    robot.pass_time(0.1)
+    robot.seeing = False
+    # As after the node was held up: first the newest pose, then the clock of the same instant.
+    robot.pose.header.stamp = stamp_to_ros(2 * 10**9)
+    robot.pose_sender.publish(robot.pose)
+    robot.graph.until(lambda: robot.node._ahead is not None)
+    robot.now = 2 * 10**9 - TICK
+    robot.pass_time(0.3)
+    assert robot.status()["pose_age_s"] != "inf" and float(robot.status()["pose_age_s"]) < 0.5
+    assert "ahead of this node's clock" not in capfd.readouterr().err
+
+
+def test_nothing_is_sent_before_the_clock(robot) -> None:
+    robot.ask()
+    robot.pose_sender.publish(robot.pose)
+    robot.graph.spin_for(0.7)
+    assert not robot.trajectories and not robot.commands
+    assert {value.value for told in robot.statuses for value in told.values
+            if value.key == "mode"} <= {"no clock yet"}
+
+
+def test_disable_ramps_to_rest_at_once_and_enable_goes_on(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.25)
+    heard = len(robot.trajectories)
+    answer = robot.graph.call(SetBool, "controller/enable", SetBool.Request(data=False))
+    assert answer.success
+    robot.graph.until(lambda: len(robot.trajectories) > heard)
+    ramp = robot.holds()[-1]
+    assert ramp.end - ramp.start <= 0.25 + 1e-6
+    assert not ramp.speeds[-1].any()
+    robot.pass_time(1.0)
+    assert robot.status()["mode"] == "disabled"
+    np.testing.assert_allclose(robot.commands[-1].data, 0.0, atol=AT_REST)
+    robot.graph.call(SetBool, "controller/enable", SetBool.Request(data=True))
+    robot.pass_time(1.0)
+    assert robot.status()["mode"] == "on the way to the goal"
+
+
+def test_arrival_is_told_until_there_is_another_goal(robot) -> None:
+    arrivals = robot.graph.hear(Bool, "controller/at_goal", LATCHED)
+    robot.graph.until(lambda: arrivals and not arrivals[-1].data)
+    robot.ask(CASE.start)
+    robot.pass_time(0.3)
+    assert not arrivals[-1].data, "not before it has stayed for a sample period"
+    robot.pass_time(0.7)
+    robot.graph.until(lambda: arrivals[-1].data)
+    assert robot.status()["mode"] == "at the goal"
+    assert robot.statuses[-1].level == DiagnosticStatus.OK
+    robot.ask()
+    robot.graph.until(lambda: not arrivals[-1].data)
+    robot.pass_time(0.6)
+    assert robot.status()["mode"] == "on the way to the goal"
+    assert [told.data for told in arrivals] == [False, True, False]
+
+
+def test_arrival_is_taken_back_where_the_pose_is_lost(robot) -> None:
+    arrivals = robot.graph.hear(Bool, "controller/at_goal", LATCHED)
+    robot.ask(CASE.start)
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: arrivals and arrivals[-1].data)
+    robot.seeing = False
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: not arrivals[-1].data)
+
+
+def test_goal_that_is_in_force_is_confirmed_and_changes_nothing(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    plans = len(robot.trajectories)
+    robot.ask()
+    robot.ask()
+    robot.pass_time(0.3)
+    assert len(robot.goals) == 3
+    starts = [hold.start for hold in robot.holds()[plans:]]
+    assert all(start > 1.2 for start in starts) and len(starts) <= 1, "the grid of samples goes on"
+
+
+def test_status_goes_on_while_time_stands_still(robot) -> None:
+    robot.ask()
+    robot.pass_time(0.7)
+    heard = len(robot.statuses)
+
+    def stand(duration: float) -> None:
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            robot.pose_sender.publish(robot.pose)  # as a simulator does that is paused
+            robot.graph.spin_for(0.1)
+
+    stand(2.0)
+    assert len(robot.statuses) >= heard + 3
+    assert robot.status()["mode"] == "the clock stands still"
+    assert float(robot.status()["solve_time_s"]) == 0.0, "no solve is told twice"
+    assert "clock stopped" not in robot.statuses[-1].message
+    robot.graph.until(lambda: "clock stopped" in robot.statuses[-1].message)
+    assert robot.statuses[-1].level == DiagnosticStatus.ERROR
+    robot.pass_time(0.7)
+    assert robot.status()["mode"] == "on the way to the goal"
+
+
+def started_again(robot: Robot, **settings) -> ControllerNode:
+    """End the controller of a robot in good order and start another one."""
+    robot.node.finish()
+    robot.graph.remove(robot.node)
+    settings = {"use_sim_time": True, **settings}
+    robot.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+    robot.graph.add(robot.node)
+    robot.graph.until(lambda: robot.clock.get_subscription_count() > 0)
+    return robot.node
+
+
+def test_goal_in_force_survives_a_restart(robot) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    second = started_again(robot)
+    robot.pass_time(0.3)
+    robot.graph.until(lambda: second.controller.goal is not None)
+    np.testing.assert_allclose(second.controller.goal, CASE.goal, atol=1e-12)
+    robot.graph.until(lambda: len(robot.goals) == 2)
+
+
+@pytest.mark.parametrize(
+    ("memory", "enabled", "began_anew"),
+    [(0.0, True, False), (30.0, False, False), (30.0, True, True)],
+    ids=["not wanted", "was disabled", "clock began anew"],
+)
+def test_goal_is_not_taken_up_where_it_does_not_belong(graph, memory, enabled, began_anew) -> None:
+    robot = Robot(graph, goal_memory=memory)
+    robot.ask()
+    robot.pass_time(1.2)
+    graph.call(SetBool, "controller/enable", SetBool.Request(data=enabled))
+    second = started_again(robot, goal_memory=memory)
+    robot.now = 0 if began_anew else robot.now
+    robot.pass_time(0.3)
+    graph.until(lambda: second._recalled)
+    assert second.controller.goal is None
+
+
+def test_forgotten_clock_can_be_given_while_the_node_runs(graph) -> None:
+    graph.probe.create_subscription(Clock, "/clock", lambda _: None, 10)
+    robot = Robot(graph, use_sim_time=False)
+    robot.ask()
+    robot.pose.header.stamp = stamp_to_ros(TICK)
+    robot.pose_sender.publish(robot.pose)
+    graph.until(lambda: any("wrong clock" in told.message for told in robot.statuses))
+    robot.node.set_parameters([Parameter("use_sim_time", value=True)])
+    graph.until(lambda: robot.clock.get_subscription_count() > 1)
+    robot.pass_time(1.2)
+    assert robot.status()["mode"] == "on the way to the goal"
+    assert 0.0 < float(robot.status()["time_s"]) < 3.0
+    assert robot.moved()
+
+
+def test_silence_after_rest_leaves_the_robot_to_others(robot) -> None:
+    robot.ask()
+    robot.pass_time(0.6)
+    robot.graph.call(SetBool, "controller/enable", SetBool.Request(data=False))
+    robot.pass_time(0.5)
+    heard = len(robot.trajectories), len(robot.commands)
+    robot.pass_time(1.0)
+    assert (len(robot.trajectories), len(robot.commands)) == heard
+
+
+def test_clock_that_goes_back_forgets_poses_and_keeps_the_goal(robot, capfd) -> None:
+    robot.ask()
+    robot.pass_time(1.2)
+    robot.now = 0
+    robot.pass_time(1.2)
+    assert robot.status()["mode"] == "on the way to the goal"
+    assert float(robot.status()["time_s"]) <= 1.2 + 0.25, "half a sample ahead at the most"
+    assert capfd.readouterr().err.count("clock jumped") == 1
+
+
+def test_failing_solver_is_told_and_the_plan_in_force_is_followed(robot, capfd) -> None:
+    robot.ask()
+    robot.pass_time(0.6)
+
+    def fail(situation):
+        raise ArithmeticError("no solution today")
+
+    robot.node.controller._strategy.plan = fail
+    robot.pass_time(1.2)
+    assert robot.statuses[-1].level == DiagnosticStatus.WARN
+    assert robot.status()["mode"] == "solve failed, following the previous plan"
+    assert capfd.readouterr().err.count("solve failed: ArithmeticError: no solution today") == 1
+    holds = robot.holds()
+    np.testing.assert_allclose(holds[-1].speeds[0], holds[-2].at(holds[-1].start), atol=1e-6)
+
+
+def test_lockstep_answers_each_sample_instant_and_only_these(graph) -> None:
+    robot = Robot(graph, lockstep=True)
+    robot.pass_time(0.6)
+    robot.graph.until(lambda: len(robot.trajectories) == 1)
+    assert not robot.moved()
+    robot.ask()
+    robot.pass_time(1.0)
+    robot.graph.until(lambda: len(robot.trajectories) == 3)
+    stamps = [stamp_from_ros(message.header.stamp) for message in robot.trajectories]
+    assert stamps == [500_000_000, 1_000_000_000, 1_500_000_000]
+    assert robot.moved()
+
+
+def test_strategy_can_be_changed_on_the_way(graph) -> None:
+    robot = Robot(graph, strategy="paper")
+    robot.ask()
+    robot.pass_time(1.2)
+    graph.until(lambda: robot.statuses and robot.status()["mode"] == "on the way to the goal")
+    results = robot.node.set_parameters([Parameter("strategy", value="time_optimal")])
+    assert results[0].successful, results[0].reason
+    changed = robot.now * 1e-9
+    robot.pass_time(1.6)
+    graph.until(lambda: robot.status()["strategy"] == "time_optimal")
+    assert "beta_bound" not in robot.status()
+    graph.until(lambda: robot.holds()[-1].start > changed + 1.2)
+    starts = np.array([hold.start for hold in robot.holds()])
+    # A plan that takes effect when it was made for begins later than its instant.
+    assert np.median(np.diff(starts[starts > changed])) == pytest.approx(0.25, abs=0.05)
+    for before, after in pairwise(robot.holds()):
+        left = before.at(after.start)
+        np.testing.assert_allclose(after.speeds[0], left, atol=1e-6, err_msg="no jump")
+
+
+def test_strategy_of_another_period_is_refused_in_lockstep(graph) -> None:
+    robot = Robot(graph, strategy="time_optimal", lockstep=True)
+    result = robot.node.set_parameters([Parameter("strategy", value="paper")])[0]
+    assert not result.successful and "every 0.25 s" in result.reason
+    assert robot.node.get_parameter("strategy").value == "time_optimal"
+    robot = Robot(graph, strategy="time_optimal", lockstep=True, sample_period=0.5)
+    assert robot.node.set_parameters([Parameter("strategy", value="paper")])[0].successful
+
+
+def test_lockstep_answers_a_repeated_instant_again_and_a_new_goal_anew(graph) -> None:
+    robot = Robot(graph, lockstep=True)
+    robot.pass_time(0.5)
+    graph.until(lambda: len(robot.trajectories) == 1)
+    robot.pose_sender.publish(robot.pose)
+    graph.until(lambda: len(robot.trajectories) == 2)
+    assert robot.trajectories[0] == robot.trajectories[1]
+    robot.ask()
+    robot.pose_sender.publish(robot.pose)
+    graph.until(lambda: len(robot.trajectories) == 3)
+    assert robot.moved()
+    assert robot.trajectories[2].header == robot.trajectories[1].header
+
+
+def test_diagnostics_report_solver_and_loop(robot) -> None:
+    heard = robot.graph.hear(DiagnosticArray, "/diagnostics")
+    robot.ask()
+    robot.pass_time(1.2)
+    robot.graph.until(lambda: heard)
+    names = [status.name for status in heard[-1].status]
+    assert names == ["controller: solver", "controller: loop"]
+    values = {value.key: value.value for value in heard[-1].status[0].values}
+    assert values["failures"] == "0" and float(values["median ms"]) > 0.0
+
+
+def test_diagnostics_tell_a_clock_that_stands_still(robot) -> None:
+    heard = robot.graph.hear(DiagnosticArray, "/diagnostics")
+    robot.ask()
+    robot.pass_time(1.2)
+    robot.graph.until(
+        lambda: heard and heard[-1].status[1].message.startswith("the clock stands still at 1.2")
+    )
+    assert heard[-1].status[1].level == DiagnosticStatus.WARN
+
+
+def test_other_publisher_of_trajectories_is_told(robot, capfd) -> None:
+    heard = robot.graph.hear(DiagnosticArray, "/diagnostics")
+    robot.ask()
+    robot.graph.probe.create_publisher(JointTrajectory, "rotor_trajectory", 10)
+
+    def is_told() -> bool:
+        robot.pass_time(0.1)
+        return bool(heard) and heard[-1].status[1].message.startswith("other publisher")
+
+    robot.graph.until(is_told)
+    told = "other publisher of /rotor_trajectory: given 2 (/controller, /probe)"
+    assert capfd.readouterr().err.count(told) == 1

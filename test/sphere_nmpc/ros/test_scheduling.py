@@ -1,0 +1,48 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Who goes first is arranged where the system allows it, and nothing fails where it does not."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+if not hasattr(os, "sched_getscheduler"):
+    pytest.skip("scheduling policies are Linux' own", allow_module_level=True)
+
+CODE = """
+import os, threading
+from sphere_nmpc.ros.scheduling import refusal, schedule, stand_back
+{first}
+idle = threading.Event()
+threading.Thread(target=idle.wait, daemon=True).start()
+policies = lambda: {{os.sched_getscheduler(int(task)) for task in os.listdir("/proc/self/task")}}
+usual = os.sched_getscheduler(0)
+allowed = schedule(7)
+assert not allowed or os.sched_getparam(0).sched_priority == 7
+assert policies() == {{os.SCHED_FIFO if allowed else usual}}, policies()
+schedule(0)
+assert policies() == {{os.SCHED_OTHER if allowed else usual}}, policies()
+before = os.nice(0)
+stand_back()
+assert os.nice(0) == min(19, before + 5)
+assert "given 7" in refusal(7)
+print(allowed)
+"""
+
+
+def outcome(first: str = "") -> str:
+    command = [sys.executable, "-c", CODE.format(first=first)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_all_threads_go_first_or_none() -> None:
+    assert outcome() in ("True", "False")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="somebody without privileges has none to drop")
+def test_without_permission_all_stays_as_it_is() -> None:
+    assert outcome("os.setgid(65534); os.setuid(65534)") == "False"

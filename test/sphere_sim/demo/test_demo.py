@@ -1,0 +1,202 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The demo from its arguments to the last of its processes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+pytest.importorskip("rclpy")
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+
+from sphere_sim.demo.plan import NEIGHBOURHOOD, PROCESS_NOISE, parse
+from sphere_sim.recording.bag import read_run
+from sphere_sim.ros.session.children import ChildDiedError, Children
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+DEMO = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "demo", "--no-viewer"]
+EVERY_TOPIC = {
+    "/pose", "/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands",
+    "/controller/active_goal", "/controller/predicted_path", "/controller/status",
+    "/diagnostics", "/clock",
+}
+
+
+def test_case_4_has_noise_and_another_robot(tmp_path) -> None:
+    plan = parse(["--case", "4", "--seed", "5", "--out", str(tmp_path)])
+    assert plan.simulator["process_noise"] == PROCESS_NOISE
+    assert plan.simulator["robot.shell_mass"] == pytest.approx(1.0, abs=0.03)
+    assert plan.simulator["robot.shell_mass"] != 1.0
+    assert plan.simulator["robot.max_rotor_speed"] == 100.0
+    assert plan.tolerance == NEIGHBOURHOOD
+    assert plan.simulator == parse(["--case", "4", "--seed", "5"]).simulator
+
+
+def test_other_cases_are_undisturbed() -> None:
+    for case in (1, 2, 3):
+        plan = parse(["--case", str(case)])
+        assert not any(name.startswith(("robot.", "process")) for name in plan.simulator)
+        np.testing.assert_array_equal(plan.scenario.goal, PAPER_CASES[case].goal)
+
+
+def test_the_other_strategy_is_compared_with() -> None:
+    assert (parse([]).strategy, parse([]).other_strategy) == ("time_optimal", "paper")
+    given = parse(["--strategy", "paper", "--no-compare"])
+    assert (given.strategy, given.other_strategy) == ("paper", "time_optimal")
+    assert parse([]).compare and not given.compare
+
+
+def test_full_speed_means_lockstep_in_both_nodes() -> None:
+    plan = parse(["--rtf", "0"])
+    assert plan.simulator["lockstep"] is True and plan.controller["lockstep"] is True
+    assert parse([]).simulator["lockstep"] is False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--case", "5"], "invalid choice"),
+        (["--rtf", "-1"], "--rtf"),
+        (["--duration", "0"], "--duration"),
+        (["--duration", "nan"], "--duration"),
+        (["--case", "4", "--seed", "-1"], "--seed"),
+        (["--goal", "0", "0", "1", "1", "0", "0"], "norm"),
+    ],
+)
+def test_wrong_arguments_exit_with_2(arguments, told, capsys) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        parse(arguments)
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_child_that_dies_early_is_quoted(tmp_path) -> None:
+    with Children(tmp_path) as children:
+        children.start("simulator", ["--nonsense"])
+        end = time.monotonic() + 20.0
+        with pytest.raises(ChildDiedError, match=r"exit code 2.*\n.*--nonsense"):
+            while time.monotonic() < end:
+                children.check()
+                time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def lockstep_run(tmp_path_factory) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    done = subprocess.run(
+        [*DEMO, "--rtf", "0", "--out", str(folder)], capture_output=True, text=True, timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder, done.stdout
+
+
+@pytest.mark.slow
+def test_case_1_arrives_and_leaves_its_folder(lockstep_run) -> None:
+    folder, told = lockstep_run
+    assert "settling time" in told and str(folder) in told
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["arrived"] and summary["metrics"]["settled"]
+    assert 5.0 < summary["metrics"]["settle_time_s"] < 6.5
+    assert summary["metrics"]["final_error"] < 1e-4
+    assert 12.0 < summary["compared_with"]["paper"]["settle_time_s"] < 13.0
+    assert summary["metrics"]["max_rotor_torque_nm"] < 3.2
+    assert summary["metrics"]["max_rotor_speed"] <= 100.0 + 1e-9
+    assert (folder / "panels.png").stat().st_size > 20_000
+    assert (folder / "panels.svg").stat().st_size > 20_000
+    assert (folder / "comparison.png").stat().st_size > 20_000
+    assert "time_optimal" in told and "paper" in told
+
+
+@pytest.mark.slow
+def test_no_sample_of_a_run_at_full_speed_is_lost(lockstep_run) -> None:
+    run = read_run(lockstep_run[0] / "bag")
+    for times in (run.times, run.joint_times):
+        np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-9)
+    np.testing.assert_allclose(np.diff(run.solves.times), 0.25, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_fast_run_is_recorded_to_its_end(tmp_path) -> None:
+    # Algorithm 1 takes so little time that the recorder is behind for most of the run.
+    fast = ["--rtf", "0", "--case", "3", "--strategy", "paper", "--no-compare"]
+    done = subprocess.run(
+        [*DEMO, *fast, "--out", str(tmp_path / "out")], capture_output=True, text=True,
+        timeout=120, check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    with Reader(tmp_path / "out" / "bag") as reader:
+        counts = Counter(connection.topic for connection, *_ in reader.messages())
+    run = read_run(tmp_path / "out" / "bag")
+    assert len(run.times) == round(run.times[-1] / 0.01) + 1
+    assert run.times[-1] - run.joint_times[-1] < 0.015
+    assert abs(counts["/clock"] - counts["/pose"]) <= 3, "all but those repeated at the start"
+
+
+@pytest.mark.slow
+def test_bag_of_case_1_has_every_topic_in_both_readers(lockstep_run) -> None:
+    bag = lockstep_run[0] / "bag"
+    with Reader(bag) as reader:
+        assert {connection.topic for connection, *_ in reader.messages()} >= EVERY_TOPIC
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()])
+        assert {c.topic for _, c, *_ in decoded.iter_decoded_messages()} >= EVERY_TOPIC
+    run = read_run(bag)
+    assert run.notes == ()
+    np.testing.assert_allclose(run.states[0], PAPER_CASES[1].start, atol=1e-12)
+    assert run.origin == 0.0 and run.goal_times[0] < 0.05
+    assert "sphere_nmpc_version" in run.custom_data and run.custom_data["seed"] == "0"
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
+    folder = tmp_path / "out"
+    with subprocess.Popen(
+        [*DEMO, "--out", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        while "distance" not in process.stdout.readline():
+            assert process.poll() is None
+        children = psutil.Process(process.pid).children(recursive=True)
+        assert len(children) == 3
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=30.0)
+    assert process.returncode == 130 and "interrupted" in told
+    assert told.count("\n") == 1 and str(folder / "bag") in told
+    assert not [child for child in children if child.is_running()]
+    assert len(read_run(folder / "bag").times) > 10
+
+
+@pytest.mark.slow
+def test_killed_demo_takes_its_nodes_with_it(tmp_path) -> None:
+    with subprocess.Popen([*DEMO, "--out", str(tmp_path / "out")],
+                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        parent, end = psutil.Process(process.pid), time.monotonic() + 20.0
+        while len(children := parent.children(recursive=True)) < 3:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        time.sleep(1.0)
+        process.kill()
+    _, alive = psutil.wait_procs(children, timeout=15.0)
+    assert not alive
+
+
+def test_existing_bag_is_told(tmp_path) -> None:
+    (tmp_path / "bag").mkdir()
+    done = subprocess.run([*DEMO, "--out", str(tmp_path)], capture_output=True, text=True,
+                          timeout=60, check=False)
+    assert done.returncode == 1
+    assert "exists already" in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,183 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's cases in closed loop, on the ideal plant, without ROS."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import state_error
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.paper import PaperStrategy
+from sphere_nmpc.strategy.plan import Plan
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import NANOSECONDS, Simulator
+
+ROBOT = RobotParameters()
+PAPER = ControllerSettings(strategy="paper")
+SETTLED = 1e-2
+"""Error in R^6 below which a run counts as settled."""
+
+
+def run(
+    case: int,
+    duration: float,
+    settings: ControllerSettings = PAPER,
+    world: SimulatorSettings | None = None,
+    controller: Controller | None = None,
+    robot: RobotParameters = ROBOT,
+    latency: float = 0.0,
+) -> Trajectory:
+    scenario = PAPER_CASES[case]
+    start = tuple(float(v) for v in scenario.start)
+    simulator = Simulator(
+        SimulatorSettings(initial_state=start) if world is None else world, robot
+    )
+    return run_closed_loop(
+        simulator, Controller(settings, ROBOT) if controller is None else controller,
+        scenario.goal, duration, settings.control_period, 0.05, latency,
+    )
+
+
+def errors(case: int, trajectory: Trajectory) -> np.ndarray:
+    return np.array([state_error(x, PAPER_CASES[case].goal) for x in trajectory.states])
+
+
+def settling_time(case: int, trajectory: Trajectory) -> float:
+    """Return the first time [s] after which the error stays below `SETTLED`; inf if none."""
+    above = np.flatnonzero(errors(case, trajectory) >= SETTLED)
+    if above[-1] + 1 == len(trajectory.times):
+        return float("inf")
+    return float(trajectory.times[above[-1] + 1])
+
+
+def limits_are_kept(trajectory: Trajectory) -> None:
+    assert np.max(np.abs(trajectory.speeds)) <= ROBOT.max_rotor_speed
+    for hold in trajectory.holds:
+        slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
+        # Rounding of 100 rad/s over an interval of a second.
+        assert np.max(slopes, initial=0.0) <= ROBOT.max_rotor_acceleration + 1e-6
+
+
+@pytest.mark.parametrize(("case", "seen"), [(1, 12.3), (2, 12.6), (3, 6.6), (4, 8.6)])
+def test_case_of_the_paper_settles_as_it_did(case: int, seen: float) -> None:
+    found = run(case, 20.0)
+    # Four sample periods: cases 1 and 2 pass near several local minima, and another compiler's
+    # rounding may choose another one.
+    assert abs(settling_time(case, found) - seen) <= 2.0
+    assert errors(case, found)[-1] < 1e-3
+    limits_are_kept(found)
+    # The paper states less than 3.2 N m.
+    assert np.max(np.abs(found.torques)) < 3.2
+    assert all(d.solved for d in found.decisions)
+
+
+@pytest.mark.parametrize("case", [1, 2, 3, 4])
+def test_high_control_rate_settles_too(case: int) -> None:
+    # 15.1, 16.8, 9.0 and 13.4 s were seen: later than at the paper's rate.
+    found = run(case, 25.0, ControllerSettings(strategy="paper", control_rate=20.0))
+    assert settling_time(case, found) < 20.0
+    limits_are_kept(found)
+
+
+def test_run_repeats_to_the_bit() -> None:
+    first, second = run(3, 5.0), run(3, 5.0)
+    np.testing.assert_array_equal(first.states, second.states)
+    np.testing.assert_array_equal(first.speeds, second.speeds)
+
+
+def test_output_period_changes_nothing_but_the_rows() -> None:
+    scenario, ends = PAPER_CASES[3], []
+    for period in (0.5, 0.01):
+        world = Simulator(SimulatorSettings(initial_state=tuple(scenario.start)), ROBOT)
+        found = run_closed_loop(world, Controller(PAPER, ROBOT), scenario.goal, 5.0, 0.5, period)
+        assert len(found.times) == round(5.0 / period) + 1
+        ends.append(found.states[-1])
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+def test_prediction_at_each_sample_is_where_the_plant_went() -> None:
+    found = run(1, 6.0)
+    for decision, following in zip(found.decisions, found.decisions[1:], strict=False):
+        # Five steps of the model's integrator at full speed.
+        assert following.state is not None
+        assert np.linalg.norm(decision.plan.states[1] - following.state) < 1e-3
+
+
+def test_pose_that_is_late_by_a_known_time_costs_little() -> None:
+    found = run(3, 12.0, latency=0.1)
+    assert abs(settling_time(3, found) - 6.6) <= 1.0
+
+
+def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
+    rng = np.random.default_rng(0)
+    fields = ("shell_mass", "shell_radius", "shell_inertia", "rotor_mass", "rotor_axial_inertia")
+    wrong = RobotParameters(**{f: getattr(ROBOT, f) * rng.uniform(0.97, 1.03) for f in fields})
+    start = tuple(float(v) for v in PAPER_CASES[4].start)
+    world = SimulatorSettings(initial_state=start, process_noise=3e-4, seed=1)
+    found = run(4, 30.0, world=world, robot=wrong)
+    tail = errors(4, found)[found.times > 20.0]
+    # Medians of 0.018 to 0.038 and excursions of up to 0.5 were seen over eight seeds.
+    assert np.median(tail) < 0.06
+    assert np.max(tail) < 1.0
+    limits_are_kept(found)
+
+
+def test_solver_that_fails_now_and_then_only_costs_time() -> None:
+    class Moody(PaperStrategy):
+        calls = 0
+
+        def plan(self, situation: Situation) -> Plan:
+            self.calls += 1
+            if self.calls % 4 == 0:
+                raise RuntimeError("moody")
+            return super().plan(situation)
+
+    controller = Controller(PAPER, ROBOT, Moody(PAPER, ROBOT))
+    found = run(3, 25.0, controller=controller)
+    assert controller.failures == 12
+    assert settling_time(3, found) < 20.0
+    limits_are_kept(found)
+
+
+def test_solver_that_dies_in_flight_leaves_the_sphere_at_rest() -> None:
+    class Mortal(PaperStrategy):
+        def plan(self, situation: Situation) -> Plan:
+            if situation.time > 1.9:
+                raise MemoryError("dead")
+            return super().plan(situation)
+
+    found = run(1, 6.0, controller=Controller(PAPER, ROBOT, Mortal(PAPER, ROBOT)))
+    assert found.decisions[-1].mode is Mode.FALLBACK
+    np.testing.assert_array_equal(found.speeds[-1], [0.0, 0.0])
+    np.testing.assert_allclose(found.states[-1], found.states[-5], atol=1e-12)
+    limits_are_kept(found)
+
+
+def test_plans_that_are_made_ahead_and_sent_late_arrive_as_exactly() -> None:
+    """Planning takes time, in which what is in force goes on, round its bends."""
+    settings, scenario = ControllerSettings(strategy="time_optimal"), PAPER_CASES[1]
+    start = tuple(float(v) for v in scenario.start)
+    simulator = Simulator(SimulatorSettings(initial_state=start), ROBOT)
+    controller = Controller(settings, ROBOT)
+    controller.set_goal(scenario.goal)
+    for tick, ahead in zip(
+        np.arange(0.0, 9.0, settings.control_period), itertools.cycle(3 * (0.125,) + 3 * (0.03,))
+    ):
+        simulator.advance_to(round(tick * NANOSECONDS))
+        controller.observe(tick, simulator.measured_state())
+        decision = controller.decide(tick + ahead)
+        sent = tick + 0.5 * ahead
+        simulator.advance_to(round(sent * NANOSECONDS))
+        hold = controller.commit(decision, sent)
+        if hold is not None:
+            simulator.follower.follow_trajectory(hold)
+    assert state_error(simulator.plant.state, scenario.goal) < 1e-4
+    assert controller.estimator.noise < 1e-4

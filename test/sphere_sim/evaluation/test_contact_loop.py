@@ -1,0 +1,65 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Closed loop on the plant with contact: drives that lag, a slippery floor, weak drives."""
+
+from dataclasses import replace
+
+import pytest
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.metrics import settling_index, state_errors
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+pytest.importorskip("mujoco")
+
+ROBOT = RobotParameters()
+CASE = PAPER_CASES[3]
+LAG = 1.0 / RigidBodySettings().drive_bandwidth
+FLOOR = 1e-3
+"""Error that remains; on the ideal plant it is a thousand times less."""
+
+
+def run(
+    controller: Controller, settings: ControllerSettings, world: RigidBodySettings | None = None
+) -> Trajectory:
+    plant = RigidBodyPlant(ROBOT, CASE.start, world)
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(CASE.start)), ROBOT, plant)
+    return run_closed_loop(simulator, controller, CASE.goal, 5.0, settings.control_period)
+
+
+def settling_time(found: Trajectory) -> float:
+    index = settling_index(state_errors(found.states, CASE.goal))
+    return float("inf") if index is None else float(found.times[index])
+
+
+@pytest.mark.parametrize("learning", [True, False])
+def test_lag_of_the_drives_costs_nothing_once_it_is_known(learning: bool) -> None:
+    # 1.57 s was seen on the ideal plant.
+    settings = ControllerSettings(learning=learning, drive_lag=0.0 if learning else LAG)
+    controller = Controller(settings, ROBOT)
+    found = run(controller, settings)
+    assert settling_time(found) < 2.0
+    assert state_errors(found.states, CASE.goal)[-1] < FLOOR
+    assert controller.lag == pytest.approx(LAG, abs=5e-4)
+
+
+def test_weak_drives_and_a_slippery_floor_need_to_be_known() -> None:
+    settings = ControllerSettings()
+    weak = Controller(settings, replace(ROBOT, max_rotor_torque=1.6))
+    assert settling_time(run(weak, settings, RigidBodySettings(torque_limit=1.6))) < 3.0
+    careful = Controller(settings, replace(ROBOT, max_rotor_acceleration=250.0))
+    assert settling_time(run(careful, settings, RigidBodySettings(friction=0.2))) < 3.0
+
+
+def test_a_slippery_floor_is_noticed_and_driven_on_gently() -> None:
+    # 3.3 s were seen; with all of the drives' acceleration it never arrives.
+    settings = ControllerSettings()
+    found = run(Controller(settings, ROBOT), settings, RigidBodySettings(friction=0.2))
+    assert settling_time(found) < 4.5

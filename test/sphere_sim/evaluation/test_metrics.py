@@ -1,0 +1,72 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Settling, errors and peaks of runs that are known by construction."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.state import angle_error, position_error, state_error
+from sphere_sim.evaluation.metrics import (
+    angle_errors,
+    measure,
+    position_errors,
+    settling_index,
+    state_errors,
+)
+
+GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def random_states(number: int) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    states = rng.normal(size=(number, 6))
+    states[:, 2:] /= np.linalg.norm(states[:, 2:], axis=1, keepdims=True)
+    return states
+
+
+@pytest.mark.parametrize(
+    ("of_many", "of_one"),
+    [(state_errors, state_error), (position_errors, position_error), (angle_errors, angle_error)],
+)
+def test_errors_over_time_are_those_of_each_state(of_many, of_one) -> None:
+    states = random_states(50)
+    expected = [of_one(state, GOAL) for state in states]
+    np.testing.assert_allclose(of_many(states, GOAL), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("errors", "index"),
+    [
+        ([1.0, 0.5, 0.001, 0.002], 2),
+        ([0.001, 0.001], 0),
+        ([1.0, 0.001, 0.5], None),
+        ([0.001, 0.5, 0.001], 2),
+        ([0.001, math.nan], None),
+        ([0.01], None),
+    ],
+)
+def test_settling_counts_only_if_it_lasts(errors, index) -> None:
+    assert settling_index(np.array(errors)) == index
+
+
+def test_measure_of_a_straight_run() -> None:
+    times = np.linspace(0.0, 10.0, 101)
+    states = np.tile(GOAL, (101, 1))
+    states[:, 0] = np.maximum(0.0, 5.0 - times)
+    states[:, 2] = -1.0  # the other quaternion of the same orientation
+    speeds = np.array([[1.0, -90.0], [np.nan, 3.0]])
+    metrics = measure(times, states, GOAL, speeds, np.empty((0, 2)), np.array([0.001, 0.003]))
+    assert metrics.settled and metrics.settle_time_s == pytest.approx(5.0)
+    assert metrics.final_error == 0.0
+    assert metrics.max_rotor_speed == 90.0
+    assert math.isnan(metrics.max_rotor_torque_nm)
+    assert metrics.solve_ms_p50 == pytest.approx(2.0)
+
+
+def test_measure_of_a_run_that_does_not_settle() -> None:
+    states = np.tile(GOAL, (3, 1)) + np.array([0.1, 0, 0, 0, 0, 0])
+    metrics = measure(np.arange(3.0), states, GOAL, *(np.empty((0, 2)),) * 2, np.empty(0))
+    assert not metrics.settled and math.isnan(metrics.settle_time_s)
+    assert metrics.final_position_error_m == pytest.approx(0.1)

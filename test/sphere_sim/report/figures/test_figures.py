@@ -1,0 +1,80 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every figure can be drawn from a full run and from one that lacks almost everything."""
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.dynamics import contact_point
+from sphere_sim.recording.run import Run, Solves
+from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures.contact_locus import contact_locus, contact_points
+from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.style import save
+
+FIGURES = {
+    "panels": paper_panels,
+    "locus": contact_locus,
+    "error": analysis.error_over_time,
+    "torque": analysis.rotor_torques,
+    "solve": analysis.solve_times,
+    "value": analysis.value_function,
+}
+
+
+def make_run(full: bool = True) -> Run:
+    rng = np.random.default_rng(1)
+    states = np.cumsum(rng.normal(scale=0.05, size=(60, 6)), axis=0)
+    states[:, 2] += 1.0
+    states[:, 2:] /= np.linalg.norm(states[:, 2:], axis=1, keepdims=True)
+    times = np.linspace(0.0, 6.0, 60)
+    n, g, k = (60, 1, 12) if full else (0, 0, 0)
+    return Run(
+        name="run", path=Path("bag"), origin=0.0, times=times, states=states,
+        joint_times=times[:n], rotor_speeds=90.0 * np.sin(np.outer(times[:n], (1, 2))),
+        rotor_torques=np.cos(np.outer(times[:n], (1, 2))), goal_times=np.zeros(g),
+        goals=np.tile([0.0, 0, 1, 0, 0, 0], (g, 1)), plans=(),
+        solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
+                      ("solved",) * k),
+    )
+
+
+@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("full", [True, False])
+def test_figure_is_drawn_and_saved(name, full, tmp_path) -> None:
+    files = save(FIGURES[name](make_run(full)), tmp_path, name)
+    assert [file.suffix for file in files] == [".png", ".svg"]
+    assert files[0].read_bytes().startswith(b"\x89PNG")
+    text = files[1].read_text()
+    assert "<svg" in text and "href=\"http" not in text
+
+
+def test_missing_series_are_said_in_the_figure() -> None:
+    words = [t.get_text() for axes in paper_panels(make_run(False)).axes for t in axes.texts]
+    assert "no rotor speeds in this bag" in words
+
+
+def test_four_panels_show_the_paper_s_quantities() -> None:
+    axes = paper_panels(make_run()).axes
+    assert [a.get_title(loc="left")[:2] for a in axes] == ["a:", "b:", "c:", "d:"]
+    drawn = {line.get_label() for a in axes for line in a.lines}
+    assert {"x", "y", "$q_1$", "$q_4$", "$u_1$", "$u_2$", "start", "goal"} <= drawn
+    limits = [line.get_ydata()[0] for line in axes[3].lines if line.get_linestyle() == ":"]
+    assert {-100.0, 100.0} <= set(limits)
+
+
+def test_contact_points_are_those_of_the_controller_s_model() -> None:
+    states = make_run().states
+    q = ca.SX.sym("q", 4)
+    model = ca.Function("contact", [q], [contact_point(q, 0.3)])
+    expected = np.array([np.array(model(state[2:])).ravel() for state in states])
+    np.testing.assert_allclose(contact_points(states, 0.3), expected, atol=1e-12)
+
+
+def test_equal_runs_give_equal_files(tmp_path) -> None:
+    for name in ("one", "two"):
+        save(paper_panels(make_run()), tmp_path, name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()

@@ -1,0 +1,124 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that start nodes do so in a domain in which nobody else drives a sphere."""
+
+import fcntl
+import os
+import stat
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import PoseStamped
+from ros_graph import Graph, started
+from rosgraph_msgs.msg import Clock
+
+from sphere_nmpc.ros.environment import RosEnvironmentError
+from sphere_nmpc.ros.loopback import stay_on_this_machine
+from sphere_sim.ros.session import domain_guests
+from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.ros.session.domain_guests import DomainTakenError, look_for_guests, refuse_company
+
+SESSION = int(os.environ["ROS_DOMAIN_ID"])
+SPARE = (187, 186, 185)
+"""Domains that nothing of this package takes by itself."""
+
+
+@pytest.fixture(autouse=True)
+def locks(monkeypatch, tmp_path) -> Path:
+    """Stay on the loopback as the commands do, with a folder of one's own for the locks."""
+    wanted = dict(os.environ)
+    stay_on_this_machine(wanted)
+    for name, value in wanted.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
+    """A simulator in the domain of this session, once it is found there."""
+    # How long a look takes is measured, not tested: a busy machine may need more.
+    monkeypatch.setattr(domain_guests, "_LOOKS", {True: (10.0,), False: (10.0,)})
+    with started("simulator", "-p", "start_paused:=true") as process:
+        end = time.monotonic() + 60.0
+        while not look_for_guests():
+            assert time.monotonic() < end
+        yield process
+
+
+@pytest.fixture
+def nobody_sets_it(monkeypatch) -> None:
+    # Set first, so that what is made of it is undone.
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+
+
+def lock_of(folder: Path, domain: int) -> Path:
+    return folder / f"sphere_nmpc_domain_{domain}.lock"
+
+
+def test_a_domain_that_is_set_and_empty_is_taken() -> None:
+    with own_domain() as domain:
+        assert domain == SESSION
+
+
+def test_a_domain_that_is_none_is_refused(monkeypatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
+    with pytest.raises(RosEnvironmentError, match="given 'abc'"), own_domain():
+        pass
+
+
+def test_who_is_in_the_domain_that_is_set_is_named(simulator) -> None:
+    told = rf"ROS_DOMAIN_ID: given {SESSION}, .*\(/simulator\), expected .*unset ROS_DOMAIN_ID"
+    with pytest.raises(DomainTakenError, match=told), own_domain():
+        pass
+
+
+def test_a_domain_with_guests_is_passed_over(simulator, locks, nobody_sets_it) -> None:
+    with own_domain(domains=(SESSION, *SPARE)) as domain:
+        assert domain == SPARE[0] == int(os.environ["ROS_DOMAIN_ID"])
+    assert "ROS_DOMAIN_ID" not in os.environ
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o444], ids=["own", "of somebody else"])
+def test_a_domain_that_is_locked_is_passed_over(locks, nobody_sets_it, mode) -> None:
+    lock_of(locks, SPARE[0]).touch()
+    lock_of(locks, SPARE[0]).chmod(mode)
+    with lock_of(locks, SPARE[0]).open() as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with own_domain(domains=SPARE) as domain:
+            assert domain == SPARE[1]
+    with own_domain(domains=SPARE) as domain:
+        assert domain == SPARE[0], "what is left of others can be locked, if only read"
+
+
+def test_what_is_planted_in_place_of_a_lock_is_not_touched(locks, nobody_sets_it) -> None:
+    victim = locks / "victim"
+    lock_of(locks, SPARE[0]).symlink_to(victim)
+    os.mkfifo(lock_of(locks, SPARE[1]))
+    with own_domain(domains=SPARE) as domain:
+        assert domain in SPARE[1:]
+    assert not victim.exists()
+    assert stat.S_ISLNK(lock_of(locks, SPARE[0]).lstat().st_mode)
+
+
+def test_two_that_begin_at_the_same_moment_notice_before_time_runs() -> None:
+    graph = Graph()
+    try:
+        for number in (1, 2):
+            graph.probe.create_publisher(PoseStamped, "pose", 1)
+            graph.until(lambda n=number: graph.probe.count_publishers("pose") == n)
+            if number == 1:
+                graph.probe.create_publisher(Clock, "clock", 1)
+                refuse_company(graph.probe)
+        with pytest.raises(DomainTakenError, match=r"\(/probe, /probe\)"):
+            refuse_company(graph.probe)
+    finally:
+        graph.close()

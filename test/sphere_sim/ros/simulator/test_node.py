@@ -1,0 +1,298 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator over real DDS: commands, services, clock and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from sphere_nmpc.ros.conversions import JOINT_NAMES, pose_from_ros, stamp_from_ros, stamp_to_ros
+from sphere_sim.ros.simulator.node import SimulatorNode
+
+MS = 1_000_000
+SAMPLE = 250 * MS
+"""Default of sample_period [ns]."""
+SLEW = 400.0
+"""Default of robot.max_rotor_acceleration [rad/s^2]."""
+
+
+def simulator(graph, **settings) -> SimulatorNode:
+    node = SimulatorNode([Parameter(name, value=value) for name, value in settings.items()])
+    graph.add(node)
+    return node
+
+
+def trajectory(*points, names=JOINT_NAMES, stamp=0) -> JointTrajectory:
+    message = JointTrajectory(joint_names=list(names))
+    message.header.stamp = stamp_to_ros(stamp)
+    for after, velocities in points:
+        start = Duration(sec=int(after), nanosec=round(after % 1 * 1e9))
+        message.points.append(
+            JointTrajectoryPoint(velocities=list(velocities), time_from_start=start)
+        )
+    return message
+
+
+def speeds(joint_states) -> np.ndarray:
+    return np.array([message.velocity for message in joint_states])
+
+
+REFUSED = {
+    "unknown rotor": trajectory((0.0, (50.0, 50.0)), names=("rotor_1_joint", "wheel")),
+    "missing rotor": trajectory((0.0, (50.0,)), names=("rotor_1_joint",)),
+    "nan": trajectory((0.0, (50.0, 50.0)), (1.0, (math.nan, 0.0))),
+    "times not rising": trajectory((1.0, (50.0, 50.0)), (1.0, (50.0, 50.0))),
+    "no points": trajectory(),
+    "wrong clock": trajectory((0.0, (50.0, 50.0)), (1.0, (0.0, 0.0)), stamp=1_795_000_000 * 10**9),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED.values(), ids=REFUSED.keys())
+def test_wrong_trajectory_moves_nothing_and_is_told_once(graph, capfd, message) -> None:
+    node = simulator(graph, real_time_factor=5.0)
+    joints = graph.hear(JointState, "joint_states")
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    for _ in range(5):
+        sender.publish(message)
+    graph.until(lambda: node._faults.counts["rotor_trajectory refused"] == 5)
+    heard = len(joints)
+    graph.until(lambda: len(joints) > heard + 20)
+    assert not speeds(joints).any()
+    told = [line for line in capfd.readouterr().err.splitlines() if "refused" in line]
+    assert len(told) == 1
+    assert "given" in told[0]
+
+
+@pytest.mark.parametrize("data", [[1.0], [1.0, math.nan], [1.0, 2.0, 3.0]])
+def test_wrong_speeds_move_nothing_and_are_told_once(graph, capfd, data) -> None:
+    node = simulator(graph, real_time_factor=5.0)
+    joints = graph.hear(JointState, "joint_states")
+    sender = graph.speaker(Float64MultiArray, "rotor_commands")
+    for _ in range(3):
+        sender.publish(Float64MultiArray(data=data))
+    graph.until(lambda: node._faults.counts["rotor_commands refused"] == 3)
+    heard = len(joints)
+    graph.until(lambda: len(joints) > heard + 20)
+    assert not speeds(joints).any()
+    assert capfd.readouterr().err.count("rotor_commands refused") == 1
+
+
+def test_speed_beyond_the_limit_is_limited_and_told(graph, capfd) -> None:
+    simulator(graph, real_time_factor=5.0, command_timeout=2.0)
+    joints = graph.hear(JointState, "joint_states")
+    graph.speaker(Float64MultiArray, "rotor_commands").publish(
+        Float64MultiArray(data=[1e6, -1e6])
+    )
+    graph.until(lambda: joints and abs(joints[-1].velocity[0]) > 99.0)
+    graph.until(lambda: joints[-1].velocity[0] == 0.0)
+    assert np.max(np.abs(speeds(joints))) == 100.0
+    assert capfd.readouterr().err.count("command limited: given more than") == 1
+
+
+def test_rotors_ramp_to_rest_when_commands_stop(graph) -> None:
+    simulator(graph, real_time_factor=5.0, pose_rate=200.0, command_timeout=0.5)
+    joints = graph.hear(JointState, "joint_states")
+    graph.speaker(Float64MultiArray, "rotor_commands").publish(
+        Float64MultiArray(data=[60.0, -30.0])
+    )
+    graph.until(lambda: joints and joints[-1].velocity[0] == 60.0)
+    graph.until(lambda: joints[-1].velocity[0] == 0.0)
+    times = np.array([stamp_from_ros(message.header.stamp) for message in joints]) / 1e9
+    rates = np.diff(speeds(joints), axis=0) / np.diff(times)[:, None]
+    assert np.max(np.abs(rates)) <= SLEW * (1 + 1e-9)
+    commanded = times[np.any(speeds(joints) != 0.0, axis=1)]
+    # The ramp takes 60 / 400 s after the time-out.
+    assert commanded[-1] - commanded[0] == pytest.approx(0.5 + 0.15, abs=0.05)
+
+
+def test_trajectory_goes_first_and_names_are_matched(graph) -> None:
+    simulator(graph, real_time_factor=5.0)
+    joints = graph.hear(JointState, "joint_states")
+    commands = graph.speaker(Float64MultiArray, "rotor_commands")
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    swapped = tuple(reversed(JOINT_NAMES))
+    sender.publish(trajectory((0.0, (20.0, 40.0)), (3.0, (20.0, 40.0)), names=swapped))
+    graph.until(lambda: joints and tuple(joints[-1].velocity) == (40.0, 20.0))
+    heard = len(joints)
+    commands.publish(Float64MultiArray(data=[-90.0, -90.0]))
+    graph.until(lambda: len(joints) > heard + 30)
+    assert np.all(speeds(joints)[heard:] == (40.0, 20.0))
+
+
+def test_ramp_to_rest_that_comes_after_its_end_still_stops_the_rotors(graph, capfd) -> None:
+    node = simulator(graph, real_time_factor=2.0)
+    joints = graph.hear(JointState, "joint_states")
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    start = node.simulator.now
+    sender.publish(trajectory((0.0, (0.0, 0.0)), (0.1, (40.0, 40.0)), (60.0, (40.0, 40.0)),
+                              stamp=start + 1))
+    graph.until(lambda: joints and joints[-1].velocity[0] == 40.0)
+    graph.until(lambda: node.simulator.now > start + 1500 * MS)
+    sender.publish(trajectory((0.0, (40.0, 40.0)), (0.2, (0.0, 0.0)), stamp=start + 1000 * MS))
+    graph.until(lambda: joints[-1].velocity[0] == 0.0)
+    # What is older than that cannot set them going again.
+    sender.publish(trajectory((0.0, (40.0, 40.0)), (0.1, (40.0, 40.0)), stamp=start + 500 * MS))
+    graph.until(lambda: node._faults.counts["rotor_trajectory refused"] == 1)
+    assert "rotor_trajectory late: given an end" in capfd.readouterr().err
+
+
+def test_pose_clock_and_odometry_tell_the_same_rising_time(graph) -> None:
+    simulator(graph, real_time_factor=10.0, pose_rate=40.0)
+    poses = graph.hear(PoseStamped, "pose")
+    odometry = graph.hear(Odometry, "odom")
+    clock = graph.hear(Clock, "/clock")
+    graph.until(lambda: len(poses) > 60 and odometry and clock)
+    stamps = [stamp_from_ros(pose.header.stamp) for pose in poses]
+    assert np.all(np.diff(stamps) == 25 * MS)
+    ticks = [stamp_from_ros(message.clock) for message in clock]
+    assert np.all(np.diff(ticks) > 0) and not np.any(np.array(ticks) % (25 * MS))
+    assert poses[0].header.frame_id == odometry[0].header.frame_id == "world"
+    assert poses[0].pose.position.z == 0.3
+
+
+def test_pause_stops_the_clock_and_step_goes_one_sample(graph) -> None:
+    node = simulator(graph, real_time_factor=10.0)
+    refused = graph.call(Trigger, "simulator/step", Trigger.Request())
+    assert not refused.success and "expected a paused one" in refused.message
+    assert graph.call(SetBool, "simulator/pause", SetBool.Request(data=True)).success
+    then = node.simulator.now
+    clock = graph.hear(Clock, "/clock")
+    graph.until(lambda: len(clock) >= 2)  # repeated for those who come late
+    assert node.simulator.now == then
+    assert {stamp_from_ros(message.clock) for message in clock} == {then}
+    assert graph.call(Trigger, "simulator/step", Trigger.Request()).success
+    goal = (then // SAMPLE + 1) * SAMPLE
+    graph.until(lambda: node.simulator.now == goal)
+    graph.spin_for(0.1)
+    assert node.simulator.now == goal
+    graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
+    graph.until(lambda: node.simulator.now > goal)
+
+
+def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> None:
+    node = simulator(graph, real_time_factor=10.0, command_timeout=60.0)
+    poses = graph.hear(PoseStamped, "pose")
+    clock = graph.hear(Clock, "/clock")
+    graph.speaker(Float64MultiArray, "rotor_commands").publish(
+        Float64MultiArray(data=[80.0, 30.0])
+    )
+    start = np.array([2.0, -3.0])
+    graph.until(lambda: poses and np.linalg.norm(pose_from_ros(poses[-1])[:2] - start) > 0.1)
+    assert graph.call(Trigger, "simulator/reset", Trigger.Request()).success
+    graph.until(lambda: np.allclose(pose_from_ros(poses[-1])[:2], start, atol=1e-12))
+    heard = len(poses)
+    graph.until(lambda: len(poses) > heard + 20)
+    for pose in poses[heard:]:
+        np.testing.assert_allclose(pose_from_ros(pose)[:2], start, atol=1e-12)
+    assert not node.simulator.plant.rotor_speeds.any()
+    assert np.all(np.diff([stamp_from_ros(message.clock) for message in clock]) >= 0)
+
+
+def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
+    node = simulator(graph, lockstep=True, real_time_factor=0.0)
+    poses = graph.hear(PoseStamped, "pose")
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: poses)  # repeated, as the first one came before anybody listened
+    sender.publish(trajectory((0.0, (10.0, 0.0)), stamp=1))
+    graph.spin_for(0.3)
+    assert node.simulator.now == 0
+    sender.publish(trajectory((0.0, (10.0, 0.0)), (1.0, (10.0, 0.0))))
+    graph.until(lambda: node.simulator.now == SAMPLE)
+    graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) == SAMPLE)
+    graph.spin_for(0.3)
+    assert node.simulator.now == SAMPLE
+    assert len({stamp_from_ros(pose.header.stamp) for pose in poses}) <= 26
+
+
+def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_told(graph, capfd) -> None:
+    node = simulator(graph)
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: node.simulator.now > 500 * MS)
+    heard = node._intake.heard
+    sender.publish(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
+    graph.until(lambda: node._intake.heard > heard)
+    graph.spin_for(0.1)
+    assert "rotor_trajectory" not in capfd.readouterr().err
+    assert not node._faults.counts
+
+
+def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
+    node = simulator(graph, lockstep=True)
+    joints = graph.hear(JointState, "joint_states")
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    answer = trajectory((0.0, (0.0, 0.0)), (0.5, (100.0, 0.0)))
+    sender.publish(answer)
+    graph.until(lambda: node.simulator.now > 100 * MS)
+    sender.publish(answer)
+    graph.until(lambda: joints and stamp_from_ros(joints[-1].header.stamp) == SAMPLE)
+    for message in joints:
+        expected = 200.0 * stamp_from_ros(message.header.stamp) / 1e9
+        assert message.velocity[0] == pytest.approx(expected)
+
+
+def test_lockstep_timeout_is_told_and_counted(graph, capfd) -> None:
+    node = simulator(graph, lockstep=True, lockstep_timeout=0.1, real_time_factor=0.0)
+    graph.spin_for(0.5)
+    assert node.simulator.now == 0  # nobody there yet who could answer
+    diagnostics = graph.hear(DiagnosticArray, "/diagnostics")
+    graph.speaker(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: node.simulator.now >= 1000 * MS)
+    told = capfd.readouterr().err
+    assert told.count("lockstep time-out: given no rotor_trajectory for t = 0.000 s") == 1
+    assert told.count("lockstep time-out") == 1
+    graph.until(lambda: diagnostics)
+    values = {value.key: value.value for value in diagnostics[-1].status[0].values}
+    assert int(values["lockstep time-outs"]) >= 1
+
+
+def test_diagnostics_have_the_layout_of_diagnostic_updater(graph) -> None:
+    simulator(graph, real_time_factor=10.0)
+    heard = graph.hear(DiagnosticArray, "/diagnostics")
+    graph.until(lambda: len(heard) >= 2)
+    names = [status.name for status in heard[-1].status]
+    assert names == ["simulator: clock", "simulator: commands"]
+    assert {status.hardware_id for status in heard[-1].status} == {"sphere"}
+    values = {value.key: value.value for value in heard[-1].status[0].values}
+    assert 0.0 < float(values["real time factor"]) <= 11.0
+    assert values["paused"] == "false"
+
+
+def test_plant_with_contact_is_set_by_parameters_and_can_be_pushed(graph) -> None:
+    pytest.importorskip("mujoco")
+    node = simulator(
+        graph, plant="rigid_body", real_time_factor=2.0, push_impulse=[0.0, 2.0],
+        **{"rigid_body.friction": 0.5},
+    )
+    assert node.get_parameter("rigid_body.friction").value == 0.5
+    poses = graph.hear(PoseStamped, "pose")
+    graph.until(lambda: poses)
+    start = pose_from_ros(poses[-1])
+    answer = graph.call(Trigger, "simulator/push", Trigger.Request())
+    assert answer.success and "[0.0, 2.0] N s" in answer.message
+    graph.until(lambda: pose_from_ros(poses[-1])[1] > start[1] + 0.05)
+    assert abs(pose_from_ros(poses[-1])[0] - start[0]) < 0.05
+
+
+def test_ideal_plant_offers_no_push(graph) -> None:
+    node = simulator(graph)
+    assert not any(service.service_name.endswith("push") for service in node.services)
+
+
+def test_several_commands_between_two_looks_are_all_taken(graph) -> None:
+    node = simulator(graph, real_time_factor=1.0, pose_rate=500.0)
+    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    for speed in range(1, 6):
+        sender.publish(trajectory((0.0, (speed, 0.0)), (5.0, (speed, 0.0))))
+    graph.until(lambda: node._intake.heard == 5)
+    graph.until(lambda: node.simulator.plant.rotor_speeds[0] == 5.0)

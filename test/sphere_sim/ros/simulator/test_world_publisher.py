@@ -1,0 +1,28 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The transform is published where its message exists; a stand-in takes that place here."""
+
+from geometry_msgs.msg import TransformStamped
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.ros.simulator import world_publisher
+from sphere_sim.ros.simulator.world_publisher import WorldPublisher
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+
+def test_transform_is_published_to_who_listens(graph, monkeypatch) -> None:
+    # A TFMessage cannot be had from the wheels; a message that wraps nothing can be sent instead.
+    class StandIn(TransformStamped):
+        def __init__(self, transforms=()) -> None:
+            super().__init__()
+            if transforms:
+                self.header, self.child_frame_id = transforms[0].header, "base_link"
+
+    monkeypatch.setattr(world_publisher, "TFMessage", StandIn)
+    world = WorldPublisher(graph.probe, 0.3)
+    heard = graph.hear(TransformStamped, "/tf")
+    graph.until(lambda: world._transforms.get_subscription_count() > 0)
+    world.publish(Simulator(SimulatorSettings(), RobotParameters()))
+    graph.until(lambda: heard)
+    assert (heard[0].header.frame_id, heard[0].child_frame_id) == ("world", "base_link")

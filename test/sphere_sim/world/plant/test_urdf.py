@@ -1,0 +1,72 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The exported model against the robot's parameters."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.world.plant.rigid_body.bodies import build_mechanism
+from sphere_sim.world.plant.rigid_body.urdf import make_urdf
+
+ROOT = Path(__file__).parents[4]
+ROBOT = RobotParameters()
+
+
+def numbers(element, name):
+    return np.array([float(word) for word in element.get(name).split()])
+
+
+def test_shipped_file_is_what_the_generator_writes():
+    shipped = (ROOT / "urdf" / "sphere.urdf").read_text()
+    assert shipped == make_urdf(ROBOT), "run python -m sphere_sim.world.plant.rigid_body.urdf"
+
+
+@pytest.mark.parametrize("robot", [ROBOT, RobotParameters(rotor_mass=0.8, shell_inertia=0.05)])
+def test_masses_and_inertias_add_up(robot):
+    root = ElementTree.fromstring(make_urdf(robot).partition("\n")[2])
+    place = {"base_link": np.zeros(3)}
+    for joint in root.iter("joint"):
+        place[joint.find("child").get("link")] = numbers(joint.find("origin"), "xyz")
+    mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        own = {key: float(value) for key, value in inertial.find("inertia").attrib.items()}
+        m = float(inertial.find("mass").get("value"))
+        r = place[link.get("name")] + numbers(inertial.find("origin"), "xyz")
+        mass, moment = mass + m, moment + m * r
+        inertia += [
+            [own["ixx"], own["ixy"], own["ixz"]],
+            [own["ixy"], own["iyy"], own["iyz"]],
+            [own["ixz"], own["iyz"], own["izz"]],
+        ]
+        inertia += m * (r @ r * np.eye(3) - np.outer(r, r))
+    assert mass == pytest.approx(robot.total_mass)
+    np.testing.assert_allclose(moment, 0.0, atol=1e-8)
+    expected = [robot.transverse_inertia, robot.transverse_inertia, robot.axial_inertia]
+    np.testing.assert_allclose(inertia, np.diag(expected), rtol=1e-6, atol=1e-8)
+
+
+def test_joints_have_the_names_of_the_joint_states():
+    root = ElementTree.fromstring(make_urdf(ROBOT).partition("\n")[2])
+    turning = [j.get("name") for j in root.iter("joint") if j.get("type") == "continuous"]
+    assert turning == ["rotor_1_joint", "rotor_2_joint"]
+
+
+def test_links_make_one_tree_below_the_base():
+    root = ElementTree.fromstring(make_urdf(ROBOT).partition("\n")[2])
+    links = {link.get("name") for link in root.iter("link")}
+    children = [joint.find("child").get("link") for joint in root.iter("joint")]
+    assert len(children) == len(set(children))
+    assert links - set(children) == {"base_link"}
+
+
+def test_shell_too_light_for_the_trim_is_refused():
+    with pytest.raises(InvalidParameterError, match="shell_inertia"):
+        build_mechanism(RobotParameters(shell_mass=0.01, rotor_mass=2.0))

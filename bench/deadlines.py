@@ -17,7 +17,7 @@ import numpy as np
 from node_runs import Observer, machine, running, write_json
 
 from sphere_nmpc.model.state import Vector, state_error
-from sphere_nmpc.settings import SAMPLE_PERIODS
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.world.settings import CLOCKS
 
@@ -64,7 +64,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draw", type=int, default=20, help="number of goals")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--strategy", choices=SAMPLE_PERIODS, default="time_optimal")
+    parser.add_argument("--strategy", choices=STRATEGIES, default="time_optimal")
     parser.add_argument("--rtf", type=float, default=1.0, help="real-time factor")
     parser.add_argument("--clock", choices=CLOCKS, default="simulated", help="of both nodes")
     parser.add_argument("--longest", type=float, default=40.0, help="time for a run [s]")

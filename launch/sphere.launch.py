@@ -28,7 +28,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.settings import SAMPLE_PERIODS
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.session.domain_guests import FOUND, TOPICS
 from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
@@ -53,7 +53,7 @@ def generate_launch_description() -> LaunchDescription:
     config = str(Path(get_package_share_directory(PACKAGE), "config", "sphere.yaml"))
     arguments = [
         DeclareLaunchArgument(
-            "strategy", default_value="", choices=["", *SAMPLE_PERIODS],
+            "strategy", default_value="", choices=["", *STRATEGIES],
             description="What the controller solves; empty: as params_file says",
         ),
         DeclareLaunchArgument(

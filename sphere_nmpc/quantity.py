@@ -9,6 +9,7 @@ parameter tables of the documentation are held against it.
 
 import dataclasses
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +30,7 @@ class Quantity:
         One line for ``ros2 param describe``.
     minimum, maximum : float or None
         Inclusive range of a number; None where there is no bound.
-    choices : tuple of str
+    choices : collection of str
         Accepted values of a text; empty where any text will do.
     live : bool
         Whether the value may change while a node runs.
@@ -39,7 +40,7 @@ class Quantity:
     description: str
     minimum: float | None = None
     maximum: float | None = None
-    choices: tuple[str, ...] = ()
+    choices: Collection[str] = ()
     live: bool = False
 
 
@@ -50,7 +51,7 @@ def quantity(
     *,
     minimum: float | None = None,
     maximum: float | None = None,
-    choices: tuple[str, ...] = (),
+    choices: Collection[str] = (),
     live: bool = False,
 ) -> Any:
     """Make a dataclass field that knows its unit, range and meaning.

@@ -7,9 +7,36 @@ from dataclasses import dataclass
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.quantity import quantity, validate
 
-SAMPLE_PERIODS = {"time_optimal": 0.25, "plan_keeping": 0.5, "paper": 0.5}
-"""Strategies that can be chosen by name, and the spacing of the knots that suits each [s]."""
 
+@dataclass(frozen=True)
+class StrategyEntry:
+    """A strategy that can be chosen by name.
+
+    Attributes
+    ----------
+    sample_period : float
+        Spacing of the knots of the input that suits it [s].
+    path : str
+        Where its class is, as ``module:Class``; imported when the strategy is first made. The
+        class takes the settings of the controller and the parameters of the robot, and has the
+        methods of `sphere_nmpc.strategy.contract.Strategy`.
+    first_plan_takes_all : bool
+        Whether the first plan towards a goal uses all the wall time that it is given.
+    """
+
+    sample_period: float
+    path: str
+    first_plan_takes_all: bool = False
+
+
+STRATEGIES: dict[str, StrategyEntry] = {
+    "time_optimal": StrategyEntry(
+        0.25, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy", True
+    ),
+    "plan_keeping": StrategyEntry(0.5, "sphere_nmpc.strategy.plan_keeping:PlanKeepingStrategy"),
+    "paper": StrategyEntry(0.5, "sphere_nmpc.strategy.paper:PaperStrategy"),
+}
+"""All strategies by name; an entry added here is a choice of the parameter ``strategy``."""
 
 _SHORTEST_PERIOD = 1e-2
 
@@ -28,7 +55,7 @@ class ControllerSettings:
         "time_optimal", "-",
         "What is solved at each sample: an arrival in least time, the paper's problem with its "
         "plans kept, or Algorithm 1 of the paper to the letter",
-        choices=tuple(SAMPLE_PERIODS), live=True,
+        choices=STRATEGIES.keys(), live=True,
     )
     sample_period: float = quantity(
         0.0, "s",
@@ -114,7 +141,7 @@ class ControllerSettings:
     @property
     def period(self) -> float:
         """Spacing of the knots [s]: as given, or the strategy's own."""
-        return self.sample_period or SAMPLE_PERIODS[self.strategy]
+        return self.sample_period or STRATEGIES[self.strategy].sample_period
 
     @property
     def control_period(self) -> float:

@@ -18,7 +18,7 @@ from rich.table import Table
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.cli.places import prepare_folder
@@ -97,7 +97,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help="of all that is random (default: 0)")
     parser.add_argument("--rtf", type=float, default=2.0, metavar="F",
                         help="simulated over wall time (default: 2)")
-    parser.add_argument("--strategy", choices=sorted(SAMPLE_PERIODS),
+    parser.add_argument("--strategy", choices=sorted(STRATEGIES),
                         default=ControllerSettings().strategy, help="what the controller solves")
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help="keep logs and bags in this folder")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sphere_nmpc.library_threads import limit_library_threads
-from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.cli.places import prepare_folder
@@ -133,8 +133,8 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, metavar="DIR", help="folder of the results"
     )
     parser.add_argument(
-        "--strategy", nargs="+", action="extend", choices=SAMPLE_PERIODS, metavar="NAME",
-        help=f"one or several of {', '.join(SAMPLE_PERIODS)}; several are compared",
+        "--strategy", nargs="+", action="extend", choices=STRATEGIES, metavar="NAME",
+        help=f"one or several of {', '.join(STRATEGIES)}; several are compared",
     )
     parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
     parser.add_argument(

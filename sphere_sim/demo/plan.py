@@ -16,7 +16,7 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
-from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import finite, not_negative, positive, whole
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
@@ -123,7 +123,7 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
     parser.add_argument("--lockstep", action="store_true",
                         help="let time wait for the controller, so that runs repeat to the bit")
     parser.add_argument("--strategy", metavar="NAME",
-                        help="what the controller solves: " + " or ".join(SAMPLE_PERIODS))
+                        help="what the controller solves: " + " or ".join(STRATEGIES))
     parser.add_argument("--seed", type=whole(0), default=0,
                         help="of all that is random (default: 0)")
     parser.add_argument("--duration", type=positive, default=60.0, metavar="S",
@@ -159,8 +159,8 @@ def make_plan(given: argparse.Namespace) -> DemoPlan:
     disturbed = given.case == DISTURBED_CASE and not own
     lockstep = bool(given.lockstep or given.rtf == 0.0)
     strategy = given.strategy or ControllerSettings().strategy
-    if strategy not in SAMPLE_PERIODS:
-        names = " or ".join(SAMPLE_PERIODS)
+    if strategy not in STRATEGIES:
+        names = " or ".join(STRATEGIES)
         raise InvalidParameterError("--strategy", strategy, names)
     settings = ControllerSettings(strategy=strategy)
     simulator: dict[str, Any] = {

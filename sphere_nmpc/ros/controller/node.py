@@ -49,7 +49,7 @@ from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_nmpc.ros.surroundings import OTHER_CLOCK
 from sphere_nmpc.ros.watch import NO_EVENTS
-from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
 _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
@@ -334,7 +334,7 @@ class ControllerNode(LivingNode):
         """Refuse a strategy with another sample period in lockstep, where the simulator waits."""
         period = self._settings.control_period
         for name in (p.value for p in parameters if p.name == "strategy"):
-            known = self._settings.lockstep and name in SAMPLE_PERIODS
+            known = self._settings.lockstep and name in STRATEGIES
             if known and replace(self._settings, strategy=name).control_period != period:
                 return SetParametersResult(
                     successful=False,

@@ -30,7 +30,7 @@ def values(name: str, about: Quantity) -> st.SearchStrategy[Any]:
     if isinstance(default, bool):
         return st.booleans()
     if about.choices:
-        return st.sampled_from(about.choices)
+        return st.sampled_from(list(about.choices))
     if about.minimum is None or isinstance(default, (str, tuple)):
         return st.just(default)
     if isinstance(default, int):

@@ -10,7 +10,7 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state
-from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.stages import FAR, FAR_IN_TIME, STAGE, Stages
 from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
@@ -46,7 +46,7 @@ def situation(place: Vector, goal: Vector) -> Situation:
     return Situation(0.0, make_state(place, START[2:]), goal, np.zeros(2), ROBOT.lumped)
 
 
-@pytest.mark.parametrize("strategy", SAMPLE_PERIODS)
+@pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("distance", [1e2, 1e5, 0.999 * FARTHEST])
 def test_it_sets_off_straight_whatever_the_distance(strategy, distance) -> None:
     duration = 8.0

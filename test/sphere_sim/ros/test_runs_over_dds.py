@@ -17,7 +17,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros, stamp_from_ros
-from sphere_nmpc.settings import SAMPLE_PERIODS, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.settings import SimulatorSettings
@@ -43,7 +43,7 @@ def run(
 ) -> tuple[dict[int, list], dict[int, list]]:
     """Run case 1 and return poses by stamp [ns], and velocities of each trajectory by stamp."""
     lockstep = simulator.get("lockstep", False)
-    sample = round(SAMPLE_PERIODS[strategy] * 1e9)
+    sample = round(STRATEGIES[strategy].sample_period * 1e9)
     settings = {"start_paused": True, "sample_period": sample / 1e9, **simulator}
     controller = {"use_sim_time": True, "lockstep": lockstep, "strategy": strategy}
     with processes(simulator=settings, controller=controller):
@@ -69,10 +69,10 @@ def run(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("strategy", SAMPLE_PERIODS)
+@pytest.mark.parametrize("strategy", STRATEGIES)
 def test_lockstep_repeats_itself_and_the_run_without_ros(graph, strategy) -> None:
     noisy = {"process_noise": 1e-3, "seed": 5}
-    sample = round(SAMPLE_PERIODS[strategy] * 1e9)
+    sample = round(STRATEGIES[strategy].sample_period * 1e9)
     settings = {"lockstep": True, "real_time_factor": 0.0, "pose_rate": 20.0, **noisy}
     first, again = (run(graph, 6.0, strategy, **settings) for _ in range(2))
     shared = first[0].keys() & again[0].keys()
@@ -98,7 +98,7 @@ def test_lockstep_repeats_itself_and_the_run_without_ros(graph, strategy) -> Non
     "strategy, duration, later", [("time_optimal", 16.0, 0.25), ("paper", 20.0, 0.0)]
 )
 def test_pace_of_time_does_not_matter(graph, strategy, duration, later) -> None:
-    sample, settled, punctual = SAMPLE_PERIODS[strategy], [], []
+    sample, settled, punctual = STRATEGIES[strategy].sample_period, [], []
     for pace in (1.0, 5.0):
         poses, sent = run(graph, duration, strategy, real_time_factor=pace)
         outside = [

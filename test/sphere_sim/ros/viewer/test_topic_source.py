@@ -18,7 +18,7 @@ pytest.importorskip("viser")
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
-from sphere_nmpc.settings import SAMPLE_PERIODS
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.topic_source import TopicSource
@@ -126,7 +126,7 @@ def test_the_strategy_can_be_chosen(graph, source) -> None:
     node = ControllerNode()
     graph.add(node)
     graph.until(lambda: newest(source).offers.strategies)
-    assert set(newest(source).offers.strategies) == set(SAMPLE_PERIODS)
+    assert set(newest(source).offers.strategies) == set(STRATEGIES)
     source.handle(SetStrategy("paper"))
     assert newest(source).strategy == "paper", "no status tells while time stands still"
     graph.until(lambda: node.get_parameter("strategy").value == "paper")

@@ -58,10 +58,11 @@ def trial(company: str, goals: int, loopback: bool) -> dict[str, int]:
             node = rclpy.create_node("onlooker")
             heard: list[float] = []
             latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            node.create_subscription(
-                PoseStamped, "controller/active_goal",
-                lambda goal: heard.append(goal.pose.position.x), latched,
-            )
+
+            def note(goal: PoseStamped) -> None:
+                heard.append(goal.pose.position.x)
+
+            node.create_subscription(PoseStamped, "controller/active_goal", note, latched)
             if company == _ECHO:
                 node.create_subscription(PoseStamped, "goal_pose", lambda _: None, 10)
             wanted = 2 + len(_COMPANY.get(company, ("recorder", "viewer")))
@@ -69,7 +70,7 @@ def trial(company: str, goals: int, loopback: bool) -> dict[str, int]:
             while len(node.get_node_names()) < wanted + 1 and time.monotonic() < end:
                 rclpy.spin_once(node, timeout_sec=0.1)
             children.check()
-            counts = {}
+            counts: dict[str, int] = {}
             for form, times in _FORMS.items():
                 first = len(counts) * goals
                 numbers = range(first, first + goals)

@@ -21,6 +21,7 @@ import time
 import uuid
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -84,12 +85,13 @@ def main() -> int:
     return 1 if faults else 0
 
 
-def command(verb: str, out: Path, bag: Path, **options: object) -> subprocess.Popen:
+def command(verb: str, out: Path, bag: Path, **options: object) -> subprocess.Popen[str]:
     """Start a command in a process group of its own."""
     words = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), *COMMANDS[verb]]
     words += [str(bag)] if verb == "report" else []
     words += ["--json", str(out / "times.json")] if verb == "benchmark" else ["--out", str(out)]
-    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, **options}
+    quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    quiet |= options
     return subprocess.Popen(words, start_new_session=True, **quiet)
 
 

@@ -128,9 +128,10 @@ def _bridge(quality: Quality, namespace: str) -> Iterator[None]:
     process = subprocess.Popen(
         ["ip", "netns", "exec", namespace, *program], stdout=subprocess.PIPE, text=True
     )
+    assert process.stdout is not None
     try:
         ready, _, _ = select.select([process.stdout], [], [], _READY)
-        if not ready or not process.stdout or "ready" not in process.stdout.readline():
+        if not ready or "ready" not in process.stdout.readline():
             raise LinkError("the bridge does not come up")
         yield
     finally:

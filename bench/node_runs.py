@@ -70,10 +70,11 @@ class Observer:
         self._goal = self._node.create_publisher(PoseStamped, "goal_pose", 1)
         self._pause = self._node.create_client(SetBool, "simulator/pause")
         node = self._node
-        node.create_subscription(PoseStamped, "pose", self._take_pose, 1000, raw=True)
-        node.create_subscription(
-            JointTrajectory, "rotor_trajectory", self._take_command, 1000, raw=True
-        )
+        # rclpy's annotations lack callbacks that take the message's times too.
+        take_pose: Any = self._take_pose
+        take_command: Any = self._take_command
+        node.create_subscription(PoseStamped, "pose", take_pose, 1000, raw=True)
+        node.create_subscription(JointTrajectory, "rotor_trajectory", take_command, 1000, raw=True)
         node.create_subscription(DiagnosticStatus, "controller/status", self._take_status, 1000)
 
     def begin(self) -> None:

@@ -168,7 +168,7 @@ class _Goals:
         inside = None
         while self._time < sent + DEADLINE:
             self._spin()
-            if state_error(self._state, goal) > SETTLED:
+            if self._state is None or state_error(self._state, goal) > SETTLED:
                 inside = None
             elif inside is None:
                 inside = self._time
@@ -179,11 +179,11 @@ class _Goals:
     def _spin(self) -> None:
         rclpy.spin_once(self._node, timeout_sec=0.05)
 
-    def _take_pose(self, message: object) -> None:
+    def _take_pose(self, message: PoseStamped) -> None:
         self._time = seconds(stamp_from_ros(message.header.stamp))
         self._state = pose_from_ros(message)
 
-    def _take_status(self, message: object) -> None:
+    def _take_status(self, message: DiagnosticStatus) -> None:
         self._status = {pair.key: pair.value for pair in message.values}
         age = float(self._status["pose_age_s"])
         if math.isfinite(age):

@@ -92,7 +92,7 @@ def measure(condition: str, seconds: float, folder: Path) -> str:
                 tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
             ))
             page = stack.enter_context(Browser(find_browser() or "", home, (1200, 800)))
-            page.open(re.search(r"http://\S+", log.read_text()).group())
+            page.open(re.findall(r"http://\S+", log.read_text())[0])
             page.settle()
         scenarios = iter(draw_scenarios(100, 3))
         began, due, first = time.monotonic(), 0.0, None

@@ -46,7 +46,7 @@ def problems_of(strategy: str) -> list[Asked]:
         return solve(solver, problem, start, time_budget)
 
     robot, settings = RobotParameters(), ControllerSettings(strategy=strategy)
-    HoldSolver.solve = remember  # type: ignore[method-assign]
+    HoldSolver.solve = remember  # type: ignore[method-assign, assignment]
     try:
         for scenario in draw_scenarios(RUNS, 1):
             simulator = Simulator(SimulatorSettings(initial_state=tuple(scenario.start)), robot)

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import settings
 
 _HERE = Path(__file__).parent
-# What tests share, and the scripts among which some are tested.
-sys.path += [str(_HERE), str(_HERE / "support"), str(_HERE.parent / "bench")]
+# Modules that tests share, and the scripts of bench/, some of which are tested.
+_SCRIPTS = _HERE.parent / "bench"
+sys.path += map(str, (_HERE, _HERE / "support", _SCRIPTS, _SCRIPTS / "documents"))
 
 
 def _lock_domain() -> int:

@@ -14,7 +14,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 @pytest.mark.parametrize("path", outputs(), ids=lambda path: path.name)
 def test_file_is_up_to_date(path) -> None:
     assert path.read_text(encoding="utf-8") == outputs()[path], (
-        "run python bench/parameter_tables.py"
+        "run python bench/documents/parameter_tables.py"
     )
 
 

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Eq. (12) of the paper, as printed and with one sign changed, against the plant with contact."""
 
-import runpy
-from pathlib import Path
-
 import numpy as np
 import pytest
+from printed_model import PrintedModel
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import angle_error, position_error
@@ -16,8 +14,6 @@ pytest.importorskip("mujoco")
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
-BENCH = Path(__file__).parents[4] / "bench"
-PrintedModel = runpy.run_path(str(BENCH / "printed_model.py"))["PrintedModel"]
 ROBOT = RobotParameters()
 IDEAL_DRIVES = RigidBodySettings(drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3)
 

@@ -23,6 +23,10 @@ SLIPPING = 1e-3
 """Speed of the shell over the floor from which it counts as slipping [m/s]."""
 
 
+Alteration = Callable[[Any], None]
+"""Changes a compiled MuJoCo model in place."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sequence:
     """A start at rest, shape (6,), and rotor speeds each half second, shape (KNOTS + 1, 2)."""
@@ -119,7 +123,7 @@ def compare(
     sequences: list[Sequence],
     reference: list[np.ndarray],
     settings: RigidBodySettings,
-    alter: Callable[[Any], None] | None = None,
+    alter: Alteration | None = None,
 ) -> Comparison:
     """Run all sequences on the plant with contact and hold them against the ideal plant's runs."""
     plant = RigidBodyPlant(ROBOT, sequences[0].start, settings)

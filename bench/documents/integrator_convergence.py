@@ -6,7 +6,7 @@ Draws orientations uniform on SO(3) and rotor speeds uniform in +-100 rad/s at b
 interval of 0.5 s, and compares with the Lie-group method at 400 steps. Prints a table for
 ``docs/model.md`` and draws its figure:
 
-    .venv/bin/python bench/integrator_convergence.py --out docs/integrator_convergence.svg
+    python bench/documents/integrator_convergence.py --out docs/integrator_convergence.svg
 """
 
 import argparse

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One table from the folders of several studies, for docs/results.md.
 
-    python bench/study_table.py out/nominal out/wrong_3 out/noise
+    python bench/documents/study_table.py out/nominal out/wrong_3 out/noise
 
 With ``--loose`` the column of settling tells of the first time from which on the error stays below
 5e-2, as is fit for runs with noise, and the error is the 95th percentile from then on.

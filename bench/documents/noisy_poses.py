@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's cases with slow, noisy, late and lost poses, with the state estimator and without.
 
-``python bench/noisy_poses.py --seeds 4`` prints a table for docs/rigid_body.md: pose at 20 Hz,
-5 mm and 1 degree of noise, 50 ms of latency, 20 % lost. A run is home from the time on from which
-it stays within 3 cm and 3 degrees to its end.
+``python bench/documents/noisy_poses.py --seeds 4`` prints a table for docs/rigid_body.md:
+pose at 20 Hz, 5 mm and 1 degree of noise, 50 ms of latency, 20 % lost. A run is home from the time
+on from which it stays within 3 cm and 3 degrees to its end.
 """
 
 import argparse

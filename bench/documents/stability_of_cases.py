@@ -4,7 +4,7 @@
 
 Prints the table of ``docs/model.md``:
 
-    .venv/bin/python bench/stability_of_cases.py
+    python bench/documents/stability_of_cases.py
 """
 
 from sphere_nmpc.control.controller import Controller

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant with contact against the ideal rolling plant, and both against the printed Eq. (12).
 
-``python bench/compare_plants.py --out docs`` writes ``rigid_body_figures.md`` and
+``python bench/documents/compare_plants.py --out docs`` writes ``rigid_body_figures.md`` and
 ``rigid_body.png``; docs/rigid_body.md says what they mean.
 """
 
@@ -10,14 +10,17 @@ import argparse
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from plant_runs import (
     HEADER,
     KNOT_PERIOD,
     ROBOT,
+    Alteration,
     Comparison,
     angles_between,
     compare,
@@ -58,7 +61,9 @@ class Study:
         self.reference = [run(RollingPlant(ROBOT, s.start), s) for s in self.sequences]
         self.figure, self.axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
 
-    def compare(self, name: str, settings: RigidBodySettings, alter=None) -> Comparison:
+    def compare(
+        self, name: str, settings: RigidBodySettings, alter: Alteration | None = None
+    ) -> Comparison:
         result = compare(self.sequences, self.reference, settings, alter)
         print(result.row(name), flush=True)
         return result
@@ -115,19 +120,19 @@ class Study:
     def engine_options(self) -> str:
         import mujoco
 
-        def integrator(kind):
-            def alter(model) -> None:
+        def integrator(kind: int) -> Alteration:
+            def alter(model: Any) -> None:
                 model.opt.integrator = kind
 
             return alter
 
-        def ratio(value):
-            def alter(model) -> None:
+        def ratio(value: float) -> Alteration:
+            def alter(model: Any) -> None:
                 model.opt.impratio = value
 
             return alter
 
-        def pyramid(model) -> None:
+        def pyramid(model: Any) -> None:
             model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
 
         kinds = mujoco.mjtIntegrator
@@ -144,7 +149,7 @@ class Study:
         return "### Options of the engine (ideal drives, default contact, 2 ms)\n\n" + table(rows)
 
     def floor(self) -> str:
-        def of(**changes) -> RigidBodySettings:
+        def of(**changes: Any) -> RigidBodySettings:
             return replace(DEFAULT, **changes)
 
         settings = {f"friction {mu:g}": of(friction=mu) for mu in (0.8, 0.4, 0.3, 0.2, 0.1)}
@@ -207,7 +212,8 @@ class Study:
             errors, settled, largest, means = [], [], 0.0, []
             for sequence in self.sequences:
                 plant = RigidBodyPlant(ROBOT, sequence.start, settings)
-                interval, before = [], np.zeros(4)
+                interval: list[np.ndarray] = []
+                before: np.ndarray = np.zeros(4)
                 for i, (speeds, slope) in enumerate(steps_of(sequence)):
                     plant.advance(speeds, 0.01)
                     measured = plant.rotor_torques
@@ -224,10 +230,10 @@ class Study:
                         eq46 = ROBOT.rotor_axial_inertia * (change[:2] + change[2:])
                         means.append(np.abs(eq46 - np.mean(interval, axis=0)))
                         interval, before = [], after
-            errors = np.array(errors)
+            error = np.array(errors)
             lines.append(
-                f"| {name} | {np.sqrt(np.mean(errors**2)):.2g} "
-                f"| {np.percentile(errors, 99):.2g} | {errors.max():.2g} "
+                f"| {name} | {np.sqrt(np.mean(error**2)):.2g} "
+                f"| {np.percentile(error, 99):.2g} | {error.max():.2g} "
                 f"| {np.max(settled):.2g} | {largest:.3g} | {np.max(means):.2g} |"
             )
             print(lines[-1], flush=True)
@@ -299,12 +305,12 @@ def torque_function() -> ca.Function:
     return ca.Function("torque", [q, u, du], [torque])
 
 
-def plot(axes, x: np.ndarray, results: list[Comparison], label: str) -> None:
+def plot(axes: Axes, x: np.ndarray, results: list[Comparison], label: str) -> None:
     line = axes.loglog(x, [1e3 * r.angle_median for r in results], "o-", label=label)[0]
     axes.loglog(x, [1e3 * r.angle_worst for r in results], ":", color=line.get_color())
 
 
-def finish(axes, label: str) -> None:
+def finish(axes: Axes, label: str) -> None:
     axes.set_xlabel(label)
     axes.set_ylabel("angle from the rolling plant [mrad]")
     axes.set_title("median (line) and worst (dotted)")
@@ -320,7 +326,7 @@ def main() -> None:
     given = parser.parse_args()
     study = Study(given.sequences, given.seed)
     parts = [
-        f"Written by bench/compare_plants.py: {given.sequences} sequences of 5 s, "
+        f"Written by bench/documents/compare_plants.py: {given.sequences} sequences of 5 s, "
         f"seed {given.seed}.\n",
         study.agreement(),
         study.stiffness(),

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write msg_docs/parameters.md and config/sphere.yaml from the quantities of the settings.
 
-``python bench/parameter_tables.py`` in the source tree; a test holds both files against
+``python bench/documents/parameter_tables.py`` in the source tree; a test holds both files against
 what this writes.
 """
 
@@ -31,12 +31,12 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
 }
 """Further settings of a node: prefix, what they are for, values."""
 
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 
 _DOCUMENT = """\
 # Parameters
 
-Written by `python bench/parameter_tables.py` from the settings in the code; not to be
+Written by `python bench/documents/parameter_tables.py` from the settings in the code; not to be
 edited here. `config/sphere.yaml` holds every parameter with its default.
 
 All values are SI. A whole number will do where a real one is expected. **live** parameters can be
@@ -51,7 +51,7 @@ be followed, and left alone for the simulator, which keeps that clock.
 
 _YAML_HEAD = """\
 # Every parameter of simulator and controller with its default; SI units.
-# Written by `python bench/parameter_tables.py`: copy it and change the copy.
+# Written by `python bench/documents/parameter_tables.py`: copy it and change the copy.
 #   ros2 run sphere_nmpc simulator --ros-args --params-file my_sphere.yaml
 """
 

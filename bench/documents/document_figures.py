@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make the pictures of README.md and docs/figures.md from runs over ROS 2.
 
-    python bench/document_figures.py --out docs/figures
+    python bench/documents/document_figures.py --out docs/figures
 
 Each run is a demo in lockstep, so that it repeats to the bit. Bags that are already in --runs are
 drawn anew and not recorded again.

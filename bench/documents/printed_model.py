@@ -30,7 +30,7 @@ class PrintedModel:
     def __init__(self, robot: RobotParameters, state: np.ndarray, corrected: bool) -> None:
         self._robot = robot
         self._sign = -1.0 if corrected else 1.0
-        self._speeds = np.zeros(2)
+        self._speeds: np.ndarray = np.zeros(2)
         self.state = np.array(state, dtype=float)
 
     def advance(self, speeds_end: np.ndarray, duration: float) -> None:

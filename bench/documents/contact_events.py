@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loop on a slippery or tilted floor, with weak drives, and under pushes.
 
-``python bench/contact_events.py`` prints a table for docs/rigid_body.md: the paper's cases on the
-plant with contact, each for 20 s.
+``python bench/documents/contact_events.py`` prints a table for docs/rigid_body.md: the paper's
+cases on the plant with contact, each for 20 s.
 """
 
 import argparse

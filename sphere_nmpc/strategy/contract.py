@@ -7,6 +7,7 @@ from typing import Protocol
 
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import Plan
 
 
@@ -49,6 +50,19 @@ class Strategy(Protocol):
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan from `situation.time` on; where it raises the loop falls back."""
+        ...
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Use other settings from the next plan on; the plan and the warm starts are kept.
+
+        Called between two plans when a parameter changes while the controller runs, never with
+        another strategy name or sample period: for those a new strategy is made.
+
+        Parameters
+        ----------
+        settings : ControllerSettings
+            All settings, changed or not.
+        """
         ...
 
     def reset(self) -> None:

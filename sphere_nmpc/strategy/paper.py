@@ -33,13 +33,25 @@ class PaperStrategy:
         Horizon N, sample period T, weights alpha and beta.
     robot : RobotParameters
         Limits of the drives.
+    input_weight_factor : float, optional
+        Factor on alpha.
     """
 
-    def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
-        self._settings = settings
+    def __init__(
+        self,
+        settings: ControllerSettings,
+        robot: RobotParameters,
+        input_weight_factor: float = 1.0,
+    ) -> None:
         self._robot = robot
-        self._solver = HoldSolver(SolverSettings(max_iterations=settings.max_iterations))
+        self._input_weight_factor = input_weight_factor
+        self.change(settings)
         self.reset()
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Use other weights, horizon and cap on iterations; the warm start is kept."""
+        self._settings = settings
+        self._solver = HoldSolver(SolverSettings(max_iterations=settings.max_iterations))
 
     def reset(self) -> None:
         """Forget the warm start and the grid of knots."""
@@ -93,6 +105,7 @@ class PaperStrategy:
 
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
         settings, limit = self._settings, self._robot.max_rotor_speed
+        input_weight = self._input_weight_factor * settings.input_weight
         durations = np.diff(times)
         upper = np.full((durations.size, INPUT_SIZE), limit)
         # The first knot is the one that is sent: it keeps the limit of acceleration exactly.
@@ -112,6 +125,6 @@ class PaperStrategy:
             input_scale=limit,
             terminal_weight=1.0,
             stage_weight=1.0 / settings.terminal_weight,
-            input_weight=settings.input_weight * limit**2 / settings.terminal_weight,
+            input_weight=input_weight * limit**2 / settings.terminal_weight,
             max_step=settings.integration_step,
         )

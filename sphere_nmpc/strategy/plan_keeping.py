@@ -11,7 +11,6 @@ strategy for high control rates and small processors.
 from dataclasses import replace
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution
@@ -22,8 +21,9 @@ from sphere_nmpc.strategy.paper import PaperStrategy
 class PlanKeepingStrategy(PaperStrategy):
     """See `sphere_nmpc.strategy.contract.Strategy`; parameters as for `PaperStrategy`."""
 
-    def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
-        super().__init__(settings, robot)
+    def change(self, settings: ControllerSettings) -> None:
+        """Use other weights, horizon and cap on iterations; the warm starts are kept."""
+        super().change(settings)
         self._solvers = plan_keeping_solvers(settings.max_iterations)
 
     def reset(self) -> None:

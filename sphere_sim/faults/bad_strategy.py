@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan
 
@@ -50,6 +51,10 @@ class BadStrategy:
             signs = np.array([[1.0, -1.0]] * 5) * np.array([[1, -1, 1, -1, 1]]).T
             return replace(plan, hold=FirstOrderHold(knots, _WILD * signs))
         return plan
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Pass the settings on."""
+        self._inner.change(settings)
 
     def reset(self) -> None:
         """Forget warm starts."""

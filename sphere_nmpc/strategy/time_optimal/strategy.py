@@ -80,20 +80,22 @@ class TimeOptimalStrategy:
     """
 
     def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
-        self._settings = settings
         self._robot = self._drives = robot
         self._gentle = dataclasses.replace(
             robot, max_rotor_acceleration=_GENTLE * robot.max_rotor_acceleration
         )
         self._period = settings.period
         self._solver = ArrivalSolver(robot, self._period, _PRECISE)
-        weight = _LOCAL_INPUT_WEIGHT * settings.input_weight
-        self._local = PaperStrategy(
-            dataclasses.replace(settings, input_weight=weight, horizon=4), robot
-        )
+        self._local = PaperStrategy(_local_settings(settings), robot, _LOCAL_INPUT_WEIGHT)
+        self._settings = settings
         self._stages = Stages()
         self._plans = 0
         self.reset()
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Use another planning effort and other weights; the plan is kept, a search goes on."""
+        self._settings = settings
+        self._local.change(_local_settings(settings))
 
     def reset(self) -> None:
         """Forget the plan; the next sample plans anew."""
@@ -287,6 +289,11 @@ class TimeOptimalStrategy:
         )
         states: Vector = situation.state[None, :]
         return Plan(status, hold, states, message=message)
+
+
+def _local_settings(settings: ControllerSettings) -> ControllerSettings:
+    """Return the settings of the paper's problem near the goal."""
+    return dataclasses.replace(settings, horizon=4)
 
 
 def _tolerated(periods_left: float) -> float:

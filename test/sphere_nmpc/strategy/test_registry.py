@@ -33,6 +33,9 @@ class ConstantSpeeds:
         hold = FirstOrderHold(times, np.vstack((situation.input_in_force, *[SPEEDS] * 3)))
         return Plan(PlanStatus.SOLVED, hold, np.tile(situation.state, (4, 1)))
 
+    def change(self, settings: ControllerSettings) -> None:
+        raise NotImplementedError
+
     def reset(self) -> None:
         pass
 

@@ -15,8 +15,10 @@ from typing import Any
 
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
-from sphere_sim.cli.exits import if_interrupted, in_words
-from sphere_sim.cli.places import prepare_folder
+from sphere_sim.cli.exits import if_interrupted
+from sphere_sim.error_text import in_words
+from sphere_sim.optional_figure import draw_or_warn
+from sphere_sim.result_folder import prepare_folder
 from sphere_sim.whole_file import write_whole
 
 _WIDE = 160
@@ -63,11 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _write(options.json, report)
     show(report, options.cases, console)
     written, picture = str(options.json), options.json.with_suffix(".png")
-    try:
-        draw(records, picture)
+    if draw_or_warn("benchmark", str(picture), lambda: draw(records, picture)):
         written += f" and {picture}"
-    except Exception as error:  # whatever a library raises, the numbers are written
-        print(f"sphere_nmpc benchmark: {picture} not drawn: {in_words(error)}", file=sys.stderr)
     console.print(f"Written: {written}", markup=False)
     return 1 if OURS in missing else 0
 

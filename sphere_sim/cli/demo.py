@@ -18,18 +18,19 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.cli.exits import if_interrupted, in_words
-from sphere_sim.cli.places import prepare_folder
+from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.comparison import compute_other
 from sphere_sim.demo.plan import DemoPlan, parse
 from sphere_sim.demo.progress_display import ProgressDisplay
 from sphere_sim.demo.summary import summarise, table
+from sphere_sim.optional_figure import draw_or_warn
 from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.side_by_side import side_by_side
 from sphere_sim.report.figures.style import save
+from sphere_sim.result_folder import prepare_folder
 from sphere_sim.ros.session.children import Children
 from sphere_sim.ros.session.demo_director import DemoDirector, directing
 from sphere_sim.ros.session.domain import own_domain
@@ -186,12 +187,10 @@ def _write_summary(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> None:
 
 
 def _draw(figure: Figure, folder: Path, name: str) -> str:
-    """Save a figure and return its file's name; empty, and told, where that is not possible."""
-    try:
-        return save(figure, folder, name)[0].name
-    except OSError as error:
-        print(f"demo: {name} not drawn: {in_words(error)}", file=sys.stderr)
-        return ""
+    """Save a figure and return its file's name; empty where that is not possible."""
+    saved: list[Path] = []
+    draw_or_warn("demo", name, lambda: saved.extend(save(figure, folder, name)))
+    return saved[0].name if saved else ""
 
 
 def _write_parameters(plan: DemoPlan) -> Path:

@@ -21,9 +21,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.cli.places import prepare_folder
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
+from sphere_sim.result_folder import prepare_folder
 from sphere_sim.ros.faults.machine import MACHINE_FAULTS, MachineFault
 from sphere_sim.ros.faults.session import SessionSettings, joined
 from sphere_sim.ros.faults.trial import Trial

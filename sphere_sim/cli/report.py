@@ -11,7 +11,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_sim.cli.places import prepare_folder
 from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
@@ -23,6 +22,7 @@ from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import describe, write_page
 from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
+from sphere_sim.result_folder import prepare_folder
 from sphere_sim.whole_file import as_text, write_whole
 
 FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {

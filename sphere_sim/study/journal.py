@@ -18,7 +18,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
-from sphere_sim.study.errors import NotWrittenError, StudyFolderError
+from sphere_sim.result_folder import ResultFolderError
+from sphere_sim.study.errors import NotWrittenError
 from sphere_sim.study.fingerprint import differences
 from sphere_sim.study.record import RunRecord
 
@@ -44,7 +45,7 @@ class Journal:
 
     Raises
     ------
-    StudyFolderError
+    ResultFolderError
         If the folder cannot be written, holds another study, or another process writes to it.
     """
 
@@ -86,12 +87,12 @@ class Journal:
             file = self._path.open("ab", buffering=0)
         except OSError as error:
             reason = f"cannot be written: {(error.strerror or str(error)).lower()}"
-            raise StudyFolderError(self._folder, reason) from None
+            raise ResultFolderError(self._folder, reason) from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             file.close()
-            raise StudyFolderError(
+            raise ResultFolderError(
                 self._folder, "another study is writing here; choose another folder"
             ) from None
         return file
@@ -99,7 +100,7 @@ class Journal:
     def _refuse_foreign_results(self) -> None:
         for name in _RESULTS:
             if (self._folder / name).exists():
-                raise StudyFolderError(
+                raise ResultFolderError(
                     self._folder, f"holds {name} of something else; choose another folder"
                 )
 
@@ -130,13 +131,13 @@ class Journal:
         except (ValueError, RecursionError):
             recorded = None
         if not isinstance(recorded, dict):
-            raise StudyFolderError(
+            raise ResultFolderError(
                 self._folder, f"{NAME}, line 1: not the settings of a study; choose another folder"
             )
         found = list(differences(recorded, fingerprint))
         if found:
             more = "" if len(found) <= 3 else f" and {len(found) - 3} more"
-            raise StudyFolderError(
+            raise ResultFolderError(
                 self._folder,
                 f"holds another study ({'; '.join(found[:3])}{more}); choose another folder",
             )

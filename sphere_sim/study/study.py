@@ -4,15 +4,15 @@
 
 import contextlib
 import json
-import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sphere_sim.optional_figure import draw_or_warn
+from sphere_sim.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.errors import StudyFolderError
 from sphere_sim.study.figure import FIGURES, draw
 from sphere_sim.study.fingerprint import fingerprint
 from sphere_sim.study.journal import NAME as JOURNAL
@@ -22,8 +22,6 @@ from sphere_sim.study.single_run import prepare
 from sphere_sim.study.summary import summarise
 from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
-
-_log = logging.getLogger("sphere_nmpc")
 
 Bounds = Callable[[Sequence[Scenario]], Sequence[float]]
 """Best known time [s] of each scenario."""
@@ -131,7 +129,7 @@ class Study:
         ours = any((folder / JOURNAL).exists() for folder in folders)
         alone = (self.folder / JOURNAL).exists()
         if alone or (not ours and (self.folder / "runs.csv").exists()):
-            raise StudyFolderError(
+            raise ResultFolderError(
                 self.folder, "holds results of something else; choose another folder"
             )
 
@@ -162,14 +160,9 @@ class Study:
     ) -> None:
         """Draw the figure of a folder, which nothing depends on."""
         about = describe(self.conditions, len(self.scenarios))
-        try:
-            draw(folder, results, {name: summaries[name] for name in results}, about)
-        except Exception as error:
-            reason = str(error) if isinstance(error, StudyFolderError) else repr(error)
-            _log.warning(
-                "sphere_nmpc study: %s has its numbers, but not all of %s: %s",
-                folder, " and ".join(FIGURES), reason,
-            )
+        shown = {name: summaries[name] for name in results}
+        files = " and ".join(str(folder / name) for name in FIGURES)
+        draw_or_warn("study", files, lambda: draw(folder, results, shown, about))
 
 
 def describe(conditions: StudyConditions, runs: int) -> str:

@@ -22,7 +22,7 @@ from sphere_sim.benchmark.race import race, set_up
 from sphere_sim.benchmark.random_problems import Comparison, compare
 from sphere_sim.benchmark.report import as_numbers
 from sphere_sim.cli.benchmark import main
-from sphere_sim.cli.places import PlaceError
+from sphere_sim.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 
@@ -154,7 +154,7 @@ def test_senseless_arguments_are_refused(wrong, tmp_path):
 def test_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
     (tmp_path / "file").write_text("")
     began = time.monotonic()
-    with pytest.raises(PlaceError, match="file"):
+    with pytest.raises(ResultFolderError, match="file"):
         main(["--json", str(tmp_path / "file" / "x.json"), "--rounds", "1000"])
     assert time.monotonic() - began < 60.0  # of hours
 
@@ -162,12 +162,12 @@ def test_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
 QUICK = ["--quick", "--cases", "3", "--duration", "2", "--budget", "1"]
 
 
-def test_picture_that_cannot_be_drawn_leaves_the_numbers(tmp_path, capsys):
+def test_picture_that_cannot_be_drawn_leaves_the_numbers(tmp_path, caplog):
     (tmp_path / "x.png").mkdir()
     assert main(["--json", str(tmp_path / "x.json"), *QUICK]) == 0
     assert "sphere_nmpc" in json.loads((tmp_path / "x.json").read_text())["solvers"]
-    (told,) = capsys.readouterr().err.splitlines()
-    assert f"{tmp_path / 'x.png'} not drawn" in told
+    (warning,) = caplog.messages
+    assert f"{tmp_path / 'x.png'} not drawn" in warning
 
 
 def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(tmp_path, monkeypatch):

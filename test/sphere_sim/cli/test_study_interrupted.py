@@ -122,4 +122,4 @@ def test_full_disk_keeps_the_runs_and_goes_on_when_there_is_room(tmp_path) -> No
     # Room for everything but the figure.
     code, told = run(10**4)
     assert code == 0 and lines(journal) == 5
-    assert any("has its numbers, but not all of figure" in line for line in told)
+    assert any("figure.png not drawn: " in line for line in told)

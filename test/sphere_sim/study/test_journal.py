@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphere_sim.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.errors import StudyFolderError
 from sphere_sim.study.fingerprint import fingerprint
 from sphere_sim.study.journal import NAME, Journal
 from sphere_sim.study.record import RunRecord
@@ -104,6 +104,6 @@ def test_runs_are_added_behind_damage(tmp_path, lines, records) -> None:
 
 @pytest.mark.parametrize("first", ["", "rubbish", "[]", "1", "{", "[" * 100_000])
 def test_journal_without_settings_is_refused_and_left(tmp_path, lines, first) -> None:
-    with pytest.raises(StudyFolderError, match=r"journal.jsonl, line 1: .* choose another folder"):
+    with pytest.raises(ResultFolderError, match=r"journal.jsonl, line 1: .* another folder"):
         opened(tmp_path, [first, *lines[1:]])
     assert len((tmp_path / NAME).read_text().splitlines()) == 5

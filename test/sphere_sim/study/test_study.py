@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_sim.result_folder import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios, read_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.errors import StudyFolderError
 from sphere_sim.study.figure import FIGURES
 from sphere_sim.study.record import RESULT_COLUMNS, TIMING_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
@@ -146,20 +146,20 @@ def test_finished_study_is_not_made_again(done, monkeypatch) -> None:
 )
 def test_other_study_in_the_folder_is_refused_and_nothing_lost(done, changes, words) -> None:
     before = {path.name: path.read_bytes() for path in done.iterdir()}
-    with pytest.raises(StudyFolderError, match=words):
+    with pytest.raises(ResultFolderError, match=words):
         make(done, **changes)
     assert before == {path.name: path.read_bytes() for path in done.iterdir()}
 
 
 def test_results_of_something_else_are_not_overwritten(tmp_path) -> None:
     (tmp_path / "runs.csv").write_text("mine")
-    with pytest.raises(StudyFolderError, match="something else"):
+    with pytest.raises(ResultFolderError, match="something else"):
         make(tmp_path)
 
 
 def test_two_studies_do_not_write_into_one_folder(tmp_path) -> None:
     def second(record: RunRecord) -> None:
-        with pytest.raises(StudyFolderError, match="another study is writing"):
+        with pytest.raises(ResultFolderError, match="another study is writing"):
             make(tmp_path)
 
     with Workers() as workers:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Folders for results, looked at before the work that fills them."""
+"""Folders for results, checked before the work whose results go there."""
 
 import tempfile
 from pathlib import Path
@@ -8,29 +8,29 @@ from pathlib import Path
 from sphere_nmpc.errors import SphereNmpcError
 
 
-class PlaceError(SphereNmpcError):
-    """A folder cannot take results.
+class ResultFolderError(SphereNmpcError):
+    """A folder cannot take results; nothing in it was changed.
 
     Parameters
     ----------
     folder : Path
         The folder.
     reason : str
-        Why not, in words.
+        Why not.
     """
 
     exit_code = 2
 
     def __init__(self, folder: Path, reason: str) -> None:
-        super().__init__(f"{folder}: {reason}; choose a folder that can be written")
+        super().__init__(f"{folder}: {reason}")
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make a folder if there is none, write a byte into it and return it.
+    """Create a folder unless it exists, write a byte into it and return it.
 
     Raises
     ------
-    PlaceError
+    ResultFolderError
         If that is not possible.
     """
     try:
@@ -39,5 +39,8 @@ def prepare_folder(folder: Path) -> Path:
             probe.write(b"0")
             probe.flush()
     except OSError as error:
-        raise PlaceError(folder, (error.strerror or str(error)).lower()) from None
+        reason = (error.strerror or str(error)).lower()
+        raise ResultFolderError(
+            folder, f"{reason}; choose a folder that can be written"
+        ) from None
     return folder

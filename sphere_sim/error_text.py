@@ -1,0 +1,51 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Text of exceptions for users, in one line."""
+
+from importlib.util import find_spec
+
+# Extra of setup.py -> import names it brings, message packages apart.
+EXTRAS = {
+    "ros": ("rclpy", "ament_index_python", "builtin_interfaces", "rcl_interfaces", "std_srvs"),
+    "record": ("rosbags", "mcap", "mcap_ros2", "ruamel", "zstandard"),
+    "sim": ("rich", "matplotlib"),
+    "study": ("dask", "distributed"),
+    "rigid": ("mujoco",),
+    "viewer": ("viser",),
+    "report": ("pyarrow",),
+}
+
+
+def in_words(error: BaseException) -> str:
+    """Return what an exception means to a user."""
+    missing = _missing_package(error)
+    if missing:
+        return _advice(missing)
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        return f"{where}{error.strerror}"
+    if isinstance(error, MemoryError):
+        return "there is not enough memory"
+    if hasattr(error, "exit_code"):
+        return str(error)
+    message = " ".join(str(error).split())
+    return f"unexpected {type(error).__name__}: {message} (--debug shows where)"
+
+
+def _missing_package(error: BaseException) -> str:
+    """Return the package that is not installed; empty for any other fault."""
+    if not isinstance(error, ModuleNotFoundError):
+        return ""
+    package = (error.name or "").partition(".")[0]
+    try:
+        return "" if find_spec(package) else package
+    except ValueError:  # hidden from the import system
+        return package
+
+
+def _advice(missing: str) -> str:
+    if missing.endswith("_msgs"):
+        missing_from = "ros"
+    else:
+        missing_from = next((e for e, names in EXTRAS.items() if missing in names), "all")
+    return f"'{missing}' is not installed; it comes with pip install 'sphere_nmpc[{missing_from}]'"

@@ -63,7 +63,7 @@ def times(asked: list[Asked]) -> tuple[list[float], list[float], int]:
     same = 0
     for problem, start, settings in asked:
         iterations = []
-        for backend, seconds in zip(("compiled", "vm"), found, strict=True):
+        for backend, seconds in zip(("compiled", "numpy"), found, strict=True):
             solver = HoldSolver(settings, backend)
             # The first builds what this size of problem needs.
             solver.solve(problem, start)

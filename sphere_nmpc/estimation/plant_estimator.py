@@ -18,8 +18,7 @@ import numpy as np
 from sphere_nmpc.estimation.unknowns import SIZE, Unknowns, noticeable
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector, nearer_sign
-from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem
+from sphere_nmpc.solver.roll_out import roll_out
 
 LEAST_NOISE = 1e-5
 """Floor of the noise [m, -]: the prediction's own error over a sample."""
@@ -83,17 +82,12 @@ class PlantEstimator:
     ----------
     nominal : LumpedConstants
         What the robot was built to: centre of the prior and start of the fit.
-    solver : HoldSolver, optional
-        Predicts; a new one by default.
     lag : float, optional
         Lag that is expected [s].
     """
 
-    def __init__(
-        self, nominal: LumpedConstants, solver: HoldSolver | None = None, lag: float = 0.0
-    ) -> None:
+    def __init__(self, nominal: LumpedConstants, lag: float = 0.0) -> None:
         self._unknowns = Unknowns(nominal, lag)
-        self._solver = HoldSolver() if solver is None else solver
         self.jumps = 0
         """Transitions left out as something else had moved the robot."""
         self.reset()
@@ -191,12 +185,8 @@ class PlantEstimator:
     def _residual(self, transition: _Transition, scale: Vector) -> Vector:
         """Return prediction minus measurement, shape (6,)."""
         durations, inputs = transition.window(self._unknowns.lag(scale))
-        bounds = np.zeros((durations.size, 2))
-        problem = HoldProblem(
-            transition.start, transition.end, inputs[0], durations,
-            self._unknowns.constants(scale), bounds, bounds, 1.0, max_step=_STEP,
-        )
-        predicted = self._solver.roll_out(problem, inputs)[-1]
+        constants = self._unknowns.constants(scale)
+        predicted = roll_out(transition.start, inputs, durations, constants, _STEP)[-1]
         difference: Vector = predicted - nearer_sign(transition.end, predicted)
         return difference
 

@@ -9,8 +9,7 @@ import numpy as np
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem
+from sphere_nmpc.solver.roll_out import roll_out
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
@@ -30,7 +29,6 @@ class SentInputs:
 
     def __init__(self) -> None:
         self._holds: deque[FirstOrderHold] = deque(maxlen=_KEPT)
-        self._solver = HoldSolver()
 
     def clear(self) -> None:
         """Forget everything; the rotors count as at rest."""
@@ -108,11 +106,9 @@ class SentInputs:
             speeds += [hold.at(t) for t in here]
         if not times:
             return state
-        durations, none = np.diff(times), np.zeros((len(times) - 1, INPUT_SIZE))
-        problem = HoldProblem(
-            state, state, speeds[0], durations, constants, none, none, 1.0, max_step=max_step
-        )
-        predicted: Vector = self._solver.roll_out(problem, np.array(speeds))[-1]
+        predicted: Vector = roll_out(
+            state, np.array(speeds), np.diff(times), constants, max_step
+        )[-1]
         return predicted
 
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:

@@ -2,27 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The solver as the rest of the package calls it: compiled where possible."""
 
-import logging
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.backend import resolve_backend
 from sphere_nmpc.solver.native.batch import BatchSolution, solve_batch_compiled
-from sphere_nmpc.solver.native.compiler import CompilerError
 from sphere_nmpc.solver.native.memory import TIME_BUDGET, Slot, library
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 
-BACKENDS = ("auto", "compiled", "vm")
 _NUMPY_SOLVER = "sphere_nmpc.solver.numpy_backend.solver"
-
-_log = logging.getLogger("sphere_nmpc")
 
 
 class HoldSolver:
@@ -33,24 +28,24 @@ class HoldSolver:
     settings : SolverSettings, optional
         When to stop.
     backend : str, optional
-        "compiled": C, built at the first use on this machine. "vm": CasADi's own machine, no
-        compiler needed, the same steps twenty to fifty times slower. "auto": the first if it
-        can be had, else the second, which is told once in one line.
+        "compiled": C, built at the first use on this machine. "numpy": NumPy and CasADi's virtual
+        machine; no compiler needed, the same steps twenty to fifty times slower. "auto": see
+        `resolve_backend`.
 
     Raises
     ------
     CompilerError
-        If "compiled" is demanded and cannot be had.
+        If "compiled" is required and the compiled solver can neither be loaded nor built.
+    InvalidParameterError
+        If `backend` is another word.
     """
 
     def __init__(self, settings: SolverSettings | None = None, backend: str = "auto") -> None:
-        if backend not in BACKENDS:
-            raise InvalidParameterError("backend", backend, "one of " + ", ".join(BACKENDS))
         self.settings = SolverSettings() if settings is None else settings
-        self.backend = _resolve(backend)
+        self.backend = resolve_backend(backend)
         self._slots = threading.local()
         # Loaded only where it is needed, and now rather than within the first solve.
-        self._numpy: Any = import_module(_NUMPY_SOLVER) if self.backend == "vm" else None
+        self._numpy: Any = import_module(_NUMPY_SOLVER) if self.backend == "numpy" else None
 
     def solve(
         self, problem: HoldProblem, start: Vector, time_budget: float | None = None
@@ -72,7 +67,7 @@ class HoldSolver:
         """
         settings = self.settings
         budget = settings.time_budget if time_budget is None else time_budget
-        if self.backend == "vm":
+        if self.backend == "numpy":
             limited = replace(settings, time_budget=budget)
             answer: HoldSolution = self._numpy.minimise(problem, start, limited)
             return answer
@@ -82,17 +77,6 @@ class HoldSolver:
         slot.start[:] = start
         library().hold_solve(slot.address)
         return slot.read()
-
-    def roll_out(self, problem: HoldProblem, inputs: Vector) -> Vector:
-        """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, (N + 1, 2)."""
-        if self.backend == "vm":
-            states: Vector = self._numpy.roll_out(problem, inputs)
-            return states
-        slot = self._slot(problem.durations.size)
-        slot.write(problem)
-        slot.inputs[:] = inputs
-        library().hold_roll_out(slot.address)
-        return slot.states.copy()
 
     def solve_batch(
         self,
@@ -130,7 +114,7 @@ class HoldSolver:
             raise InvalidInputError(
                 f"batch: given {len(many)} problems and {count} starts, expected as many"
             )
-        if self.backend == "vm":
+        if self.backend == "numpy":
             answers: BatchSolution = self._numpy.solve_batch(
                 many, guesses, self.settings, stop_at_first, time_budget
             )
@@ -175,29 +159,3 @@ def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | f
         "states": found.states,
         "sensitivities": sensitivities / problem.input_scale,
     }
-
-
-def _resolve(backend: str) -> str:
-    if backend == "vm":
-        return backend
-    refusal = _refusal()
-    if refusal is None:
-        return "compiled"
-    if backend == "compiled":
-        raise refusal
-    return "vm"
-
-
-@cache
-def _refusal() -> CompilerError | None:
-    """Return why there is no compiled solver, None where there is one; asked and told once."""
-    try:
-        library()
-    except CompilerError as problem:
-        _log.warning(
-            "sphere_nmpc: %s. The solver runs on CasADi's virtual machine, with the same results "
-            "but a solve takes twenty to fifty times as long; to cure this, %s",
-            problem.cause, problem.cure,
-        )
-        return problem
-    return None

@@ -10,6 +10,7 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.benchmark.contender import HORIZON, LIMIT, paper_problem
 from sphere_sim.benchmark.nlp_peers import CasadiSolver
 from sphere_sim.scenario.scenarios import draw_scenarios
@@ -74,7 +75,7 @@ def compare(peer: CasadiSolver, number: int, seed: int, comparison: Comparison) 
         starts[0] = 0.0
         parameters = np.concatenate((state, scenario.goal, in_force))
         v, _ = peer.minimise(np.zeros(2 * HORIZON), parameters)
-        comparison.ipopt.append(_cost(solver, problem, np.clip(v, -1.0, 1.0)))
+        comparison.ipopt.append(_cost(problem, np.clip(v, -1.0, 1.0)))
         alone = solver.solve(problem, starts[0])
         comparison.ours.append(alone.cost)
         comparison.ours_s.append(alone.solve_time)
@@ -84,9 +85,12 @@ def compare(peer: CasadiSolver, number: int, seed: int, comparison: Comparison) 
         yield
 
 
-def _cost(solver: HoldSolver, problem: HoldProblem, v: Vector) -> float:
+def _cost(problem: HoldProblem, v: Vector) -> float:
     """Return the cost of a peer's knots as this project computes it."""
     inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, 2)))
-    miss = solver.roll_out(problem, inputs)[1:] - problem.goal
+    states = roll_out(
+        problem.state, inputs, problem.durations, problem.constants, problem.max_step
+    )
+    miss = states[1:] - problem.goal
     stages = problem.stage_weight * float(np.sum(miss[:-1] ** 2))
     return float(miss[-1] @ miss[-1]) + stages + problem.input_weight * float(v @ v)

@@ -111,12 +111,6 @@ void hold_solve(hold *p)
     solve(p, 0, 0);
 }
 
-/* States at the knots of `inputs`. */
-void hold_roll_out(hold *p)
-{
-    roll_out(p, p->inputs, p->states);
-}
-
 /* For tests: cost, gradient (2 N), Hessian (2 N x 2 N) and sensitivities ((N + 1) x 6 x 2 N, by
  * scaled inputs) at the start. */
 void hold_expand(hold *p, double *gradient, double *hessian, double *sensitivities)

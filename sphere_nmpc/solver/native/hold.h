@@ -80,13 +80,16 @@ static int64_t steps_for(double duration, double max_step)
     return steps > 1.0 ? (int64_t)steps : 1;
 }
 
-static void roll_out(const hold *p, const double *inputs, double *states)
+/* States at the knots of `inputs`, (N + 1) x 2 [rad/s], from `state` on: (N + 1) x 6. */
+void hold_roll_out(int64_t intervals, double max_step, const double *constants,
+                   const double *durations, const double *state, const double *inputs,
+                   double *states)
 {
-    memcpy(states, p->state, sizeof p->state);
-    for (int64_t m = 0; m < p->intervals; m++) {
+    memcpy(states, state, 6 * sizeof *states);
+    for (int64_t m = 0; m < intervals; m++) {
         const double *u = inputs + 2 * m, *x = states + 6 * m;
-        const int64_t steps = steps_for(p->durations[m], p->max_step);
-        const double h = p->durations[m] / (double)steps;
+        const int64_t steps = steps_for(durations[m], max_step);
+        const double h = durations[m] / (double)steps;
         const double slope[2] = {u[2] - u[0], u[3] - u[1]};
         double xy[2] = {x[0], x[1]}, q[4] = {x[2], x[3], x[4], x[5]};
         for (int64_t i = 0; i < steps; i++) {
@@ -94,7 +97,7 @@ static void roll_out(const hold *p, const double *inputs, double *states)
             const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
             const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
             double moved[2], q_end[4];
-            nominal_step(q, here, there, h, p->constants, moved, q_end);
+            nominal_step(q, here, there, h, constants, moved, q_end);
             xy[0] += moved[0];
             xy[1] += moved[1];
             memcpy(q, q_end, sizeof q);

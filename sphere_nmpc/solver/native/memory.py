@@ -54,7 +54,7 @@ def library() -> ctypes.CDLL:
     address, count = ctypes.c_void_p, ctypes.c_int64
     for name, arguments in {
         "hold_solve": [address],
-        "hold_roll_out": [address],
+        "hold_roll_out": [count, ctypes.c_double, *[address] * 5],
         "hold_expand": [address] * 4,
         "hold_solve_many": [address, count, address, count, ctypes.c_double, address],
     }.items():

@@ -8,18 +8,13 @@ tridiagonal matrix. A miss has five components: x, y and the three independent o
 quaternion.
 """
 
-import threading
-from typing import Any
-
 import numpy as np
 
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.numpy_backend.padding import padded
+from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.solver.numpy_backend.horizon import Horizon
 from sphere_nmpc.solver.numpy_backend.quadratic_model import DenseModel, LowRankModel
-from sphere_nmpc.solver.numpy_backend.shooting import COLUMN, LEVER, shooting_function
 from sphere_nmpc.solver.problem import HoldProblem
 
-_MEMORY = threading.local()
 _MISS = 5
 _DIAGONAL = np.arange(_MISS)
 
@@ -38,27 +33,9 @@ class VectorObjective:
         n = problem.intervals
         self.lower: Vector = (problem.lower.T / problem.input_scale).ravel()
         self.upper: Vector = (problem.upper.T / problem.input_scale).ravel()
-        counts = np.maximum(1.0, np.ceil(problem.durations / problem.max_step - 1e-6))
-        steps = counts.astype(np.int64)
-        ends = np.cumsum(steps)
-        self._begins, self._last = ends - steps, ends - 1
-        self._interval = np.repeat(np.arange(n), steps)
-        self._steps = int(ends[-1])
-        self._shooting = _shooting_of(padded(self._steps))
-        radius, c1, r1, r3 = problem.constants
-        place = np.arange(self._steps) - self._begins[self._interval]
-        share = place / counts[self._interval]
-        share_end = (place + 1.0) / counts[self._interval]
-        columns = self._shooting.columns
-        columns[:] = 0.0
-        self._columns = columns[: self._steps]
-        self._columns[:, 4] = (problem.durations / counts)[self._interval]
-        self._columns[:, 5:8] = r1, r3, radius
-        self._columns[:, 8], self._columns[:, 9] = share, share_end
-        # Where the knots of each step are among all numbers of all knots.
-        self._ends_of_step = 2 * self._interval[:, None] + np.arange(4)
+        self._horizon = Horizon(problem.durations, problem.constants, problem.max_step)
         self._is_dense = problem.stage_weight > 0.0 or not problem.terminal_weight > 0.0
-        self._columns[self._last if self._is_dense else -1, 10] = 1.0
+        self._horizon.columns[self._horizon.last if self._is_dense else -1, 10] = 1.0
         # x and y, and the part of a quaternion's miss m along e (x) q, which is -(e (x) m) . goal.
         w, i, j, k = problem.goal[QUATERNION].tolist()
         self._to_residual = np.zeros((6, _MISS))
@@ -66,8 +43,8 @@ class VectorObjective:
         self._to_residual[2:, 2:] = ((-i, -j, -k), (w, k, -j), (-k, w, i), (j, -i, w))
         self._knots: Vector = np.empty((n + 1, 2))
         self._knots[0] = problem.input_in_force
-        self._to_free = -c1
-        self._by_input = -c1 * problem.input_scale * np.array([1.0, 1.0, 0.5, 0.5, 0.5])
+        to_free = -problem.constants[1]
+        self._by_input = to_free * problem.input_scale * np.array([1.0, 1.0, 0.5, 0.5, 0.5])
         self._reach = problem.max_acceleration * problem.durations
 
     def scaled(self, inputs: Vector) -> Vector:
@@ -85,7 +62,7 @@ class VectorObjective:
         """Return the cost and the states, shape (N + 1, 6)."""
         problem, knots = self._problem, self._knots
         knots[1:] = problem.input_scale * v.reshape(2, -1).T
-        states = self.states(knots)
+        states = self._horizon.states(problem.state, knots)
         misses = states[1:] - problem.goal
         self._misses = misses
         value = problem.terminal_weight * float(misses[-1] @ misses[-1])
@@ -98,19 +75,6 @@ class VectorObjective:
             self._excess = excess / problem.input_scale
             value += problem.slew_weight * float(np.vdot(self._excess, self._excess))
         return value, states
-
-    def states(self, inputs: Vector) -> Vector:
-        """Return the states at the knots, (N + 1, 6), under knots `inputs` [rad/s], (N + 1, 2)."""
-        problem, shooting = self._problem, self._shooting
-        self._columns[:, :4] = (self._to_free * inputs).take(self._ends_of_step)
-        shooting.q[:] = problem.state[QUATERNION]
-        shooting.run()
-        states: Vector = np.empty((problem.intervals + 1, 6))
-        states[0] = problem.state
-        way = shooting.moved.cumsum(axis=1)[:, self._last]
-        states[1:, POSITION] = way.T + problem.state[POSITION]
-        states[1:, QUATERNION] = shooting.q_end[self._last]
-        return states
 
     def expand(self, v: Vector) -> DenseModel | LowRankModel:
         """Return the Gauss-Newton model of the cost where it was evaluated last, which is v."""
@@ -127,8 +91,9 @@ class VectorObjective:
             stiff += weight
             stiff[:, :-1] += weight[:, 1:]
             couple[:, 1:] = -weight[:, 1:]
-        local = self._shooting.by_knots[:, : self._steps]
-        local = np.add.reduceat(local, self._begins, axis=1).reshape(_MISS, 4, n)
+        horizon = self._horizon
+        local = horizon.shooting.by_knots[:, : horizon.steps]
+        local = np.add.reduceat(local, horizon.begins, axis=1).reshape(_MISS, 4, n)
         local *= self._by_input[:, None, None]
         if self._is_dense:
             rows, residual = self._all_rows(local)
@@ -150,7 +115,7 @@ class VectorObjective:
     def _all_rows(self, local: Vector) -> tuple[Vector, Vector]:
         """Return Jacobian (5 N, 2 N) and residual (5 N,) of all states, with their weights."""
         problem, n = self._problem, self._problem.intervals
-        lever = self._shooting.levers[:, self._begins]
+        lever = self._horizon.shooting.levers[:, self._horizon.begins]
         through = np.zeros((n, _MISS, _MISS))
         through[:, _DIAGONAL, _DIAGONAL] = 1.0
         by_turn = lever[:10].reshape(_MISS, 2, n).transpose(2, 0, 1)
@@ -167,27 +132,3 @@ class VectorObjective:
         weights[-1] = (2.0 * problem.terminal_weight) ** 0.5
         residual = weights * (self._misses @ self._to_residual)
         return (weights[:, :, None] * chained).reshape(-1, 2 * n), residual.ravel()
-
-
-class _Shooting:
-    """The shooting of a number of steps with memory of its own; for one thread."""
-
-    def __init__(self, steps: int) -> None:
-        self.q, self.columns = np.zeros(4), np.zeros((steps, COLUMN))
-        self.q_end, self.moved = np.zeros((steps, 4)), np.zeros((2, steps))
-        self.by_knots, self.levers = np.zeros((4 * _MISS, steps)), np.zeros((LEVER, steps))
-        # Memory is handed over once: converting arguments would take longer than many steps.
-        self._buffer: Any
-        self._buffer, self.run = shooting_function(steps).buffer()
-        for i, given in enumerate((self.q, self.columns)):
-            self._buffer.set_arg(i, given.data)
-        for i, result in enumerate((self.q_end, self.moved, self.by_knots, self.levers)):
-            self._buffer.set_res(i, result.data)
-
-
-def _shooting_of(steps: int) -> _Shooting:
-    kept: dict[Any, Any] = _MEMORY.__dict__
-    if steps not in kept:
-        kept[steps] = _Shooting(steps)
-    found: _Shooting = kept[steps]
-    return found

@@ -30,6 +30,9 @@ LEVER = 12
 """Derivatives of [ex, ey, ez, x, y] at an end, each by ex and by ey of the step before, and the
 way to there [x, y]."""
 
+BY_KNOTS = 20
+"""Derivatives of [x, y, ex, ey, ez] at the end, each by U_x, U_y at the first and second knot."""
+
 _OF_ATTITUDE = [0, 1, 2, 3, 4, 5, 6, 8, 9]
 _UNIT_LEVER = (1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0)
 _TINY = 1e-30
@@ -45,9 +48,9 @@ def shooting_function(steps: int) -> ca.Function:
 
     Parameters are q (4,) and columns (`COLUMN`, S). Results have one row a step: the quaternion at
     its end (4, S), transposed; the way of the centre (S, 2) [m; world frame]; the derivatives
-    (S, 20) of [x, y, ex, ey, ez] at the end of the horizon by U_x, U_y at the first and at the
-    second knot, those of x first; and the lever (S, `LEVER`) from its start to that end. The end
-    of the horizon is that of the last step, or of the next one that is marked.
+    (S, `BY_KNOTS`) of [x, y, ex, ey, ez] at the end of the horizon by U_x, U_y at the first and at
+    the second knot, those of x first; and the lever (S, `LEVER`) from its start to that end. The
+    end of the horizon is that of the last step, or of the next one that is marked.
     """
     backwards = list(range(steps - 1, -1, -1))
     q, columns = ca.MX.sym("q", 4), ca.MX.sym("columns", COLUMN, steps)

@@ -14,15 +14,9 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.batch import BatchSolution
 from sphere_nmpc.solver.numpy_backend.levenberg_marquardt import minimise
-from sphere_nmpc.solver.numpy_backend.objective import VectorObjective
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 
-__all__ = ["minimise", "roll_out", "solve_batch"]
-
-
-def roll_out(problem: HoldProblem, inputs: Vector) -> Vector:
-    """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, (N + 1, 2)."""
-    return VectorObjective(problem).states(inputs)
+__all__ = ["minimise", "solve_batch"]
 
 
 def solve_batch(

@@ -7,7 +7,7 @@ from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
 
-BACKENDS = ("compiled", "vm")
+BACKENDS = ("compiled", "numpy")
 EASY = 1e-6  # a target that some of the starts reach and others do not
 
 

@@ -12,7 +12,7 @@ from sphere_nmpc.solver.numpy_backend.levenberg_marquardt import rest_start
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
 from sphere_nmpc.solver.reference.objective import cost, expand
 
-BACKENDS = ("compiled", "vm")
+BACKENDS = ("compiled", "numpy")
 
 
 def random_start(problem, seed=1):

@@ -19,6 +19,7 @@ import os, random, signal, sys, threading, time
 import numpy as np
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.numpy_backend.horizon import roll_out
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 
 handled = seen = 0
@@ -34,13 +35,14 @@ problem = HoldProblem(
     np.full(n, 0.5), RobotParameters().lumped.as_array(), np.full((n, 2), -100.0),
     np.full((n, 2), 100.0), 100.0, input_weight=1e-12, slew_weight=10.0, max_acceleration=400.0,
 )
-solver = HoldSolver(SolverSettings(max_iterations=5), "vm")
+solver = HoldSolver(SolverSettings(max_iterations=5), "numpy")
 rng = np.random.default_rng(0)
 solver.solve(problem, np.zeros((n, 2)))
 
 def work():
     solver.solve(problem, rng.uniform(-100.0, 100.0, (n, 2)))
-    solver.roll_out(problem, rng.uniform(-100.0, 100.0, (n + 1, 2)))
+    inputs = rng.uniform(-100.0, 100.0, (n + 1, 2))
+    roll_out(problem.state, inputs, problem.durations, problem.constants, 0.1)
 
 def send():
     for _ in range(100):

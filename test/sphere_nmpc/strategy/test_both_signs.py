@@ -7,6 +7,7 @@ import pytest
 
 from sphere_nmpc.model.state import flipped_sign
 from sphere_nmpc.solver.problem import SolveStatus
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
 
 REST = (np.zeros((4, 2)), np.zeros((4, 2)))
@@ -66,7 +67,8 @@ def test_plan_in_hand_is_kept(solvers, make_problem):
     """A plan that arrives is carried out, not traded for one of less effort and later arrival."""
     problem = make_problem("paper", 2, unequal=False)
     start = np.random.default_rng(0).uniform(-80.0, 80.0, (4, 2))
-    end = solvers[0].roll_out(problem, np.vstack((problem.input_in_force, start)))[-1]
+    inputs = np.vstack((problem.input_in_force, start))
+    end = roll_out(problem.state, inputs, problem.durations, problem.constants)[-1]
     kept = solvers[0].solve(replace(problem, goal=end), start)
     assert np.max(np.abs(kept.inputs[1:] - start)) < 5.0
     assert np.linalg.norm(kept.states[-1] - end) < 1e-2

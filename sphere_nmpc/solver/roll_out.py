@@ -1,0 +1,90 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Prediction of the states under a first-order hold, by the solver's own integrator."""
+
+import threading
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.backend import resolve_backend
+from sphere_nmpc.solver.native.memory import library
+
+_WORKSPACES = threading.local()
+
+_RollOut = Callable[[Vector, Vector, Vector, Vector, float], Vector]
+
+
+def roll_out(
+    state: Vector,
+    inputs: Vector,
+    durations: Vector,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> Vector:
+    """Return the states at the knots of a first-order hold; safe to call from several threads.
+
+    Compiled where possible, otherwise on NumPy; see `sphere_nmpc.solver.backend`.
+
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+        x_0, the state at the first knot.
+    inputs : ndarray, shape (N + 1, 2)
+        Rotor speeds u_0 ... u_N at the knots [rad/s].
+    durations : ndarray, shape (N,)
+        Interval lengths h_1 ... h_N [s]; 0 for a jump of the speeds.
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    max_step : float, optional
+        Longest integration step [s].
+
+    Returns
+    -------
+    ndarray, shape (N + 1, 6)
+        x_0 ... x_N.
+    """
+    return _chosen()(state, inputs, durations, constants, max_step)
+
+
+@cache
+def _chosen() -> _RollOut:
+    if resolve_backend("auto") == "compiled":
+        return roll_out_compiled
+    # Imported only where it is needed: SciPy takes a third of a node's start.
+    on_numpy: _RollOut = import_module("sphere_nmpc.solver.numpy_backend.horizon").roll_out
+    return on_numpy
+
+
+def roll_out_compiled(
+    state: Vector, inputs: Vector, durations: Vector, constants: Vector, max_step: float
+) -> Vector:
+    """Predict in C; see `roll_out`."""
+    n = durations.size
+    kept: dict[Any, Any] = _WORKSPACES.__dict__
+    workspace: _Workspace | None = kept.get(n)
+    if workspace is None:
+        workspace = kept[n] = _Workspace(n)
+    workspace.constants[:] = constants
+    workspace.durations[:] = durations
+    workspace.state[:] = state
+    workspace.inputs[:] = inputs
+    library().hold_roll_out(n, max_step, *workspace.addresses)
+    return workspace.states.copy()
+
+
+class _Workspace:
+    """Arguments and result of a roll-out over N intervals, at addresses that are kept."""
+
+    def __init__(self, intervals: int) -> None:
+        n = intervals
+        self.constants, self.durations = np.empty(4), np.empty(n)
+        self.state, self.inputs = np.empty(6), np.empty((n + 1, 2))
+        self.states = np.empty((n + 1, 6))
+        arrays = (self.constants, self.durations, self.state, self.inputs, self.states)
+        self.addresses = [array.ctypes.data for array in arrays]

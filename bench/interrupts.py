@@ -26,7 +26,7 @@ from typing import Any
 import psutil
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 
 STARTED = 0.3
 """Earliest moment of a signal [s]; on an idle machine the interpreter is up after 0.1 s."""

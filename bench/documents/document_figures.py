@@ -16,7 +16,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.contact_locus import contact_locus
 from sphere_sim.report.figures.paper_panels import paper_panels

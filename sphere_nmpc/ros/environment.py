@@ -1,10 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the environment tells ROS, looked at before ROS reads it.
+"""Checks of the environment variables that ROS reads, before ROS reads them.
 
-ROS and Fast DDS meet a variable that they cannot use with an error of a library, with the end of
-the process, or by going on without it, as with settings that should have kept a node on this
-machine.
+For a value that they cannot use, ROS and Fast DDS raise an error of an inner library, abort the
+process, or ignore the variable, even one that should have restricted a node to this machine.
 """
 
 import os
@@ -21,21 +20,21 @@ from sphere_nmpc.ros.loopback import PROFILE_VARIABLES
 DOMAIN = "ROS_DOMAIN_ID"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 _HIGHEST_DOMAIN = 232
-"""The ports of Fast DDS end there."""
-_LOGS = "ROS_LOG_DIR"
+"""Largest domain id for which the port numbers of DDS are valid."""
+_LOG_FOLDER = "ROS_LOG_DIR"
 
 
 class RosEnvironmentError(SphereNmpcError):
-    """A variable of the environment is not what ROS can use.
+    """Environment variable with a value that ROS cannot use.
 
     Parameters
     ----------
     name : str
-        The variable.
+        Name of the variable.
     given : str
         Its value.
     expected : str
-        What would have been accepted, in words.
+        Description of the accepted values.
     """
 
     exit_code = 2
@@ -50,9 +49,9 @@ def check_environment(environment: Mapping[str, str] = os.environ) -> None:
     Raises
     ------
     RosEnvironmentError
-        Naming the variable.
+        If a variable has a value that ROS cannot use.
     """
-    domain_of(environment)
+    domain_id(environment)
     for name in PROFILE_VARIABLES:
         if path := environment.get(name):
             _check_profiles(name, path)
@@ -61,39 +60,39 @@ def check_environment(environment: Mapping[str, str] = os.environ) -> None:
             socket.getaddrinfo(peer or None, 0)
         except (OSError, UnicodeError):
             raise RosEnvironmentError(
-                "ROS_STATIC_PEERS", peer, "names or addresses of machines with ; between them"
+                "ROS_STATIC_PEERS", peer, "names or addresses of machines, separated by ;"
             ) from None
-    chosen = environment.get(_LOGS)
-    if chosen and not _can_be_written(Path(chosen).expanduser()):
-        raise RosEnvironmentError(_LOGS, chosen, "a folder that can be made and written")
+    chosen = environment.get(_LOG_FOLDER)
+    if chosen and not _is_writable(Path(chosen).expanduser()):
+        raise RosEnvironmentError(_LOG_FOLDER, chosen, "a folder that can be created and written")
 
 
-def domain_of(environment: Mapping[str, str] = os.environ) -> int | None:
-    """Return the domain that the environment asks for, None where it asks for none.
+def domain_id(environment: Mapping[str, str] = os.environ) -> int | None:
+    """Return the ROS domain id that the environment sets; None where it sets none.
 
     Raises
     ------
     RosEnvironmentError
-        If it is no domain.
+        If the value is not a valid domain id.
     """
     given = environment.get(DOMAIN)
     if not given:
         return None
-    # ROS would take a leading 0 for octal, and a sign for a very high number.
+    # ROS would read a leading 0 as octal, and a negative number as a very large one.
     if not re.fullmatch(r"0|[1-9][0-9]{0,2}", given) or int(given) > _HIGHEST_DOMAIN:
         raise RosEnvironmentError(DOMAIN, given, f"a whole number from 0 to {_HIGHEST_DOMAIN}")
     return int(given)
 
 
 def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
-    """Raise if the middleware that is asked for is not installed; rclpy must not be loaded yet.
+    """Raise if the selected middleware is not installed; call it before rclpy is imported.
 
-    Loading it with another middleware than it was built for ends the process.
+    Importing rclpy with a middleware that is not there aborts the process.
 
     Raises
     ------
     RosEnvironmentError
-        With the names of those that are installed.
+        If it is not installed; the message names those that are.
     """
     given = environment.get(_MIDDLEWARE)
     if not given:
@@ -101,30 +100,30 @@ def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
     prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     index = Path("share/ament_index/resource_index/rmw_typesupport")
     folders = [folder for prefix in prefixes if (folder := Path(prefix) / index).is_dir()]
-    there = {entry.name for folder in folders for entry in folder.iterdir()}
-    there.discard("rmw_implementation")  # which only chooses one of the others
-    if there and given not in there:
-        raise RosEnvironmentError(_MIDDLEWARE, given, " or ".join(sorted(there)))
+    installed = {entry.name for folder in folders for entry in folder.iterdir()}
+    installed.discard("rmw_implementation")  # only selects one of the others
+    if installed and given not in installed:
+        raise RosEnvironmentError(_MIDDLEWARE, given, " or ".join(sorted(installed)))
 
 
-def missing_log_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the folder in which ROS cannot keep a log although nobody chose it; None if it can.
+def unwritable_log_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Return ROS's default log folder if it cannot be written; None if it can.
 
-    A folder of the user's own choice is for `check_environment`.
+    Returns None for a folder that the user has set; `check_environment` checks that one.
     """
-    if environment.get(_LOGS):
+    if environment.get(_LOG_FOLDER):
         return None
     home = environment.get("ROS_HOME")
     try:
         folder = (Path(home).expanduser() if home else Path.home() / ".ros") / "log"
-    except RuntimeError:  # this user has no home
+    except RuntimeError:  # this user has no home folder
         return Path("~/.ros/log")
-    # ROS itself looks at nothing but the variable.
-    has_place = bool(home or environment.get("HOME"))
-    return None if has_place and _can_be_written(folder) else folder
+    # ROS itself reads the variables only, not the user database.
+    has_home = bool(home or environment.get("HOME"))
+    return None if has_home and _is_writable(folder) else folder
 
 
-def _can_be_written(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -22,9 +22,9 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.joining import join, one_line
-from sphere_nmpc.ros.loopback import audience
+from sphere_nmpc.ros.loopback import network_reach
 from sphere_nmpc.ros.scheduling import refusal, schedule
+from sphere_nmpc.ros.startup import one_line, start_ros
 
 _LOOK_UP = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
@@ -85,7 +85,7 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
         print(f"{own[0]}: not understood; parameters are given as\n{_HOW_TO}", file=sys.stderr)
         return 2
     try:
-        join([*given, *_OWN_CLOCK])
+        start_ros([*given, *_OWN_CLOCK])
     except SphereNmpcError as error:
         print(f"cannot start: {error}", file=sys.stderr)
         return error.exit_code
@@ -115,7 +115,7 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
             # The other one knows no guard conditions; it looks up often enough.
             stop.wake = node.create_guard_condition(lambda: None).trigger
         executor.add_node(node)
-        node.get_logger().info(audience())
+        node.get_logger().info(network_reach())
         try:
             priority = 0
             while not stop.requested:

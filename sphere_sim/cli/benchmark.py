@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.library_threads import ONE_EACH
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.error_text import in_words
 from sphere_sim.optional_figure import draw_or_warn
 from sphere_sim.result_folder import prepare_folder
-from sphere_sim.whole_file import write_whole
 
 _WIDE = 160
 
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _write(path: Path, report: dict[str, Any]) -> None:
-    write_whole(path, json.dumps(report, indent=2) + "\n")
+    write_atomically(path, json.dumps(report, indent=2) + "\n")
 
 
 def _keep(path: Path, report: dict[str, Any]) -> str:

@@ -18,15 +18,16 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.comparison import compute_other
 from sphere_sim.demo.plan import DemoPlan, parse
 from sphere_sim.demo.progress_display import ProgressDisplay
 from sphere_sim.demo.summary import summarise, table
 from sphere_sim.optional_figure import draw_or_warn
-from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.side_by_side import side_by_side
 from sphere_sim.report.figures.style import save
@@ -34,7 +35,6 @@ from sphere_sim.result_folder import prepare_folder
 from sphere_sim.ros.session.children import Children
 from sphere_sim.ros.session.demo_director import DemoDirector, directing
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.whole_file import write_whole
 
 _READY_TIMEOUT = 45.0
 """How long the nodes may take to come together [s]; a busy machine needs some ten."""
@@ -183,7 +183,7 @@ def _conclude(plan: DemoPlan, arrived: bool, console: Console) -> int:
 
 def _write_summary(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> None:
     summary = json.dumps(summarise(plan, arrived, runs), indent=2)
-    write_whole(plan.folder / "summary.json", summary + "\n")
+    write_atomically(plan.folder / "summary.json", summary + "\n")
 
 
 def _draw(figure: Figure, folder: Path, name: str) -> str:

@@ -11,9 +11,11 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_sim.recording.bag import read_run
+from sphere_sim.atomic_write import write_atomically
+from sphere_sim.printable_path import printable
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison
@@ -23,7 +25,6 @@ from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import describe, write_page
 from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
 from sphere_sim.result_folder import prepare_folder
-from sphere_sim.whole_file import as_text, write_whole
 
 FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
     "panels": (
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell(run)
     # With one run the files have the plain names that scripts and documents rely on.
     prefixes = [f"{name}_" for name in names] if len(runs) > 1 else [""]
-    print(f"report in {as_text(str(_write(runs, prefixes, given)))}")
+    print(f"report in {printable(_write(runs, prefixes, given))}")
     return 0
 
 
@@ -115,7 +116,7 @@ def _write(runs: Sequence[Run], prefixes: Sequence[str], given: argparse.Namespa
     """Write numbers before pictures, and what is largest and least needed last."""
     out: Path = given.out
     summary = {run.name: _summary(run) for run in runs}
-    write_whole(out / "summary.json", json.dumps(summary, indent=2) + "\n")
+    write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
     for run, prefix in zip(runs, prefixes, strict=True):
         _write_tables(run, given, prefix)
     figures: list[tuple[str, str, Path]] = []
@@ -147,4 +148,4 @@ def _summary(run: Run) -> dict[str, object]:
     values = {} if metrics is None else dataclasses.asdict(metrics)
     # JSON has no nan, the one number that differs from itself.
     finite = {key: value if value == value else None for key, value in values.items()}
-    return {"bag": as_text(str(run.path)), "metrics": finite, "notes": list(run.notes)}
+    return {"bag": printable(run.path), "metrics": finite, "notes": list(run.notes)}

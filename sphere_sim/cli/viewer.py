@@ -55,7 +55,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _replay(bag: Path, namespace: str | None, port: int) -> int:
-    from sphere_sim.recording.bag import read_run
+    from sphere_sim.recording.run_reader import read_run
     from sphere_sim.viewer.replay import Replay
     from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 

@@ -16,9 +16,9 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from sphere_nmpc import __version__
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.recording.errors import BagError
-from sphere_sim.recording.mcap_file import McapFile
-from sphere_sim.whole_file import write_whole
+from sphere_sim.recording.mcap_writer import McapWriter
 
 METADATA = "metadata.yaml"
 _LIBRARY = f"sphere_nmpc {__version__}"
@@ -67,7 +67,7 @@ class BagWriter:
                 reason = f"cannot be created: {error.strerror}"
             raise BagError(folder, reason) from error
         try:
-            self._file = McapFile(folder / f"{folder.name}_0.mcap", _LIBRARY)
+            self._file = McapWriter(folder / f"{folder.name}_0.mcap", _LIBRARY)
             try:
                 self.commit()
             except BagError:
@@ -157,7 +157,7 @@ class BagWriter:
         self._file.commit({"rosbag2": {"serialized_metadata": information}})
         indented = textwrap.indent(information, "  ")
         try:
-            write_whole(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
+            write_atomically(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
         except OSError as error:
             raise BagError(self.folder, f"cannot be written: {error.strerror}") from error
 

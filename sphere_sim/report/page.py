@@ -9,9 +9,9 @@ from html import escape
 from pathlib import Path
 
 from sphere_nmpc import __version__
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.evaluation.metrics import Metrics
 from sphere_sim.recording.run import Run
-from sphere_sim.whole_file import write_whole
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
@@ -49,7 +49,7 @@ def write_page(
         parts.append(_figure(words, file))
     parts.append(f'<p class="note">Made by sphere_nmpc {escape(__version__)}.</p>')
     body = "\n".join(parts)
-    write_whole(
+    write_atomically(
         path,
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.model.state import STATE_NAMES, Vector
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.evaluation.metrics import angle_errors, position_errors, state_errors
 from sphere_sim.recording.run import Run
-from sphere_sim.whole_file import write_whole
 
 
 def motion_table(run: Run) -> dict[str, Vector]:
@@ -53,7 +53,7 @@ def write_csv(table: dict[str, Vector], path: Path) -> None:
     rows = np.column_stack(list(table.values()))
     text = io.StringIO()
     np.savetxt(text, rows, fmt="%.17g", delimiter=",", header=",".join(table), comments="")
-    write_whole(path, text.getvalue())
+    write_atomically(path, text.getvalue())
 
 
 def write_parquet(table: dict[str, Vector], path: Path) -> None:
@@ -64,7 +64,7 @@ def write_parquet(table: dict[str, Vector], path: Path) -> None:
 
     packed = io.BytesIO()
     pq.write_table(pa.table(table), packed)
-    write_whole(path, packed.getvalue())
+    write_atomically(path, packed.getvalue())
 
 
 def _at(times: Vector, sampled: Vector, values: Vector) -> Vector:

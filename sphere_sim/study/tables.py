@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.errors import NotWrittenError
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord, Value
-from sphere_sim.whole_file import write_whole
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> None:
@@ -26,7 +26,7 @@ def replace_file(path: Path, content: bytes | memoryview) -> None:
         Naming the file and the reason.
     """
     try:
-        write_whole(path, content)
+        write_atomically(path, content)
     except OSError as error:
         raise NotWrittenError(path, error) from None
 

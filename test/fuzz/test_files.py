@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_rows
 
 HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_sim.atomic_write import write_atomically
 from sphere_sim.evaluation.metrics import (
     angle_errors,
     position_errors,
@@ -19,7 +20,6 @@ from sphere_sim.evaluation.metrics import (
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.floor_view import Camera, paint_ball
 from sphere_sim.report.figures.style import BLUE, GREY, VERMILION
-from sphere_sim.whole_file import write_whole
 
 _SIZE = (640, 300)
 _OVERSAMPLING = 2
@@ -71,7 +71,7 @@ def write_animation(run: Run, path: Path, until: float | None = None) -> Path:
         packed, "GIF", save_all=True, append_images=paletted[1:], duration=milliseconds, loop=0,
         optimize=True,
     )
-    write_whole(path, packed.getvalue())
+    write_atomically(path, packed.getvalue())
     return path
 
 

@@ -16,7 +16,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sphere_sim.whole_file import write_whole
+from sphere_sim.atomic_write import write_atomically
 
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 ORANGE, SKY, YELLOW, BLACK, GREY = "#E69F00", "#56B4E9", "#F0E442", "#000000", "#777777"
@@ -81,7 +81,7 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
             figure.savefig(drawn, format=kind, metadata=dated)
         # The same in all formats, and found once: it takes as long as drawing.
         figure.set_layout_engine("none")
-        write_whole(file, drawn.getvalue())
+        write_atomically(file, drawn.getvalue())
     return files
 
 

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.joining import join
+from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.faults.monitor import FaultMonitor
 from sphere_sim.ros.faults.proxy import REMAPPED, FaultProxy
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
@@ -223,7 +223,7 @@ class FaultSession:
 @contextmanager
 def joined(settings: SessionSettings) -> Iterator[FaultSession]:
     """Make a session whose nodes are up, and end it whatever happens."""
-    join([], quiet=True)
+    start_ros([], quiet=True)
     try:
         session = FaultSession(settings)
         try:

@@ -11,7 +11,7 @@ from std_srvs.srv import Trigger
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.faults.catalogue import Fault, name_of
 from sphere_sim.faults.outcome import Outcome
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.faults.actions import action_of
 from sphere_sim.ros.faults.on_goals import random_goal
 from sphere_sim.ros.faults.session import FaultSession

@@ -25,7 +25,7 @@ from sphere_nmpc.ros.conversions import (
     seconds,
     stamp_from_ros,
 )
-from sphere_nmpc.ros.joining import join
+from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.domain_guests import refuse_company
 from sphere_sim.ros.session.goal_sender import GoalSender
 
@@ -197,7 +197,7 @@ def directing(
 ) -> Iterator[DemoDirector]:
     """Join the graph with a `DemoDirector`, whose parameters these are, and leave it again."""
     # The caller decides what Ctrl-C means: its children have to end as well.
-    join([], quiet=True)
+    start_ros([], quiet=True)
     try:
         director = DemoDirector(goal, shell_radius, check)
         try:

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.environment import DOMAIN, check_environment, domain_of
-from sphere_nmpc.ros.loopback import stay_on_this_machine
+from sphere_nmpc.ros.environment import DOMAIN, check_environment, domain_id
+from sphere_nmpc.ros.loopback import use_loopback_only
 from sphere_sim.ros.session.domain_guests import DomainTakenError, look_for_guests
 
 _DOMAINS = range(101, 0, -1)
@@ -48,9 +48,9 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
         If others publish a clock, poses or rotor commands in the domain that is set.
     """
     if loopback:
-        stay_on_this_machine()
+        use_loopback_only()
     check_environment()
-    given = domain_of()
+    given = domain_id()
     if given is not None:
         if who := look_for_guests():
             raise DomainTakenError(who)

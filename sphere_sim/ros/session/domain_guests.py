@@ -18,8 +18,8 @@ from rclpy.node import Node
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import DOMAIN
-from sphere_nmpc.ros.joining import join
-from sphere_nmpc.ros.loopback import heed_localhost_only
+from sphere_nmpc.ros.loopback import apply_localhost_only
+from sphere_nmpc.ros.startup import start_ros
 from sphere_nmpc.ros.watch import UNKNOWN, full_name
 
 TOPICS = ("clock", "pose", "rotor_trajectory", "rotor_commands")
@@ -68,12 +68,12 @@ def look_for_guests(namespace: str = "/", topics: Sequence[str] = TOPICS) -> lis
     topics : sequence of str, optional
         What is looked for.
     """
-    looks = _LOOKS[heed_localhost_only()]
+    looks = _LOOKS[apply_localhost_only()]
     return next(filter(None, (_look(namespace, topics, seconds) for seconds in looks)), [])
 
 
 def _look(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
-    join([], quiet=True)
+    start_ros([], quiet=True)
     try:
         node = rclpy.create_node("lookout", namespace=namespace, start_parameter_services=False)
         try:

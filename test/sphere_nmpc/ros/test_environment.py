@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""An environment that ROS cannot use is told in one line; a log file is not worth a refusal."""
+"""Unusable ROS environments end a node with one line; a missing log file does not end it."""
 
 import os
 import shutil
@@ -20,16 +20,16 @@ from sphere_nmpc.ros.environment import (
     RosEnvironmentError,
     check_environment,
     check_middleware,
-    domain_of,
-    missing_log_folder,
+    domain_id,
+    unwritable_log_folder,
 )
-from sphere_nmpc.ros.loopback import audience
-from sphere_nmpc.ros.shared_memory import TRANSPORTS, leave_to_others
+from sphere_nmpc.ros.loopback import network_reach
+from sphere_nmpc.ros.shared_memory import avoid_foreign_shared_memory
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOWHERE = "/proc/nonexistent"
-"""A folder that nobody can make, root neither."""
+"""Folder that not even root can create."""
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 PATIENCE = 60.0
 
@@ -46,12 +46,12 @@ def controller(
 
 
 def lines_until_up(node: subprocess.Popen) -> list[str]:
-    """Return what a node tells until it says who can hear it, and end it."""
+    """Return the log up to the line with the network reach, then stop the node."""
     told = []
     try:
         for line in node.stderr:
             told.append(line)
-            if "heard" in line:
+            if "reachable" in line:
                 break
         node.send_signal(signal.SIGINT)
         assert node.wait(PATIENCE) == 0, told
@@ -62,14 +62,14 @@ def lines_until_up(node: subprocess.Popen) -> list[str]:
 
 
 @pytest.mark.parametrize("given", ["abc", "500", "233", "-3", "010", "1.5", " 7", "0x10", "٣"])
-def test_what_is_no_domain_is_refused(given) -> None:
+def test_invalid_domain_id_is_refused(given) -> None:
     with pytest.raises(RosEnvironmentError, match=r"ROS_DOMAIN_ID: given .* from 0 to 232"):
-        domain_of({"ROS_DOMAIN_ID": given})
+        domain_id({"ROS_DOMAIN_ID": given})
 
 
 @pytest.mark.parametrize(("given", "domain"), [("0", 0), ("42", 42), ("232", 232), ("", None)])
-def test_a_domain_is_taken_as_it_is_written(given, domain) -> None:
-    assert domain_of({"ROS_DOMAIN_ID": given}) == domain
+def test_valid_domain_id_is_read(given, domain) -> None:
+    assert domain_id({"ROS_DOMAIN_ID": given}) == domain
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_domain_is_taken_as_it_is_written(given, domain) -> None:
         ("ROS_LOG_DIR", "/dev/full", "a folder"),
     ],
 )
-def test_a_variable_that_cannot_be_used_is_named_with_what_was_expected(
+def test_error_names_the_variable_and_the_expected_value(
     name, given, expected
 ) -> None:
     with pytest.raises(SphereNmpcError, match=f"{name}: given .*, expected {expected}") as found:
@@ -90,18 +90,18 @@ def test_a_variable_that_cannot_be_used_is_named_with_what_was_expected(
     assert found.value.exit_code == 2
 
 
-def test_only_an_installed_middleware_is_taken() -> None:
+def test_middleware_that_is_not_installed_is_refused() -> None:
     with pytest.raises(RosEnvironmentError, match=r"given 'nonesuch', expected .*rmw_"):
         check_middleware({"RMW_IMPLEMENTATION": "nonesuch"})
     check_middleware({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
     check_middleware({})
 
 
-def test_a_log_folder_is_looked_for_where_ros_does(tmp_path) -> None:
-    assert missing_log_folder({"ROS_HOME": str(tmp_path / "new")}) is None
+def test_default_log_folder_is_that_of_ros(tmp_path) -> None:
+    assert unwritable_log_folder({"ROS_HOME": str(tmp_path / "new")}) is None
     assert (tmp_path / "new" / "log").is_dir()
-    assert missing_log_folder({"ROS_HOME": NOWHERE}) == Path(NOWHERE) / "log"
-    assert missing_log_folder({"ROS_LOG_DIR": NOWHERE}) is None, "that is told otherwise"
+    assert unwritable_log_folder({"ROS_HOME": NOWHERE}) == Path(NOWHERE) / "log"
+    assert unwritable_log_folder({"ROS_LOG_DIR": NOWHERE}) is None, "for check_environment"
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_log_folder_is_looked_for_where_ros_does(tmp_path) -> None:
         ({"ROS_LOG_DIR": NOWHERE}, "ROS_LOG_DIR: given"),
     ],
 )
-def test_a_node_ends_with_one_line_about_it(environment, told) -> None:
+def test_node_ends_with_code_2_and_one_line(environment, told) -> None:
     node = controller(environment)
     _, errors = node.communicate(timeout=PATIENCE)
     assert node.returncode == 2
@@ -120,7 +120,7 @@ def test_a_node_ends_with_one_line_about_it(environment, told) -> None:
 
 
 @pytest.mark.parametrize("home", [NOWHERE, None], ids=["unwritable", "unset"])
-def test_a_node_without_a_home_says_so_once_and_starts(home, tmp_path) -> None:
+def test_node_without_home_folder_starts_with_one_message(home, tmp_path) -> None:
     told = lines_until_up(
         controller({"HOME": home, "ROS_LOG_DIR": None, "SPHERE_NMPC_CACHE": str(tmp_path)})
     )
@@ -131,28 +131,29 @@ def segment(folder: Path, port: int) -> None:
     (folder / f"fastrtps_port{port}").touch()
 
 
-def test_one_s_own_shared_memory_is_used(tmp_path) -> None:
+def test_own_shared_memory_is_used(tmp_path) -> None:
     segment(tmp_path, 7400 + 250 * 42 + 11)
     environment = {"ROS_DOMAIN_ID": "42"}
-    assert not leave_to_others(environment, tmp_path)
+    assert not avoid_foreign_shared_memory(environment, tmp_path)
     assert environment == {"ROS_DOMAIN_ID": "42"}
-    assert not leave_to_others(environment, tmp_path / "absent")
+    assert not avoid_foreign_shared_memory(environment, tmp_path / "absent")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to make files of another user")
-def test_shared_memory_of_others_in_the_domain_is_left_to_them(tmp_path) -> None:
+def test_shared_memory_of_other_users_selects_udp(tmp_path) -> None:
     segment(tmp_path, 7400 + 250 * 42 + 11)
     os.chown(next(tmp_path.iterdir()), 65534, 65534)
     environment = {"ROS_DOMAIN_ID": "42"}
-    assert "uid 65534" in leave_to_others(environment, tmp_path)
+    assert "uid 65534" in avoid_foreign_shared_memory(environment, tmp_path)
     assert environment["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
     here = {"ROS_DOMAIN_ID": "42", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    assert "the loopback alone" in leave_to_others(here, tmp_path)
-    assert "over the loopback" in audience(here)
-    for wish in ({"ROS_DOMAIN_ID": "43"}, {}, {"ROS_DOMAIN_ID": "42", TRANSPORTS: "DEFAULT"}):
-        before = dict(wish)
-        assert not leave_to_others(wish, tmp_path)
-        assert wish == before
+    assert "the loopback alone" in avoid_foreign_shared_memory(here, tmp_path)
+    assert "over the loopback" in network_reach(here)
+    chosen = {"ROS_DOMAIN_ID": "42", "FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+    for unchanged in ({"ROS_DOMAIN_ID": "43"}, {}, chosen):
+        before = dict(unchanged)
+        assert not avoid_foreign_shared_memory(unchanged, tmp_path)
+        assert unchanged == before
 
 
 def another_user(user: str) -> tuple[str, ...]:
@@ -166,13 +167,13 @@ def another_user(user: str) -> tuple[str, ...]:
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
-def test_nodes_of_two_users_hear_each_other(monkeypatch, tmp_path, reach) -> None:
+def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
     graph, told = Graph(), []
     environment = {"ROS_LOG_DIR": None, "HOME": NOWHERE, "SPHERE_NMPC_CACHE": str(tmp_path)}
     node = controller(environment, another_user("65534"))
     try:
-        while not told or "heard" not in told[-1]:  # it may have to build its solver first
+        while not told or "reachable" not in told[-1]:  # the solver may have to be built first
             told.append(node.stderr.readline())
         confirmed = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
         goals = graph.speaker(PoseStamped, "goal_pose")
@@ -190,7 +191,7 @@ def test_nodes_of_two_users_hear_each_other(monkeypatch, tmp_path, reach) -> Non
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
 @pytest.mark.parametrize("user", ["65534", "54321"], ids=["nobody", "without a passwd entry"])
-def test_a_node_starts_for_another_user_after_root(user, tmp_path) -> None:
+def test_node_of_another_user_starts_after_one_of_root(user, tmp_path) -> None:
     cache = tmp_path / "roots"
     lines_until_up(controller({"SPHERE_NMPC_CACHE": str(cache)}))
     environment = {"SPHERE_NMPC_CACHE": str(cache), "ROS_LOG_DIR": None, "HOME": None}

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes do what the environment of ROS says, and stay on the loopback where it asks for that."""
+"""Network reach of nodes follows the ROS environment, down to the loopback interface only."""
 
 import ipaddress
 import os
@@ -14,107 +14,110 @@ from xml.etree import ElementTree
 import pytest
 
 from sphere_nmpc.ros.loopback import (
-    RANGE,
-    SWITCH,
-    audience,
-    heed_localhost_only,
-    stay_on_this_machine,
+    DISCOVERY_RANGE,
+    LOCALHOST_ONLY,
+    apply_localhost_only,
+    network_reach,
+    use_loopback_only,
 )
 
 psutil = pytest.importorskip("psutil")
 
 VERBS = ("simulator", "controller", "recorder", "markers", "viewer")
 PATIENCE = 60.0
-"""How long five nodes may take to come up on a busy machine [s]."""
+"""Time-out for the start of five nodes on a busy machine [s]."""
 OF_FAST_DDS = 3
-"""Ports that Fast DDS opens at the least: for news of nodes, for data, and one to send from."""
+"""Fewest ports that Fast DDS opens: for discovery, for data, and one to send from."""
 
 
-def test_file_of_fast_dds_is_installed_and_names_the_loopback_alone() -> None:
+def test_installed_fast_dds_profiles_list_only_the_loopback() -> None:
     environment: dict[str, str] = {}
-    stay_on_this_machine(environment)
-    (path,) = {value for name, value in environment.items() if name != RANGE}
+    use_loopback_only(environment)
+    (path,) = {value for name, value in environment.items() if name != DISCOVERY_RANGE}
     tree = ElementTree.parse(path)
     found = [e.text for e in tree.iter() if e.tag.endswith("}address")]
     assert set(found) == {"127.0.0.1"}
-    assert environment[RANGE] == "SYSTEM_DEFAULT"
+    assert environment[DISCOVERY_RANGE] == "SYSTEM_DEFAULT"
 
 
-def test_range_of_this_machine_means_the_same() -> None:
+def test_discovery_range_localhost_restricts_to_the_loopback() -> None:
     unset: dict[str, str] = {}
-    given = {RANGE: "localhost"}
-    stay_on_this_machine(unset)
-    stay_on_this_machine(given)
+    given = {DISCOVERY_RANGE: "localhost"}
+    use_loopback_only(unset)
+    use_loopback_only(given)
     assert given == unset
-    stay_on_this_machine(given)
-    assert given == unset, "also for a process that was started by one of ours"
+    use_loopback_only(given)
+    assert given == unset, "idempotent, as in a child process"
 
 
 @pytest.mark.parametrize(
-    "wish",
-    [{RANGE: "SUBNET"}, {RANGE: "OFF"}, {"ROS_STATIC_PEERS": "192.168.1.7"},
+    "given",
+    [{DISCOVERY_RANGE: "SUBNET"}, {DISCOVERY_RANGE: "OFF"}, {"ROS_STATIC_PEERS": "192.168.1.7"},
      {"ROS_DISCOVERY_SERVER": "127.0.0.1:11811"}, {"FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}],
 )
-def test_who_says_who_is_to_be_heard_is_obeyed(wish) -> None:
-    environment = dict(wish)
-    stay_on_this_machine(environment)
-    assert environment == wish
-
-
-def test_other_middleware_is_asked_in_the_words_of_ros() -> None:
-    environment = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
-    stay_on_this_machine(environment)
-    assert environment == {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"}
-
-
-@pytest.mark.parametrize("given", [{}, {RANGE: "LOCALHOST"}, {SWITCH: "0"}, {SWITCH: ""}])
-def test_a_node_leaves_the_environment_alone_unless_asked(given) -> None:
+def test_explicit_discovery_settings_are_unchanged(given) -> None:
     environment = dict(given)
-    heed_localhost_only(environment)
+    use_loopback_only(environment)
+    assert environment == given
+
+
+def test_other_middleware_gets_the_discovery_range_localhost() -> None:
+    cyclone = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
+    environment = dict(cyclone)
+    use_loopback_only(environment)
+    assert environment == {**cyclone, DISCOVERY_RANGE: "LOCALHOST"}
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {DISCOVERY_RANGE: "LOCALHOST"}, {LOCALHOST_ONLY: "0"}, {LOCALHOST_ONLY: ""}]
+)
+def test_environment_without_localhost_only_is_unchanged(given) -> None:
+    environment = dict(given)
+    apply_localhost_only(environment)
     assert environment == given
 
 
 @pytest.mark.parametrize("range_", ["", "SUBNET"])
-def test_localhost_only_means_the_loopback_alone_whatever_the_range(range_) -> None:
-    asked, wanted = {SWITCH: "1", RANGE: range_}, {}
-    heed_localhost_only(asked)
-    stay_on_this_machine(wanted)
-    assert asked == wanted
+def test_localhost_only_overrides_the_discovery_range(range_) -> None:
+    given, expected = {LOCALHOST_ONLY: "1", DISCOVERY_RANGE: range_}, {}
+    apply_localhost_only(given)
+    use_loopback_only(expected)
+    assert given == expected
 
 
 @pytest.mark.parametrize(
-    ("environment", "told"),
+    ("environment", "expected"),
     [
-        ({}, "domain 0: heard by every machine of the network; ROS_LOCALHOST_ONLY=1 keeps"),
-        ({"ROS_DOMAIN_ID": "7", RANGE: "SUBNET"}, "domain 7: heard by every machine"),
-        ({RANGE: "LOCALHOST"}, "on this machine only; its ports are open on all interfaces"),
-        ({SWITCH: "1"}, "on this machine only"),
-        ({RANGE: "OFF"}, "heard by nobody"),
-        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.7"}, "also by 10.0.0.7"),
+        ({}, "domain 0: reachable from every machine of the network; ROS_LOCALHOST_ONLY=1"),
+        ({"ROS_DOMAIN_ID": "7", DISCOVERY_RANGE: "SUBNET"}, "domain 7: reachable from every"),
+        ({DISCOVERY_RANGE: "LOCALHOST"}, "machine only; its ports are open on all interfaces"),
+        ({LOCALHOST_ONLY: "1"}, "from this machine only"),
+        ({DISCOVERY_RANGE: "OFF"}, "reachable from this process only"),
+        ({DISCOVERY_RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.7"}, "also from 10.0.0.7"),
         ({"ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}, "discovery server 10.0.0.1:11811"),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}, "transports as in mine.xml"),
         ({"ROS_SECURITY_ENABLE": "true"}, "SROS 2 is on"),
     ],
 )
-def test_one_line_says_who_can_hear_a_node(environment, told) -> None:
-    assert told in audience(environment)
+def test_network_reach_names_the_deciding_setting(environment, expected) -> None:
+    assert expected in network_reach(environment)
 
 
-def test_who_stays_on_the_loopback_says_so() -> None:
+def test_network_reach_of_the_loopback() -> None:
     environment = {"ROS_DOMAIN_ID": "3"}
-    stay_on_this_machine(environment)
-    assert audience(environment) == (
-        "ROS domain 3: heard on this machine only, over the loopback"
+    use_loopback_only(environment)
+    assert network_reach(environment) == (
+        "ROS domain 3: reachable from this machine only, over the loopback"
     )
 
 
 @pytest.fixture
 def nodes(tmp_path) -> Iterator[dict[str, psutil.Process]]:
-    """All nodes of the package, asked to stay on this machine."""
+    """Start all nodes of the package with ROS_LOCALHOST_ONLY=1."""
     plain = {
         name: value for name, value in os.environ.items()
         if not name.startswith(("ROS_", "FAST")) or name == "ROS_DOMAIN_ID"
-    } | {SWITCH: "1"}
+    } | {LOCALHOST_ONLY: "1"}
     arguments = {"viewer": ["--port", "0"]}
     started = {
         verb: subprocess.Popen(
@@ -143,8 +146,8 @@ def ports(process: psutil.Process) -> set[tuple[str, str, int]]:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at processes of Linux")
-def test_nothing_listens_beyond_the_loopback(nodes) -> None:
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux process tables")
+def test_nodes_open_ports_on_the_loopback_only(nodes) -> None:
     pytest.importorskip("viser")
     end = time.monotonic() + PATIENCE
     wanted = {verb: OF_FAST_DDS + (verb == "viewer") for verb in VERBS}
@@ -153,7 +156,7 @@ def test_nothing_listens_beyond_the_loopback(nodes) -> None:
     ):
         assert time.monotonic() < end, {verb: ports(nodes[verb]) for verb in VERBS}
         time.sleep(0.1)
-    time.sleep(1.0)  # by now they have met, and opened what they send to each other from
+    time.sleep(1.0)  # discovery is complete by now, and the sending ports are open
     for verb, process in nodes.items():
         found = ports(process)
         beyond = {p for p in found if not ipaddress.ip_address(p[1]).is_loopback}

@@ -22,7 +22,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 
 from sphere_sim.demo.plan import NEIGHBOURHOOD, PROCESS_NOISE, parse
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.session.children import ChildDiedError, Children
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

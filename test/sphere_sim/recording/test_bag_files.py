@@ -9,8 +9,8 @@ import sqlite3
 import pytest
 from mcap.reader import make_reader
 
-from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.run_reader import read_run
 
 
 def cut(file, share: float) -> None:

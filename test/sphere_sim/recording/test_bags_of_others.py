@@ -27,7 +27,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from sphere_sim.cli.report import main
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 
 pytestmark = pytest.mark.slow
 STORE = get_typestore(Stores.ROS2_JAZZY)

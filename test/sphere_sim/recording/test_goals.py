@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphere_sim.cli.report import main
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 
 POSE_PERIOD = 0.01
 START = 5_000_000_000

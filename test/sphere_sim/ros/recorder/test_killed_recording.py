@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.ros.conversions import seconds, stamp_from_ros
 from sphere_sim.cli.main import main as command
-from sphere_sim.recording.bag import read_run
+from sphere_sim.recording.run_reader import read_run
 
 LOST = 1.5
 """What a recorder that is killed may lose [s]."""

@@ -20,7 +20,7 @@ from ros_graph import Graph, started
 from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.ros.environment import RosEnvironmentError
-from sphere_nmpc.ros.loopback import stay_on_this_machine
+from sphere_nmpc.ros.loopback import use_loopback_only
 from sphere_sim.ros.session import domain_guests
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.domain_guests import DomainTakenError, look_for_guests, refuse_company
@@ -34,7 +34,7 @@ SPARE = (187, 186, 185)
 def locks(monkeypatch, tmp_path) -> Path:
     """Stay on the loopback as the commands do, with a folder of one's own for the locks."""
     wanted = dict(os.environ)
-    stay_on_this_machine(wanted)
+    use_loopback_only(wanted)
     for name, value in wanted.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sphere_sim.recording.bag import read_run
 from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.run_reader import read_run
 
 
 def without(entries, *names):

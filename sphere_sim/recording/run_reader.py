@@ -18,6 +18,7 @@ from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
+from sphere_sim.printable_path import printable
 from sphere_sim.recording.bag_clock import BagClock, longest_run
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.errors import BagError
@@ -26,7 +27,6 @@ from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.run import Run, without_sign_jumps
 from sphere_sim.recording.solves import SOLVE_TOPICS, read_solves
 from sphere_sim.recording.stamps import stamp_of, state_of
-from sphere_sim.whole_file import as_text
 
 POSE = "geometry_msgs/msg/PoseStamped"
 JOINTS = "sensor_msgs/msg/JointState"
@@ -80,7 +80,7 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     plans = _plans(messages, robot, clock)
     parameters = _parameters(messages.custom_data, f"{robot}/controller")
     return Run(
-        name=as_text(name or Path(storage_name(path)).stem),
+        name=printable(name or Path(storage_name(path)).stem),
         path=path,
         origin=clock.origin * _NANO,
         times=times,

@@ -48,7 +48,7 @@ def _encode(*records: McapRecord) -> bytes:
     return encoded
 
 
-class McapFile:
+class McapWriter:
     """Write messages into chunks and keep the file complete.
 
     Parameters

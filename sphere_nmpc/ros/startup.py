@@ -1,0 +1,64 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Initialisation of rclpy in a process: checks of the environment and errors in one line."""
+
+import re
+import sys
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.environment import check_environment, unwritable_log_folder
+from sphere_nmpc.ros.loopback import apply_localhost_only
+from sphere_nmpc.ros.shared_memory import avoid_foreign_shared_memory
+
+_WITHOUT_LOG_FILE = ("--ros-args", "--disable-external-lib-logs")
+
+
+class RosStartError(SphereNmpcError):
+    """Failure to initialise ROS, or to create a node, in this process."""
+
+
+def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
+    """Initialise rclpy without signal handlers; `rclpy.try_shutdown` reverses it.
+
+    Parameters
+    ----------
+    args : sequence of str
+        Arguments after the program's name.
+    quiet : bool, optional
+        Whether to omit the messages about a missing log file and unused shared memory, where the
+        nodes that are started afterwards print them too.
+
+    Raises
+    ------
+    RosEnvironmentError
+        If an environment variable has a value that ROS cannot use.
+    RosStartError
+        If rclpy fails, with its reason.
+    """
+    apply_localhost_only()
+    check_environment()
+    messages = [avoid_foreign_shared_memory()]
+    unwritable = unwritable_log_folder()
+    if unwritable is not None:
+        args = [*args, *_WITHOUT_LOG_FILE]
+        messages.append(
+            f"log file: given {unwritable}, which cannot be written, expected a writable folder; "
+            "continuing without a log file, set ROS_LOG_DIR to choose another folder"
+        )
+    for message in messages:
+        if message and not quiet:
+            print(message, file=sys.stderr)
+    try:
+        rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # the error types of rclpy are private
+        rclpy.try_shutdown()
+        raise RosStartError(one_line(error)) from None
+
+
+def one_line(error: Exception) -> str:
+    """Return the message of an rclpy error in one line, without source locations."""
+    return re.sub(r"(, at /\S+)+$", "", " ".join(str(error).split()))

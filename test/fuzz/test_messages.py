@@ -70,7 +70,7 @@ def sent(controller, monkeypatch) -> LimitCheck:
 
     def judge(message) -> None:
         # Stamps that were rounded from a clock of 1970 need no judging here.
-        check.trajectory(hold_from_trajectory(message, 0, controller._epoch))
+        check.trajectory(hold_from_trajectory(message, 0, controller._control_clock.epoch))
         publish(message)
 
     monkeypatch.setattr(controller._sender._trajectories, "publish", judge)
@@ -83,8 +83,8 @@ def test_any_pose_and_goal_leave_the_controller_within_its_limits(
     controller, sent, pose, goal
 ) -> None:
     sent.begin()
-    controller._take_goal(goal)
-    controller._take_pose(pose)
+    controller._receive_goal(goal)
+    controller._receive_pose(pose)
     controller._tick()
     assert not sent.broken
 
@@ -99,8 +99,8 @@ def test_poses_of_now_with_any_numbers_keep_the_limits(controller, sent) -> None
         place.x, place.y = (float(v) for v in rng.choice([0.0, 1e-300, 5.0, -1e6, 1e5], 2))
         q = rng.normal(size=4)
         turn.x, turn.y, turn.z, turn.w = (float(v) for v in q / np.linalg.norm(q))
-        controller._take_pose(pose)
-        controller._take_goal(pose if rng.random() < 0.3 else PoseStamped())
+        controller._receive_pose(pose)
+        controller._receive_goal(pose if rng.random() < 0.3 else PoseStamped())
         controller._tick()
     assert not sent.broken
 

@@ -8,57 +8,47 @@ publishes   rotor_trajectory, rotor_commands, ~/active_goal, ~/at_goal, ~/predic
 services    ~/enable
 """
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
+from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
 from std_srvs.srv import SetBool
 
+from sphere_nmpc.control.clocked_schedule import ClockedSchedule
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.goal_memory import GoalMemory
-from sphere_nmpc.control.planning_time import PlanningTime
-from sphere_nmpc.control.sample_grid import SampleGrid
+from sphere_nmpc.control.lockstep_schedule import LockstepSchedule
+from sphere_nmpc.control.schedule import Actions, PlanRequest, Schedule, TimedPose
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.background import Background
 from sphere_nmpc.ros.controller.command_sender import CommandSender
-from sphere_nmpc.ros.controller.goal_file import goal_file
+from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.reports import ControllerReports
+from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.controller.watch import ControllerWatch
-from sphere_nmpc.ros.conversions import (
-    NANOSECONDS,
-    framed_pose_from_ros,
-    seconds,
-    stamp_from_ros,
-)
+from sphere_nmpc.ros.conversions import framed_pose_from_ros, seconds, stamp_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.lifetime import LivingNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.ros.surroundings import OTHER_CLOCK
 from sphere_nmpc.ros.watch import NO_EVENTS
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
-AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
-_CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
-_LOOK_EVERY = 0.25
-"""Wall time between two looks at the surroundings [s]."""
+_CHECK_EVERY = 0.25
+"""Wall time between two checks of clock, pose and topics [s]."""
 _GOALS_EVERY = 2.0
-"""Wall time between two lines about goals [s]; somebody may send them at any rate."""
-_REMEMBER_EVERY = 1.0
-"""Wall time between two notes of the goal in force [s]."""
+"""Shortest wall time between two log lines about goals [s], which may arrive at any rate."""
+_SAVE_EVERY = 1.0
+"""Wall time after which the goal in force is stored again [s]."""
 
 
 class ControllerNode(LivingNode):
@@ -87,271 +77,192 @@ class ControllerNode(LivingNode):
         settings = self._settings = declared.settings
         self._faults = FaultLog(lambda line: self.get_logger().warning(line))
         self._goals = FaultLog(lambda line: self.get_logger().info(line), _GOALS_EVERY)
-        self._aside = Background(lambda line: self._faults.report("learning failed", line))
+        self._control_clock = ControlClock(self, self._clock_jumped)
+        self._schedule: Schedule = (
+            LockstepSchedule(settings) if settings.lockstep
+            else ClockedSchedule(settings, self._control_clock.simulated)
+        )
+        self._background = Background(lambda line: self._faults.report("learning failed", line))
         self.controller = Controller(
-            settings, robot.settings, aside=None if settings.lockstep else self._aside.do
+            settings, robot.settings,
+            aside=self._background.do if self._schedule.is_real_time else None,
         )
-        self._grid = SampleGrid(settings.control_period)
-        self._starting = True
-        self._take_clock()
         self._watch = ControllerWatch(self, self._faults)
-        self._memory: GoalMemory | None = GoalMemory(goal_file(self), settings.goal_memory)
-        self._recalled = False
-        self._sender = CommandSender(self, settings.command_rate, self._now)
-        self._reports = ControllerReports(
-            self, self.controller, self._grid, self._faults, robot.settings, settings, self._watch
+        self._stored_goal = StoredGoal(
+            self, settings.goal_memory, self._control_clock, self._faults
         )
-        self._answered: int | None = None
-        self._ahead: PoseStamped | None = None
-        self._listen()
+        self._sender = CommandSender(self, settings.command_rate, self._control_clock.now)
+        self._reports = ControllerReports(
+            self, self.controller, self._schedule, self._faults, robot.settings, settings,
+            self._watch,
+        )
+        self._subscribe()
+        self._timer: Timer | None = None
+        self._set_timer()
+        # Wall time: faults have to be reported also where simulated time stands still.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._wall_timers = [
+            self.create_timer(_CHECK_EVERY, self._check, clock=wall),
+            self.create_timer(_SAVE_EVERY, self._save_goal, clock=wall),
+        ]
         tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
-        self._diagnostics = Diagnostics(self, self._stamp, tasks)
+        self._diagnostics = Diagnostics(self, self._control_clock.stamp, tasks)
 
     @property
     def thread_priority(self) -> int:
         """As set, where time does not wait for this node."""
-        return 0 if self._settings.lockstep else self._scheduling.settings.thread_priority
+        return self._scheduling.settings.thread_priority if self._schedule.is_real_time else 0
 
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""
-        now = self._now()
-        self._remember()
+        now = self._control_clock.now()
+        self._save_goal()
         self.controller.enabled = False
         if now is not None:
-            self._decide(now, now)
+            self._plan(self._schedule.final_request(now))
         self._sender.farewell()
-        self._aside.close()
+        self._background.close()
 
-    def _listen(self) -> None:
+    def _subscribe(self) -> None:
         # In lockstep the pose of a sample instant must not get lost; it is the last one published
         # before time stands still, so that a depth of one keeps it.
-        lockstep = self._settings.lockstep
-        reliability = ReliabilityPolicy.RELIABLE if lockstep else ReliabilityPolicy.BEST_EFFORT
-        newest = QoSProfile(depth=1, reliability=reliability)
-        take = self._take_sample if lockstep else self._take_pose
+        newest = QoSProfile(
+            depth=1,
+            reliability=ReliabilityPolicy.BEST_EFFORT if self._schedule.is_real_time
+            else ReliabilityPolicy.RELIABLE,
+        )
         self._inputs = [
-            self.create_subscription(PoseStamped, "pose", take, newest, event_callbacks=NO_EVENTS),
             self.create_subscription(
-                PoseStamped, "goal_pose", self._take_goal, 1, event_callbacks=NO_EVENTS
+                PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS
+            ),
+            self.create_subscription(
+                PoseStamped, "goal_pose", self._receive_goal, 1, event_callbacks=NO_EVENTS
             ),
             self.create_service(SetBool, "~/enable", self._enable),
         ]
-        if not lockstep:
-            self._timer = self.create_timer(self._settings.control_period, self._tick)
-        backwards = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
-        )
-        self._jumps = self.get_clock().create_jump_callback(
-            backwards, post_callback=self._time_jumped
-        )
-        # Wall time: what is missing must be told also where simulated time stands still.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._looks = [
-            self.create_timer(_LOOK_EVERY, self._look, clock=wall),
-            self.create_timer(_REMEMBER_EVERY, self._remember, clock=wall),
-        ]
 
-    def _take_clock(self) -> None:
-        """Count control time on the clock that the node follows now."""
-        self._simulated = bool(self.get_parameter("use_sim_time").value)
-        self._planning = PlanningTime(self._settings.control_period, self._simulated)
-        self._epoch = 0 if self._simulated else self._stamp()
+    def _set_timer(self) -> None:
+        """Let a timer tick as the schedule needs it, from now on."""
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+        period = self._schedule.timer_period
+        self._timer = None if period is None else self.create_timer(period, self._tick)
 
-    def _look(self) -> None:
-        now = self._now()
-        self._watch.look(now, self._simulated, self._settings.pose_timeout)
+    def _check(self) -> None:
+        now, simulated = self._control_clock.now(), self._control_clock.simulated
+        self._watch.look(now, simulated, self._settings.pose_timeout)
         self._reports.look()
         self._goals.catch_up()
-        if now is not None and not self._recalled:
-            self._recall()
-
-    def _remember(self) -> None:
-        """Note the goal in force for a controller that is started after this one."""
-        if self._memory is None or self._now() is None or not self._recalled:
-            return
-        goal = self.controller.goal if self.controller.enabled else None
-        try:
-            self._memory.save(goal, self._stamp(), self._simulated)
-        except OSError as error:
-            self._memory = None
-            self._faults.report("goal not kept", f"{error}; a restart will begin without a goal")
-
-    def _recall(self) -> None:
-        """Take up the goal of a controller that ended a moment ago, unless there is a new one."""
-        self._recalled = True
-        if self._memory is None:
-            return
-        found = self._memory.recall(self._stamp(), self._simulated)
-        if found is not None:
-            goal, age = found
+        restored = self._stored_goal.restore()
+        if restored is not None:
+            goal, age = restored
             self.get_logger().info(f"going on to the goal in force {age:.0f} s ago (goal_memory)")
-            self._aim(goal)
+            self._set_goal(goal)
 
-    def _stamp(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
-
-    def _now(self) -> float | None:
-        """Return control time [s]; None before the first message on /clock."""
-        stamp = self._stamp()
-        return None if self._simulated and stamp == 0 else seconds(stamp, self._epoch)
+    def _save_goal(self) -> None:
+        self._stored_goal.save(self.controller.goal if self.controller.enabled else None)
 
     def _tick(self) -> None:
-        ahead, self._ahead = self._ahead, None
-        if ahead is not None:
-            self._take_pose(ahead, again=True)
-        now = self._now()
+        now = self._control_clock.now()
         if now is not None:
-            instant = self._grid.instant(now)
-            self._decide(instant, now, self._planning.lead)
-
-    def _decide(self, instant: float, now: float, lead: float = 0.0) -> None:
-        began = time.perf_counter()
-        # In lockstep time waits, and so that results repeat a plan may take what it takes.
-        budget = math.inf
-        if not self._settings.lockstep:
-            budget = self._planning.budget(instant, now)
-        instant += lead
-        decision = self.controller.decide(instant, budget)
-        # A simulated clock stands still while this callback runs; the robot does not.
-        if not self._settings.lockstep:
-            now = self._planning.after(now, time.perf_counter() - began)
-        hold = self.controller.commit(decision, now)
-        if hold is None and self._settings.lockstep:
-            hold = AT_REST.delayed(instant)  # time waits for an answer, even if it is nothing
-        if hold is not None:
-            self._sender.send(hold, self._epoch)
-        took = time.perf_counter() - began
-        self._planning.took(took)
-        self._reports.tick(decision, instant, took, self._epoch)
-        self._starting = self._starting and not decision.solved
-
-    def _await_start(self) -> None:
-        """Expect to plan anew, which for a search takes all the time there is."""
-        self._starting = True
-        if self._settings.strategy == "time_optimal":
-            self._planning.expect_all()
+            self._carry_out(self._schedule.tick(now, time.monotonic()))
 
     def _start(self) -> None:
-        """Begin a new grid of sample instants where somewhere to go is waiting for nothing else.
+        """Plan at once where the rotors are at rest and a goal is waiting."""
+        now = self._control_clock.now()
+        if now is None:
+            return
+        actions = self._schedule.start(now, time.monotonic(), self.controller.awaits_start)
+        if actions is not None:
+            if self._timer is not None:
+                self._timer.reset()
+            self._carry_out(actions)
 
-        The first plan takes longest, so it waits until its share of wall time is known.
-        """
-        now = self._now()
-        if now is None or not self._starting or self._settings.lockstep:
-            return
-        if self._planning.pace is not None and self.controller.awaits_start(now):
-            self._timer.reset()
-            self._grid.reset()
-            self._tick()
+    def _carry_out(self, actions: Actions) -> None:
+        if actions.refused is not None:
+            self._watch.pose_refused(actions.refused, self._settings.pose_timeout)
+        if actions.observe is not None:
+            self.controller.observe(actions.observe.time, actions.observe.state)
+        if actions.repeat:
+            self._sender.repeat()
+        if actions.plan is not None:
+            self._plan(actions.plan)
 
-    def _take_pose(self, message: PoseStamped, again: bool = False) -> None:
-        state, now = self._state(message), self._now()
-        stamp = seconds(stamp_from_ros(message.header.stamp), self._epoch)
-        self._watch.heard(math.nan if now is None else now - stamp)
-        if state is None or now is None:
+    def _plan(self, request: PlanRequest) -> None:
+        began, schedule, epoch = time.perf_counter(), self._schedule, self._control_clock.epoch
+        decision = self.controller.decide(request.instant, request.time_budget)
+        starts = schedule.command_time(request, time.perf_counter() - began)
+        hold = schedule.command(request, self.controller.commit(decision, starts))
+        if hold is not None:
+            self._sender.send(hold, epoch)
+        duration = time.perf_counter() - began
+        schedule.completed(duration, decision.solved)
+        self._reports.tick(decision, request.instant, duration, epoch)
+
+    def _receive_pose(self, message: PoseStamped) -> None:
+        stamp, now = stamp_from_ros(message.header.stamp), self._control_clock.now()
+        measured = seconds(stamp, self._control_clock.epoch)
+        self._watch.heard(self._schedule.pose_age(measured, now))
+        try:
+            pose = TimedPose(stamp, measured, framed_pose_from_ros(message))
+        except InvalidStateError as error:
+            self._faults.report("pose refused", str(error))
             return
-        if stamp - now > self._settings.pose_timeout:
-            if not again:
-                # When this node was held up, the clock of that pose waits right behind it.
-                self._ahead = message
-                return
-            # It would count as fresh for as long as it is ahead.
-            if stamp - now < OTHER_CLOCK:  # else the wrong clock is told
-                self._faults.report(
-                    "pose refused",
-                    f"given a stamp {stamp - now:.6g} s ahead of this node's clock, expected at "
-                    f"most {self._settings.pose_timeout:g} s; are the clocks synchronised?",
-                )
-            return
-        self.controller.observe(stamp, state)
-        self._planning.read(now, time.monotonic())
-        if not again:
+        actions = self._schedule.pose_received(pose, now, time.monotonic())
+        self._carry_out(actions)
+        if actions.observe is not None:
             self._start()
 
-    def _take_sample(self, message: PoseStamped) -> None:
-        """Decide, in lockstep, when the pose of a sample instant arrives."""
-        self._watch.heard(math.nan)
-        stamp, state = stamp_from_ros(message.header.stamp), self._state(message)
-        if state is None or stamp % round(self._settings.control_period * NANOSECONDS):
-            return
-        if stamp == self._answered:
-            self._sender.repeat()
-            return
-        instant = seconds(stamp, self._epoch)
-        self.controller.observe(instant, state)
-        self._decide(instant, instant)
-        self._answered = stamp
-
-    def _take_goal(self, message: PoseStamped) -> None:
+    def _receive_goal(self, message: PoseStamped) -> None:
         try:
             goal = framed_pose_from_ros(message)
         except InvalidStateError as error:
             self._faults.report("goal_pose refused", f"{error}; the goal in force stays")
             return
-        self._aim(goal)
+        self._set_goal(goal)
 
-    def _aim(self, goal: Vector) -> None:
+    def _set_goal(self, goal: Vector) -> None:
         """Bring a goal, shape (6,), into force; the one that is in force is only confirmed."""
-        fresh = self.controller.set_goal(goal)
-        self._recalled = True
-        self._reports.goal(goal, self._stamp())
-        if not fresh:
+        is_new = self.controller.set_goal(goal)
+        self._stored_goal.supersede()
+        self._reports.goal(goal, self._control_clock.stamp())
+        if not is_new:
             return
         self._goals.report("goal", f"{[round(float(value), 4) for value in goal]}")
-        self._answered = None
-        self._await_start()
+        self._schedule.goal_changed()
         self._start()
-
-    def _state(self, message: PoseStamped) -> Vector | None:
-        try:
-            return framed_pose_from_ros(message)
-        except InvalidStateError as error:
-            self._faults.report("pose refused", str(error))
-            return None
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.controller.enabled = request.data
-        now = self._now()
-        if not self._settings.lockstep and now is not None and not request.data:
-            self._decide(now, now)  # a stop does not wait for the next sample
         if request.data:
-            self._await_start()
+            self._schedule.enabled()
+        else:
+            self._carry_out(self._schedule.disabled(self._control_clock.now()))
         response.success = True
         response.message = "enabled" if request.data else "disabled, rotors ramp to rest"
         return response
 
     def _change(self, settings: ControllerSettings) -> None:
-        period, self._settings = self._settings.control_period, settings
+        self._settings, period = settings, self._schedule.timer_period
         self.controller.change(settings)
         self._reports.change(settings)
-        if settings.control_period != period:
-            self._planning = PlanningTime(settings.control_period, self._simulated)
-            self._grid.reset(settings.control_period)
-            self.destroy_timer(self._timer)
-            self._timer = self.create_timer(settings.control_period, self._tick)
+        self._schedule.change(settings)
+        if self._schedule.timer_period != period:
+            self._set_timer()
 
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse a strategy with another sample period in lockstep, where the simulator waits."""
-        period = self._settings.control_period
+        """Refuse a strategy that the schedule cannot change to while running."""
         for name in (p.value for p in parameters if p.name == "strategy"):
-            known = self._settings.lockstep and name in STRATEGIES
-            if known and replace(self._settings, strategy=name).control_period != period:
-                return SetParametersResult(
-                    successful=False,
-                    reason=f"strategy: given '{name}' in lockstep, expected one that samples "
-                    f"every {period:g} s, as the simulator waits for",
-                )
+            if name in STRATEGIES:  # another name is refused by its declaration
+                reason = self._schedule.refusal(replace(self._settings, strategy=name))
+                if reason is not None:
+                    return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
-    def _time_jumped(self, jump: TimeJump) -> None:
-        if jump.clock_change in _CHANGED:
-            self._take_clock()
+    def _clock_jumped(self, simulated: bool | None) -> None:
         self._faults.report("clock jumped", "poses and plans are forgotten, the goal stays")
         self.controller.forget()
-        self._ahead = None
-        self._grid.reset()
-        self._answered = None
-        self._await_start()
+        self._schedule.clock_jumped(simulated)
 
 
 _ABOUT = f"""{__doc__}

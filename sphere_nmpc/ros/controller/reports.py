@@ -18,7 +18,7 @@ from std_msgs.msg import Bool
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision, Mode
-from sphere_nmpc.control.sample_grid import SampleGrid
+from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -56,8 +56,8 @@ class ControllerReports:
         Owner of the publishers.
     controller : Controller
         Who is reported on.
-    grid : SampleGrid
-        Who counts missed ticks.
+    schedule : Schedule
+        Counts missed sample instants.
     faults : FaultLog
         Who counts faults.
     robot : RobotParameters
@@ -72,7 +72,7 @@ class ControllerReports:
         self,
         node: Node,
         controller: Controller,
-        grid: SampleGrid,
+        schedule: Schedule,
         faults: FaultLog,
         robot: RobotParameters,
         settings: ControllerSettings,
@@ -80,7 +80,7 @@ class ControllerReports:
     ) -> None:
         self._controller = controller
         self._watch = watch
-        self._grid = grid
+        self._schedule = schedule
         self._faults = faults
         self._radius = robot.shell_radius
         self._period = settings.control_period
@@ -173,7 +173,7 @@ class ControllerReports:
         if decision.mode is mode and 0.0 <= time - last < _TELL_EVERY:
             return
         self._last_told = (time, decision.mode)
-        self._values = self._told.values(decision, time, duration, self._grid.missed)
+        self._values = self._told.values(decision, time, duration, self._schedule.missed)
         self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
         if len(plan.states):
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
@@ -206,7 +206,7 @@ class ControllerReports:
             "wall period p99 ms": gap_ms[1],
             "tick median ms": tick_ms[0],
             "tick p99 ms": tick_ms[1],
-            "missed ticks": self._grid.missed,
+            "missed ticks": self._schedule.missed,
             "late poses": self._controller.late_poses,
             "pose age s": float("inf") if decision is None else decision.pose_age,
             **self._faults.counts,

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.surroundings import (
     NO_POSE,
+    OTHER_CLOCK,
     Complaint,
     Surroundings,
     complaints,
@@ -30,6 +31,7 @@ class ControllerWatch:
     """
 
     def __init__(self, node: Node, faults: FaultLog) -> None:
+        self._faults = faults
         self._watch = Watch(node, faults)
         self._pose_topic = node.resolve_topic_name("pose")
         self._clock_topic = node.resolve_topic_name("/clock")
@@ -50,6 +52,18 @@ class ControllerWatch:
     def heard(self, age: float) -> None:
         """Take note of a pose whose stamp is `age` [s] behind the node's clock, nan if unknown."""
         self._heard, self._pose_age = True, age
+
+    def pose_refused(self, ahead: float, pose_timeout: float) -> None:
+        """Report a pose refused because its stamp is `ahead` [s] of the node's clock.
+
+        If it is of another kind of clock, that is reported instead.
+        """
+        if ahead < OTHER_CLOCK:
+            self._faults.report(
+                "pose refused",
+                f"given a stamp {ahead:.6g} s ahead of this node's clock, expected at "
+                f"most {pose_timeout:g} s; are the clocks synchronised?",
+            )
 
     def look(self, now: float | None, follows_clock: bool, pose_timeout: float) -> None:
         """Look around at control time `now` [s], None before the first message on /clock."""

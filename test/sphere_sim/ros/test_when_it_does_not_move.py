@@ -230,7 +230,7 @@ def test_every_row_of_the_document_is_a_mistake_that_is_made_here() -> None:
 
 
 def test_two_seconds_are_kept() -> None:
-    slack = 2.0 - surroundings.PATIENCE - 2.0 * controller_node._LOOK_EVERY
+    slack = 2.0 - surroundings.PATIENCE - 2.0 * controller_node._CHECK_EVERY
     assert slack > 0.2
 
 

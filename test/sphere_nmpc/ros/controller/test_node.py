@@ -42,7 +42,8 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 def _goals_of_others(monkeypatch, tmp_path) -> None:
     """Keep the goals that controllers leave behind away from those of other tests."""
     monkeypatch.setattr(
-        "sphere_nmpc.ros.controller.node.goal_file", lambda node: tmp_path / node.get_name()
+        "sphere_nmpc.ros.controller.stored_goal.goal_file",
+        lambda node: tmp_path / node.get_name(),
     )
 
 
@@ -75,7 +76,7 @@ class Robot:
                 self.pose_sender.publish(self.pose)
                 self.graph.spin()
             self.clock.publish(Clock(clock=stamp_to_ros(self.now)))
-            self.graph.until(lambda: self.node._stamp() == self.now)
+            self.graph.until(lambda: self.node._control_clock.stamp() == self.now)
         for _ in range(10):
             self.graph.spin()
 
@@ -140,7 +141,7 @@ def test_time_optimal_plans_an_arrival_within_its_share_of_the_sample(graph) -> 
     assert status["strategy"] == "time_optimal"
     if status["plan"] in ("solved", "best so far"):
         assert 4.0 < float(status["arrival_s"]) < 20.0
-    pace = robot.node._planning.pace
+    pace = robot.node._schedule.pace
     assert float(status["solve_time_s"]) < 0.5 * 0.25 / pace + 0.1, "little overrun when busy"
 
 
@@ -279,7 +280,7 @@ def test_pose_whose_clock_is_still_on_its_way_is_taken(robot, capfd) -> None:
     # As after the node was held up: first the newest pose, then the clock of the same instant.
     robot.pose.header.stamp = stamp_to_ros(2 * 10**9)
     robot.pose_sender.publish(robot.pose)
-    robot.graph.until(lambda: robot.node._ahead is not None)
+    robot.graph.until(lambda: robot.node._schedule._pose_ahead is not None)
     robot.now = 2 * 10**9 - TICK
     robot.pass_time(0.3)
     assert robot.status()["pose_age_s"] != "inf" and float(robot.status()["pose_age_s"]) < 0.5
@@ -408,7 +409,7 @@ def test_goal_is_not_taken_up_where_it_does_not_belong(graph, memory, enabled, b
     second = started_again(robot, goal_memory=memory)
     robot.now = 0 if began_anew else robot.now
     robot.pass_time(0.3)
-    graph.until(lambda: second._recalled)
+    graph.until(lambda: second._stored_goal.is_settled)
     assert second.controller.goal is None
 
 

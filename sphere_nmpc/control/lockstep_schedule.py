@@ -1,0 +1,112 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Scheduler of a controller in lockstep: simulated time waits for each of its commands."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPose
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import INPUT_SIZE
+from sphere_nmpc.settings import ControllerSettings
+
+_AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
+_NANOSECONDS = 1_000_000_000
+
+
+class LockstepSchedule:
+    """Plan when the pose of a sample instant arrives, and answer every such instant.
+
+    A plan may take any wall time, so that results are repeatable. The clock of the node is not
+    looked at: the stamp of the pose is the time.
+
+    Parameters
+    ----------
+    settings : ControllerSettings
+        Strategy and rates.
+    """
+
+    is_real_time = False
+    timer_period = None
+    """No timer is needed."""
+    missed = 0
+    """No instant is missed: time waits for it."""
+
+    def __init__(self, settings: ControllerSettings) -> None:
+        self._settings = settings
+        self._answered: int | None = None
+
+    def pose_age(self, time: float, now: float | None) -> float:
+        """Return nan: poses set the time."""
+        return math.nan
+
+    def pose_received(self, pose: TimedPose, now: float | None, wall: float) -> Actions:
+        """Return the request for the sample instant of a pose; between instants nothing is done.
+
+        The simulator repeats the pose while it waits. The plan of an instant is made once, its
+        command is then sent again.
+        """
+        if pose.stamp % round(self._settings.control_period * _NANOSECONDS):
+            return NOTHING
+        if pose.stamp == self._answered:
+            return Actions(repeat=True)
+        self._answered = pose.stamp
+        return Actions(observe=pose, plan=self.final_request(pose.time))
+
+    def tick(self, now: float, wall: float) -> Actions:
+        """Return nothing to do: poses trigger plans."""
+        return NOTHING
+
+    def start(
+        self, now: float, wall: float, awaits_start: Callable[[float], bool]
+    ) -> Actions | None:
+        """Return None: a new goal is planned for when the pose is repeated or the next arrives."""
+        return None
+
+    def command_time(self, request: PlanRequest, elapsed: float) -> float:
+        """Return the sample instant: no control time passes while a plan is made."""
+        return request.now
+
+    def command(
+        self, request: PlanRequest, hold: FirstOrderHold | None
+    ) -> FirstOrderHold | None:
+        """Return the hold, or rest where there is none: the simulator waits for an answer."""
+        return _AT_REST.delayed(request.instant) if hold is None else hold
+
+    def completed(self, duration: float, solved: bool) -> None:
+        """Ignore how long a plan took."""
+
+    def final_request(self, now: float) -> PlanRequest:
+        """Return a request for control time `now` [s] without a limit of wall time."""
+        return PlanRequest(now, now, math.inf)
+
+    def goal_changed(self) -> None:
+        """Plan anew for the present instant, also if it has been answered."""
+        self._answered = None
+
+    def enabled(self) -> None:
+        """Do nothing: the next sample instant is soon enough."""
+
+    def disabled(self, now: float | None) -> Actions:
+        """Return nothing to do: the next sample instant is soon enough."""
+        return NOTHING
+
+    def clock_jumped(self, simulated: bool | None = None) -> None:
+        """Plan anew when a pose arrives, also one of an instant that was answered before."""
+        self._answered = None
+
+    def refusal(self, settings: ControllerSettings) -> str | None:
+        """Return why another control period is impossible: the simulator waits at fixed ones."""
+        period = self._settings.control_period
+        if settings.control_period == period:
+            return None
+        return (
+            f"strategy: given '{settings.strategy}' in lockstep, expected one that samples every "
+            f"{period:g} s, as the simulator waits for"
+        )
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Apply new settings."""
+        self._settings = settings

@@ -1,0 +1,70 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The goal in force, stored on disk for the next run of a controller."""
+
+import os
+from pathlib import Path
+
+from rclpy.node import Node
+
+from sphere_nmpc.cache import cache_folder
+from sphere_nmpc.control.goal_memory import GoalMemory
+from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.controller.control_clock import ControlClock
+
+
+class StoredGoal:
+    """Restore the goal of the last run once, then store the goal in force.
+
+    Parameters
+    ----------
+    node : Node
+        The controller node.
+    keep : float
+        How long after the end of a run its goal is restored [s, wall].
+    clock : ControlClock
+        Clock on which the goal is in force.
+    faults : FaultLog
+        Log of a file that cannot be written.
+    """
+
+    def __init__(self, node: Node, keep: float, clock: ControlClock, faults: FaultLog) -> None:
+        self._memory: GoalMemory | None = GoalMemory(goal_file(node), keep)
+        self._clock = clock
+        self._faults = faults
+        self.is_settled = False
+        """Whether the stored goal has been restored or is superseded by a new one."""
+
+    def restore(self) -> tuple[Vector, float] | None:
+        """Return the goal to continue with, shape (6,), and its age [s, wall].
+
+        None where there is none, and always but for the first call with a known time.
+        """
+        if self.is_settled or self._clock.now() is None:
+            return None
+        self.is_settled = True
+        if self._memory is None:
+            return None
+        return self._memory.recall(self._clock.stamp(), self._clock.simulated)
+
+    def supersede(self) -> None:
+        """Do not restore a goal: a new one has been received."""
+        self.is_settled = True
+
+    def save(self, goal: Vector | None) -> None:
+        """Store the goal in force, shape (6,), or that there is none."""
+        if self._memory is None or not self.is_settled or self._clock.now() is None:
+            return
+        try:
+            self._memory.save(goal, self._clock.stamp(), self._clock.simulated)
+        except OSError as error:
+            self._memory = None
+            self._faults.report("goal not kept", f"{error}; a restart will begin without a goal")
+
+
+def goal_file(node: Node) -> Path:
+    """Return the file for the goal of a node, one for each domain and full name."""
+    name = node.get_fully_qualified_name().strip("/").replace("/", ".")
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    return cache_folder() / "goals" / f"{domain}.{name}.json"

@@ -1,0 +1,222 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The scheduler in real time, driven with plain numbers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.clocked_schedule import ClockedSchedule
+from sphere_nmpc.control.planning_time import MOST_LEAD, PLANNING_SHARE
+from sphere_nmpc.control.schedule import NOTHING, PlanRequest, TimedPose
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.settings import ControllerSettings
+
+PERIOD = 0.5
+SHARE = PLANNING_SHARE * PERIOD
+WALL = 100.0
+
+
+def clocked(simulated: bool = False, strategy: str = "paper", **settings) -> ClockedSchedule:
+    return ClockedSchedule(ControllerSettings(strategy=strategy, **settings), simulated)
+
+
+def pose(time: float) -> TimedPose:
+    return TimedPose(round(time * 1e9), time, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+
+def show_pace(schedule: ClockedSchedule, pace: float, until: float) -> None:
+    """Let poses arrive for 0.6 s of wall time up to control time `until` [s]."""
+    for wall in np.arange(-0.6, 0.0, 0.004):
+        now = until + pace * wall
+        schedule.pose_received(pose(now), now, WALL + wall)
+
+
+def always(_: float) -> bool:
+    return True
+
+
+def requests(schedule: ClockedSchedule, *times: float) -> list[PlanRequest]:
+    made = [schedule.tick(time, WALL + time).plan for time in times]
+    return [request for request in made if request is not None]
+
+
+def test_late_ticks_plan_for_their_instants_and_for_what_is_left_of_their_share() -> None:
+    made = requests(clocked(), 1.0, 1.55, 2.0)
+    assert [request.instant for request in made] == pytest.approx([1.0, 1.5, 2.0])
+    assert [request.now for request in made] == [1.0, 1.55, 2.0]
+    assert [r.time_budget for r in made] == pytest.approx([SHARE, SHARE - 0.05, SHARE])
+
+
+def test_instants_without_a_tick_count_as_missed() -> None:
+    schedule = clocked()
+    requests(schedule, 1.0, 1.5, 3.0)
+    assert schedule.missed == 2
+
+
+@pytest.mark.parametrize("pace", [0.2, 1.0, 5.0])
+def test_budget_and_time_of_command_follow_the_pace_of_simulated_time(pace: float) -> None:
+    schedule = clocked(simulated=True)
+    show_pace(schedule, pace, until=7.0)
+    (request,) = requests(schedule, 7.0)
+    assert request.time_budget == pytest.approx(SHARE / pace)
+    assert schedule.command_time(request, 0.02) == pytest.approx(7.0 + 0.02 * pace)
+
+
+def test_plan_is_made_for_when_its_command_will_be_ready() -> None:
+    schedule = clocked()
+    schedule.completed(0.04, solved=True)
+    (request,) = requests(schedule, 1.0)
+    assert request.instant == pytest.approx(1.0 + 1.25 * 0.04)
+    assert request.time_budget == pytest.approx(SHARE), "counted from the instant itself"
+
+
+def test_pose_is_observed_when_it_arrives() -> None:
+    schedule, now = clocked(), pose(1.0)
+    assert schedule.pose_received(now, 1.01, WALL).observe is now
+    assert schedule.pose_age(1.0, 1.01) == pytest.approx(0.01)
+
+
+def test_pose_is_of_no_use_before_the_clock_is_known() -> None:
+    schedule = clocked(simulated=True)
+    assert schedule.pose_received(pose(1.0), None, WALL) == NOTHING
+    assert math.isnan(schedule.pose_age(1.0, None))
+    assert schedule.tick(1.0, WALL).observe is None
+
+
+def test_pose_ahead_of_the_clock_is_observed_at_the_next_tick() -> None:
+    schedule, ahead = clocked(), pose(3.0)
+    assert schedule.pose_received(ahead, 1.0, WALL) == NOTHING
+    actions = schedule.tick(2.9, WALL)
+    assert actions.observe is ahead and actions.refused is None
+    assert actions.plan is not None
+    assert schedule.tick(3.4, WALL).observe is None, "once"
+
+
+def test_pose_that_is_still_ahead_at_the_next_tick_is_refused() -> None:
+    schedule = clocked()
+    schedule.pose_received(pose(3.0), 1.0, WALL)
+    actions = schedule.tick(1.5, WALL)
+    assert actions.refused == pytest.approx(1.5) and actions.observe is None
+    assert actions.plan is not None, "the tick is not lost"
+    assert schedule.tick(2.0, WALL).refused is None
+
+
+def test_changed_pose_timeout_decides_what_is_ahead() -> None:
+    schedule = clocked()
+    schedule.change(ControllerSettings(strategy="paper", pose_timeout=5.0))
+    assert schedule.pose_received(pose(3.0), 1.0, WALL).observe is not None
+
+
+def test_goal_starts_a_new_grid_at_once() -> None:
+    schedule = clocked()
+    requests(schedule, 1.0, 1.5)
+    schedule.goal_changed()
+    actions = schedule.start(1.7, WALL, always)
+    assert actions is not None and actions.plan is not None
+    assert actions.plan.instant == pytest.approx(1.7)
+    assert [r.instant for r in requests(schedule, 2.2, 2.7)] == pytest.approx([2.2, 2.7])
+    assert schedule.missed == 0
+
+
+def test_start_waits_for_a_goal_and_rotors_at_rest() -> None:
+    schedule = clocked()
+    asked: list[float] = []
+
+    def not_yet(now: float) -> bool:
+        asked.append(now)
+        return False
+
+    assert schedule.start(1.7, WALL, not_yet) is None
+    assert asked == [1.7]
+
+
+def test_start_waits_until_the_pace_of_simulated_time_is_known() -> None:
+    schedule = clocked(simulated=True)
+    assert schedule.start(1.0, WALL, always) is None
+    show_pace(schedule, 1.0, until=1.7)
+    assert schedule.start(1.7, WALL, always) is not None
+
+
+def test_only_the_first_solved_plan_towards_a_goal_starts_a_grid() -> None:
+    schedule = clocked()
+    schedule.completed(0.0, solved=False)
+    assert schedule.start(1.0, WALL, always) is not None
+    schedule.completed(0.0, solved=True)
+    assert schedule.start(1.1, WALL, always) is None
+    schedule.enabled()
+    assert schedule.start(1.2, WALL, always) is not None
+
+
+@pytest.mark.parametrize(
+    ("strategy", "lead"), [("time_optimal", MOST_LEAD * 0.25), ("paper", 0.0)]
+)
+def test_first_plan_of_a_search_is_expected_to_take_all_its_time(
+    strategy: str, lead: float
+) -> None:
+    schedule = clocked(strategy=strategy)
+    schedule.goal_changed()
+    (request,) = requests(schedule, 1.0)
+    assert request.instant == pytest.approx(1.0 + lead)
+
+
+def test_disabling_plans_at_once_and_leaves_the_grid_alone() -> None:
+    schedule = clocked()
+    requests(schedule, 1.0)
+    request = schedule.disabled(1.2).plan
+    assert request == PlanRequest(1.2, 1.2, pytest.approx(SHARE))
+    assert [r.instant for r in requests(schedule, 1.5)] == pytest.approx([1.5])
+    assert schedule.disabled(None) == NOTHING
+
+
+def test_jump_of_the_clock_begins_a_new_grid_and_drops_the_pose_that_was_kept() -> None:
+    schedule = clocked()
+    requests(schedule, 7.0)
+    schedule.pose_received(pose(9.0), 7.0, WALL)
+    schedule.completed(0.0, solved=True)
+    schedule.clock_jumped()
+    actions = schedule.tick(0.3, WALL)
+    assert actions.observe is None and actions.refused is None
+    assert actions.plan is not None and actions.plan.instant == pytest.approx(0.3)
+    assert schedule.missed == 0
+    assert schedule.start(0.4, WALL, always) is not None
+
+
+def test_other_clock_has_a_pace_of_its_own() -> None:
+    schedule = clocked(simulated=False)
+    assert schedule.pace == 1.0
+    schedule.clock_jumped(simulated=True)
+    assert schedule.pace is None
+    show_pace(schedule, 3.0, until=5.0)
+    assert schedule.pace == pytest.approx(3.0)
+    schedule.clock_jumped()
+    assert schedule.pace == pytest.approx(3.0), "a jump alone does not change the clock"
+    schedule.clock_jumped(simulated=False)
+    assert schedule.pace == 1.0
+
+
+def test_other_control_period_begins_a_new_grid() -> None:
+    schedule = clocked()
+    requests(schedule, 1.0, 1.5)
+    settings = ControllerSettings(strategy="time_optimal")
+    assert schedule.refusal(settings) is None
+    schedule.change(settings)
+    assert schedule.timer_period == 0.25
+    made = requests(schedule, 1.6, 1.85)
+    assert [request.instant for request in made] == pytest.approx([1.6, 1.85])
+    assert made[0].time_budget == pytest.approx(PLANNING_SHARE * 0.25)
+
+
+def test_change_of_another_setting_keeps_the_grid() -> None:
+    schedule = clocked()
+    requests(schedule, 1.0)
+    schedule.change(ControllerSettings(strategy="paper", planning_effort=2000))
+    assert [r.instant for r in requests(schedule, 1.6)] == pytest.approx([1.5])
+
+
+def test_nothing_is_sent_where_nothing_is_committed() -> None:
+    request = PlanRequest(1.0, 1.0, 0.1)
+    hold = FirstOrderHold.constant(1.0, np.zeros(2))
+    assert clocked().command(request, None) is None
+    assert clocked().command(request, hold) is hold

@@ -52,7 +52,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from sphere_sim.scenario.scenarios import draw_scenarios, read_scenarios
-    from sphere_sim.study.bound import best_known_times
+    from sphere_sim.study.best_known import best_known_times
     from sphere_sim.study.progress import StudyProgress
     from sphere_sim.study.study import Study
     from sphere_sim.study.summary import headline
@@ -65,21 +65,20 @@ def _run(arguments: argparse.Namespace) -> int:
     strategies = tuple(dict.fromkeys(arguments.strategy or [ControllerSettings().strategy]))
     conditions = _conditions(arguments, strategies[0])
     study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
-    jobs = arguments.jobs or cores()
 
-    def bounds(scenarios: "Sequence[Scenario]") -> Sequence[float]:
+    def search(scenarios: "Sequence[Scenario]") -> Sequence[float]:
         progress.close()
-        workers.close()  # the search has processes of its own
         left = (
             f"{arguments.out} has all results but the best known times, for which the same "
             "command goes on"
         )
         with if_interrupted(lambda: left):
-            return best_known_times(scenarios, conditions.robot, jobs)
+            return best_known_times(scenarios, conditions.robot, workers)
 
     runs = len(scenarios) * len(strategies)
+    jobs = arguments.jobs or cores()
     with Workers(jobs, arguments.scheduler) as workers, StudyProgress(runs) as progress:
-        summaries = study.run(workers, None if arguments.no_bound else bounds, progress.saw)
+        summaries = study.run(workers, None if arguments.no_bound else search, progress.saw)
     for summary in summaries.values():
         print(f"{headline(summary)} -> {arguments.out}")
     return 1 if any(summary["crashed"] for summary in summaries.values()) else 0

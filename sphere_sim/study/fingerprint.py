@@ -1,31 +1,33 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What tells whether two sets of runs can be mixed: settings, scenarios and code."""
+"""Fingerprint of a study: settings, scenarios and code, which decide the results of its runs."""
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import sphere_nmpc
-import sphere_sim
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.imported_modules import imported_modules
 
-_SOURCES = {".py", ".c", ".h"}
-_NOT_IN_A_RUN = {"ros", "cli", "viewer", "recording"}
+_RUN_MODULE = "sphere_sim.study.single_run"
+WORKER_MODULES = (_RUN_MODULE, "sphere_sim.study.best_known")
+"""Modules whose functions workers call."""
+_C_SOURCES = ("*.c", "*.h")
 
 
 def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> dict[str, Any]:
-    """Return all that decides the outcome of a study, as plain JSON content."""
+    """Return all that decides the results of a study's runs, as JSON content."""
     content = {
         "conditions": asdict(conditions),
         "runs": len(scenarios),
         "scenarios": _digest(_scenario_bytes(scenarios)),
-        "code": code_digest(),
+        "code": run_code_digest(conditions.controller.strategy),
     }
     # Through JSON and back, so that it equals what is read from a file.
     plain: dict[str, Any] = json.loads(json.dumps(content))
@@ -33,13 +35,28 @@ def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> d
 
 
 @cache
-def code_digest() -> str:
-    """Return a digest of the sources a run depends on, which versions alone do not tell."""
-    return _digest(_source_bytes())
+def run_code_digest(strategy: str) -> str:
+    """Return a digest of the sources that a run with a strategy executes, and of no others.
+
+    A version number would not change with each edit of a source.
+    """
+    return _digest(_source_bytes(run_modules(strategy)))
+
+
+def run_modules(strategy: str) -> dict[str, Path]:
+    """Return the source files that a run with a strategy executes, by module."""
+    modules = {name: entry.path.partition(":")[0] for name, entry in STRATEGIES.items()}
+    return imported_modules(_RUN_MODULE, modules[strategy], not_by_name=modules.values())
+
+
+@cache
+def worker_code_digest() -> str:
+    """Return a digest of all sources that a worker may execute."""
+    return _digest(_source_bytes(imported_modules(*WORKER_MODULES)))
 
 
 def differences(recorded: Any, given: Any, name: str = "") -> Iterator[str]:
-    """Yield in words where two fingerprints differ."""
+    """Yield a description of each difference between two fingerprints."""
     if isinstance(recorded, dict) and isinstance(given, dict):
         for key in sorted(recorded.keys() | given.keys()):
             place = f"{name}.{key}".removeprefix(".conditions").removeprefix(".")
@@ -65,11 +82,11 @@ def _scenario_bytes(scenarios: Sequence[Scenario]) -> Iterator[bytes]:
         yield json.dumps([scenario.seed, scenario.extra, scenario.given]).encode()
 
 
-def _source_bytes() -> Iterator[bytes]:
-    for package in (sphere_nmpc, sphere_sim):
-        root = Path(str(package.__file__)).parent
-        for path in sorted(root.rglob("*")):
-            parts = path.relative_to(root).parts
-            if path.suffix in _SOURCES and not _NOT_IN_A_RUN & set(parts):
-                yield "/".join(parts).encode()
-                yield path.read_bytes()
+def _source_bytes(modules: Mapping[str, Path]) -> Iterator[bytes]:
+    for name, path in sorted(modules.items()):
+        yield name.encode()
+        yield path.read_bytes()
+        if path.name == "__init__.py":
+            for source in sorted(p for kind in _C_SOURCES for p in path.parent.glob(kind)):
+                yield source.name.encode()
+                yield source.read_bytes()

@@ -18,7 +18,7 @@ from sphere_sim.study.fingerprint import fingerprint
 from sphere_sim.study.journal import NAME as JOURNAL
 from sphere_sim.study.journal import Journal
 from sphere_sim.study.record import RunRecord, Value
-from sphere_sim.study.single_run import prepare
+from sphere_sim.study.single_run import prepare, run_scenario
 from sphere_sim.study.summary import summarise
 from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
@@ -118,8 +118,12 @@ class Study:
         if watch is not None:
             for record in journal.records.values():
                 watch(record)
-        tasks = [task for task in enumerate(self.scenarios) if task[0] not in journal.records]
-        for index, record in workers.run(conditions, tasks):
+        tasks = [
+            (index, (conditions, scenario))
+            for index, scenario in enumerate(self.scenarios)
+            if index not in journal.records
+        ]
+        for index, record in workers.run(run_scenario, tasks, "run"):
             journal.append(index, record)
             if watch is not None:
                 watch(record)

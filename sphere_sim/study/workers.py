@@ -1,29 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where runs are made: in this process, on its cores, or on a Dask cluster."""
+"""Workers of a study: this process, processes of this machine, or a Dask cluster."""
 
 import contextlib
-import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any
 
-from sphere_sim.scenario.scenarios import Scenario
-from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.errors import WorkersError
-from sphere_sim.study.fingerprint import code_digest
-from sphere_sim.study.processes import Processes
-from sphere_sim.study.record import RunRecord
-from sphere_sim.study.single_run import run_scenario
-
-_CONNECT_TIMEOUT = 15.0
-"""Patience with an existing scheduler [s]."""
-
-_AHEAD = 4
-"""Runs handed out for each thread of the cluster, so that none waits for work."""
-
-Task = tuple[int, Scenario]
+from sphere_sim.study.processes import Processes, Task
 
 
 def cores() -> int:
@@ -34,15 +19,15 @@ def cores() -> int:
 
 
 class Workers:
-    """Make runs; a context manager, as processes have to be ended.
+    """Make calls somewhere; a context manager, at whose end processes are ended.
 
-    Results do not depend on where they are made. Processes are started, or a cluster is joined,
-    when the first run is asked for.
+    Results do not depend on where a call is made. Processes are started, or a cluster is joined,
+    with the first call.
 
     Parameters
     ----------
     jobs : int
-        Processes on this machine; 1 is this very process.
+        Processes on this machine; with 1 the calls are made in this process.
     scheduler : str, optional
         Address of an existing Dask scheduler to use instead.
     """
@@ -62,87 +47,35 @@ class Workers:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End all processes, or leave the cluster."""
         self._client = None
         self._exits.close()
 
     def run(
-        self, conditions: StudyConditions, tasks: Sequence[Task]
-    ) -> Iterator[tuple[int, RunRecord]]:
-        """Yield number and record of each run as it is made, in any order.
+        self, call: Callable[..., Any], tasks: Sequence[Task], what: str
+    ) -> Iterator[tuple[Any, Any]]:
+        """Yield name and result of each task as it is done, in any order.
+
+        Parameters
+        ----------
+        call : callable
+            A function of a module that `sphere_sim.study.fingerprint.WORKER_MODULES` names.
+        tasks : sequence of (object, tuple)
+            A name and arguments for each call.
+        what : str
+            What a task is called in errors.
 
         Raises
         ------
         WorkersError
-            If the scheduler cannot be reached, its workers run other code, or a worker dies over
-            a run again and again.
+            If processes cannot be started, the scheduler cannot be reached, its workers run other
+            code, a call raises, or a worker dies again and again over the same call.
         """
         if self._address is None:
-            calls = ((index, (conditions, scenario)) for index, scenario in tasks)
-            yield from self._processes.run(run_scenario, calls, "run")
+            yield from self._processes.run(call, tasks, what)
         elif tasks:
+            # Dask is loaded for clusters only: it takes a second.
+            from sphere_sim.study.cluster import joined_cluster, run_on_cluster
+
             if self._client is None:
-                self._client = self._exits.enter_context(_existing_cluster(self._address))
-            yield from self._run_on(self._client, conditions, iter(tasks))
-
-    def _run_on(
-        self, client: Any, conditions: StudyConditions, tasks: Iterator[Task]
-    ) -> Iterator[tuple[int, RunRecord]]:
-        from distributed import as_completed
-
-        numbers: dict[str, int] = {}
-
-        def hand_out() -> Any:
-            task = next(tasks, None)
-            if task is None:
-                return None
-            future = client.submit(run_scenario, conditions, task[1], pure=False)
-            numbers[future.key] = task[0]
-            return future
-
-        threads = sum(client.nthreads().values())
-        first = [hand_out() for _ in range(max(1, _AHEAD * threads))]
-        under_way = as_completed(
-            [future for future in first if future is not None], loop=client.loop
-        )
-        for done in under_way:
-            index = numbers.pop(done.key)
-            if done.status != "finished":
-                reason = done.exception() if done.status == "error" else "the scheduler is gone"
-                raise WorkersError(f"run {index} could not be made: {reason}")
-            record = done.result()
-            following = hand_out()
-            if following is not None:
-                under_way.add(following)
-            yield index, record
-
-
-@contextlib.contextmanager
-def _existing_cluster(address: str) -> Iterator[Any]:
-    from distributed import Client
-
-    for name in ("distributed", "distributed.client"):  # Dask sets the level of each
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    try:
-        client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        reason = str(error) or type(error).__name__
-        raise WorkersError(f"scheduler {address}: cannot be reached ({reason})") from None
-    with client:
-        try:
-            digests = client.run(code_digest)
-        except Exception as error:  # whatever happens in a worker is raised here
-            raise WorkersError(f"scheduler {address}: its workers fail ({error})") from None
-        if not digests:
-            raise WorkersError(f"scheduler {address}: has no workers")
-        for worker, digest in digests.items():
-            if not _same_code(digest):
-                raise WorkersError(f"worker {worker}: runs another version of sphere_nmpc")
-        yield client
-
-
-def _same_code(digest: str) -> bool:
-    return digest == code_digest()
+                self._client = self._exits.enter_context(joined_cluster(self._address))
+            yield from run_on_cluster(self._client, call, tasks, what)

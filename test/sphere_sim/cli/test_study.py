@@ -7,8 +7,13 @@ from collections.abc import Iterator
 
 import pytest
 
+from sphere_nmpc.cache import CACHE_VARIABLE
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.csv_file import STATE_COLUMNS
+from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.study.processes import Processes
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 BRIEF = ["--duration", "1", "--jobs", "1", "--no-bound"]
@@ -121,6 +126,40 @@ def test_folder_that_cannot_be_written_is_one_line_and_exits_2(tmp_path, capsys,
     assert main(["--draw", "1", "--out", str(tmp_path / name), *BRIEF]) == 2
     (told,) = capsys.readouterr().err.splitlines()
     assert f"{tmp_path / name}: " in told and "choose a folder that can be written" in told
+
+
+@pytest.fixture
+def searched(tmp_path, monkeypatch) -> list[RobotParameters]:
+    """Return a list of the robots whose best known times are searched, without a search."""
+    robots: list[RobotParameters] = []
+
+    def search(scenario: Scenario, robot: RobotParameters) -> float:
+        robots.append(robot)
+        return 1.0
+
+    HoldSolver()  # loads the compiled one before its folder is taken away
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr("sphere_sim.study.best_known.best_known_time", search)
+    return robots
+
+
+def test_one_job_searches_best_known_times_in_this_process(
+    tmp_path, searched, monkeypatch
+) -> None:
+    def start(self: Processes) -> None:
+        raise AssertionError("a process is started")
+
+    monkeypatch.setattr(Processes, "_start", start)
+    options = ["--draw", "3", "--duration", "0.5", "--strategy", "paper", "--jobs", "1"]
+    assert main([*options, "--out", str(tmp_path / "out")]) == 0
+    assert searched == [RobotParameters()] * 3
+
+
+def test_best_known_times_are_those_of_the_robot_that_is_set(tmp_path, searched) -> None:
+    options = ["--draw", "1", "--duration", "0.5", "--strategy", "paper", "--jobs", "1"]
+    robot = ["--set", "robot.shell_mass=1.5", "max_rotor_speed=60"]
+    assert main([*options, *robot, "--out", str(tmp_path / "out")]) == 0
+    assert searched == [RobotParameters(shell_mass=1.5, max_rotor_speed=60.0)]
 
 
 def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:

@@ -131,8 +131,12 @@ def test_stopped_study_goes_on_and_ends_the_same(done, tmp_path) -> None:
 
 
 def test_finished_study_is_not_made_again(done, monkeypatch) -> None:
-    monkeypatch.setattr(Workers, "run", lambda self, conditions, tasks: iter(tasks))
+    made = []
+    monkeypatch.setattr(
+        Workers, "run", lambda self, call, tasks, what: made.extend(tasks) or iter(())
+    )
     make(done)
+    assert not made
 
 
 @pytest.mark.parametrize(

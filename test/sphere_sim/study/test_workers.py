@@ -2,27 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results do not depend on where the runs are made."""
 
-from dataclasses import replace
+import os
 
 import pytest
 from distributed import LocalCluster
 
+from sphere_nmpc.cache import CACHE_VARIABLE
+from sphere_sim.cli.main import main
 from sphere_sim.scenario.scenarios import draw_scenarios
-from sphere_sim.study import workers as workers_module
+from sphere_sim.study import cluster as cluster_module
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import WorkersError
+from sphere_sim.study.processes import Processes
 from sphere_sim.study.record import TIMING_COLUMNS, RunRecord
+from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import Workers, cores
 
 SCENARIOS = draw_scenarios(12, 3)
 CONDITIONS = StudyConditions(duration=3.0, perturbation=3.0, latency=0.02).with_settings(
     [("process_noise", "1e-3"), ("position_noise", "1e-3"), ("orientation_noise", "1e-3")]
 )
+TASKS = [(i, (CONDITIONS, scenario)) for i, scenario in enumerate(SCENARIOS)]
 
 
 def make(workers: Workers) -> dict[int, RunRecord]:
     with workers:
-        made = dict(workers.run(CONDITIONS, list(enumerate(SCENARIOS))))
+        made = dict(workers.run(run_scenario, TASKS, "run"))
     for record in made.values():
         for name in TIMING_COLUMNS:
             del record.results[name]
@@ -50,14 +55,28 @@ def test_two_workers_of_a_cluster_give_the_same_to_the_bit(made_here, cluster) -
     assert make(Workers(scheduler=cluster.scheduler_address)) == made_here
 
 
+def test_study_on_a_cluster_searches_best_known_times_there_too(
+    cluster, tmp_path, monkeypatch
+) -> None:
+    def run(*arguments: object) -> None:
+        raise AssertionError("a call on this machine")
+
+    monkeypatch.setattr(Processes, "run", run)
+    monkeypatch.setattr(os, "environ", {**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")})
+    options = ["--draw", "2", "--duration", "0.5", "--strategy", "paper"]
+    where = ["--scheduler", cluster.scheduler_address, "--out", str(tmp_path / "out")]
+    assert main(["study", *options, *where]) == 0
+    assert len((tmp_path / "cache" / "best_known_times.jsonl").read_text().splitlines()) == 2
+
+
 def test_workers_with_other_code_are_refused(cluster, monkeypatch) -> None:
-    monkeypatch.setattr(workers_module, "_same_code", lambda digest: False)
+    monkeypatch.setattr(cluster_module, "_same_code", lambda digest: False)
     with pytest.raises(WorkersError, match="another version"):
         make(Workers(scheduler=cluster.scheduler_address))
 
 
 def test_scheduler_out_of_reach_is_told(monkeypatch) -> None:
-    monkeypatch.setattr(workers_module, "_CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", 0.5)
     with pytest.raises(WorkersError, match="cannot be reached"):
         make(Workers(scheduler="tcp://127.0.0.1:1"))
 
@@ -67,7 +86,7 @@ def test_cluster_that_goes_away_is_one_error() -> None:
         n_workers=1, threads_per_worker=1, dashboard_address=None, memory_limit=0,
         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
     ) as passing, Workers(scheduler=passing.scheduler_address) as workers:
-        runs = workers.run(CONDITIONS, list(enumerate(SCENARIOS)))
+        runs = workers.run(run_scenario, TASKS, "run")
         next(runs)
         passing.close()
         with pytest.raises(WorkersError, match=r"run \d+ .*the scheduler is gone"):
@@ -76,4 +95,4 @@ def test_cluster_that_goes_away_is_one_error() -> None:
 
 def test_no_run_needs_no_cluster() -> None:
     with Workers(scheduler="tcp://127.0.0.1:1") as workers:
-        assert list(workers.run(replace(CONDITIONS), [])) == []
+        assert list(workers.run(run_scenario, [], "run")) == []

@@ -1,0 +1,143 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Best known time of a scenario: the time of the fastest motion from start to goal that was found.
+
+A long multi-start search for arrivals on a coarse grid of knots, whose best result is shortened
+on finer and finer grids: rest to rest, |u| <= u_max, |du/dt| <= the limit of acceleration and
+torque. The true minimum time may be shorter.
+"""
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from sphere_nmpc.cache import cache_folder
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, nearer_sign, state_error
+from sphere_nmpc.model.torque import within_torque
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver, Effort
+from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
+from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.study.best_known_cache import BestKnownCache
+from sphere_sim.study.progress import shown
+from sphere_sim.study.workers import Workers
+
+SEARCH_VERSION = 1
+"""To be raised with any change of the search that finds other times: times of another version in
+the cache are not used."""
+SEARCHES = 2
+"""Independent searches for each scenario."""
+EFFORT = 400_000
+"""Work of each search: solver iterations times intervals, about a microsecond each."""
+GRIDS = (0.25, 0.125, 0.0625)
+"""Spacing of the knots [s], coarse to fine; the search uses the first."""
+_STEP = 0.0625
+"""Longest integration step of the final motion [s]."""
+_STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1)
+"""Factors of the duration that are tried in turn on a finer grid [-]."""
+_LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
+"""Share of the duration by which a motion is shortened, at first and at last [-]."""
+_SETTLED_ERROR = 1e-2
+"""Error below which a start counts as settled at the goal: the best known time is 0 [mixed]."""
+
+
+def best_known_time(scenario: Scenario, robot: RobotParameters) -> float:
+    """Return the time of the fastest motion found [s]; nan if none, 0 if the start is settled.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Start and goal.
+    robot : RobotParameters
+        Parameters and limits of the robot that moves.
+    """
+    if state_error(scenario.start, scenario.goal) < _SETTLED_ERROR:
+        return 0.0
+    robot = within_torque(robot)
+    goal = nearer_sign(scenario.goal, scenario.start)
+    situation = Situation(0.0, scenario.start, goal, np.zeros(INPUT_SIZE), robot.lumped)
+    earliest = float("nan")
+    for seed in range(SEARCHES):
+        arrival = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed).improve(EFFORT)
+        for period in GRIDS[1:]:
+            if arrival is not None:
+                arrival = _refined(arrival, period, situation, robot)
+        if arrival is not None:
+            earliest = float(np.fmin(earliest, arrival.duration))
+    return earliest
+
+
+def _refined(
+    arrival: Arrival, period: float, situation: Situation, robot: RobotParameters
+) -> Arrival | None:
+    """Return a shorter arrival with knots `period` [s] apart; None where there is none."""
+    solver = ArrivalSolver(robot, period, Effort(40, _STEP, 0.1 * ARRIVED))
+
+    def solve(duration: float, guess: Arrival) -> Arrival | None:
+        found = solver.solve(situation, guess.goal, duration, guess.hold, period)
+        return found if found.miss <= ARRIVED else None
+
+    # The search integrates with coarse steps: its arrival may have to be slightly later.
+    stretched = (solve(stretch * arrival.duration, arrival) for stretch in _STRETCHES)
+    best = next((found for found in stretched if found is not None), None)
+    if best is None:
+        return None
+    share = _LARGEST_SHARE
+    while share > _SMALLEST_SHARE:
+        shorter = solve((1.0 - share) * best.duration, best)
+        if shorter is None:
+            share *= 0.5
+        else:
+            best = shorter
+    return best
+
+
+def best_known_times(
+    scenarios: Sequence[Scenario], robot: RobotParameters, workers: Workers
+) -> list[float]:
+    """Return the best known time of each scenario [s], from the cache where it is there.
+
+    A cache that cannot be used is a warning; all times are then searched for.
+
+    Parameters
+    ----------
+    scenarios : sequence of Scenario
+        Starts and goals.
+    robot : RobotParameters
+        Parameters and limits of the robot that moves.
+    workers : Workers
+        Where the searches run.
+
+    Raises
+    ------
+    WorkersError
+        If the workers cannot be started or reached, or die.
+    InvalidParameterError
+        If the torque limit leaves no acceleration.
+    """
+    cache = BestKnownCache(cache_folder() / "best_known_times.jsonl")
+    keys = [_key(scenario, robot) for scenario in scenarios]
+    missing = {key: s for key, s in zip(keys, scenarios, strict=True) if key not in cache.known}
+    if missing:
+        columns = Progress.get_default_columns()
+        bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        with shown(bar) as progress:
+            task = progress.add_task("best known times", total=len(missing))
+            searches = [(key, (scenario, robot)) for key, scenario in missing.items()]
+            for key, seconds in workers.run(best_known_time, searches, "search"):
+                cache.add(key, seconds)
+                progress.advance(task)
+    return [cache.known[key] for key in keys]
+
+
+def _key(scenario: Scenario, robot: RobotParameters) -> str:
+    """Return a key of all that the best known time depends on, to nine digits."""
+    limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
+    search = (SEARCH_VERSION, SEARCHES, EFFORT, *GRIDS)
+    numbers = [*scenario.start, *scenario.goal, *robot.lumped.as_array(), *limits, *search]
+    text = " ".join(f"{float(number):.9g}" for number in numbers)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of recordings."""
+"""What can go wrong with a recording."""
 
 from pathlib import Path
 
@@ -8,20 +8,17 @@ from sphere_nmpc.errors import SphereNmpcError
 
 
 class BagError(SphereNmpcError):
-    """Bag that cannot be written or read; the message names the bag and the reason.
+    """A recording cannot be written or read; the message says which and why.
 
     Parameters
     ----------
     path : Path
         The bag.
     reason : str
-        Description of what is wrong with it.
+        What is wrong with it, in words.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"bag {path}: {reason}")
-
-
-def one_line_reason(error: Exception) -> str:
-    """Return the message of an error in one line; its type where it has no message."""
-    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        self.path = path
+        self.reason = reason

@@ -9,7 +9,7 @@ from sphere_nmpc.quantity import quantity, validate
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """Folder, start and commit period of recordings.
+    """Where a recording goes and when it starts.
 
     Raises
     ------
@@ -24,7 +24,7 @@ class RecorderSettings:
         True, "-", "Whether to record at once, or to wait for the start service"
     )
     commit_period: float = quantity(
-        0.5, "s", "Wall time after which received messages are on disk in a readable bag",
+        0.5, "s", "Wall time after which what was received is on the disk, readable by all",
         minimum=0.05, maximum=60.0,
     )
 

@@ -19,8 +19,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, nearer_sign, state_error
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver, Effort
-from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.best_known_cache import BestKnownCache
 from sphere_sim.study.progress import shown
@@ -33,6 +34,8 @@ SEARCHES = 2
 """Independent searches for each scenario."""
 EFFORT = 400_000
 """Work of each search: solver iterations times intervals, about a microsecond each."""
+_TUNING = TimeOptimalSettings()
+"""Tuning of the searches: that of the strategy."""
 GRIDS = (0.25, 0.125, 0.0625)
 """Spacing of the knots [s], coarse to fine; the search uses the first."""
 _STEP = 0.0625
@@ -62,7 +65,8 @@ def best_known_time(scenario: Scenario, robot: RobotParameters) -> float:
     situation = Situation(0.0, scenario.start, goal, np.zeros(INPUT_SIZE), robot.lumped)
     earliest = float("nan")
     for seed in range(SEARCHES):
-        arrival = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed).improve(EFFORT)
+        search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
+        arrival = search.improve(EFFORT)
         for period in GRIDS[1:]:
             if arrival is not None:
                 arrival = _refined(arrival, period, situation, robot)
@@ -75,11 +79,12 @@ def _refined(
     arrival: Arrival, period: float, situation: Situation, robot: RobotParameters
 ) -> Arrival | None:
     """Return a shorter arrival with knots `period` [s] apart; None where there is none."""
-    solver = ArrivalSolver(robot, period, Effort(40, _STEP, 0.1 * ARRIVED))
+    tolerance = _TUNING.coarse_error
+    solver = ArrivalSolver(robot, period, Accuracy(40, _STEP, 0.1 * tolerance), _TUNING)
 
     def solve(duration: float, guess: Arrival) -> Arrival | None:
         found = solver.solve(situation, guess.goal, duration, guess.hold, period)
-        return found if found.miss <= ARRIVED else None
+        return found if found.error <= tolerance else None
 
     # The search integrates with coarse steps: its arrival may have to be slightly later.
     stretched = (solve(stretch * arrival.duration, arrival) for stretch in _STRETCHES)

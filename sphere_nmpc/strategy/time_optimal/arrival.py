@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The problem behind the strategy: end at the goal, at rest, after a given time."""
+"""The fixed-time problem behind the strategy: end at the goal, at rest, after a given time."""
 
 from dataclasses import dataclass
 
@@ -13,23 +13,21 @@ from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.grid import knot_durations
-
-SLEW_WEIGHT = 10.0
-"""Weight of accelerations beyond the limit; at an arrival they vanish with the miss."""
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _REGULARISATION = 1e-12
 """Input weight that only keeps the normal equations regular."""
 
-_CALL_WORK = 60
-"""Work that a call costs whatever it solves."""
+_LEAST_DECREASE = 1e-6
+"""Decrease of the cost by an iteration [of the cost] below which a solve stops."""
 
-_ACCELERATION_SHARE = 0.998
-"""Share of the acceleration that is planned with, so that the penalty's slack stays inside."""
+_CALL_WORK = 60
+"""Work of a call apart from its iterations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """Rotor speeds that lead to the goal.
+    """Rotor speeds that lead to the goal in a given time, the solution of a fixed-time problem.
 
     Attributes
     ----------
@@ -39,20 +37,21 @@ class Arrival:
         Predicted states at the knots.
     goal : ndarray, shape (6,)
         Goal with the quaternion sign that is aimed at.
-    miss : float
-        Square root of the cost: predicted distance to the goal, with any slack of the limits.
+    error : float
+        Predicted terminal error, norm in R^6: square root of the cost, which also contains what
+        exceeds the acceleration limit.
     iterations : int
-        Solver iterations spent.
+        Solver iterations used.
     kkt_residual : float
         First-order optimality.
     work : int
-        Iterations times intervals: what the solve cost, the same on every machine.
+        Iterations times intervals: cost of the solve, the same on every machine.
     """
 
     hold: FirstOrderHold
     states: Vector
     goal: Vector
-    miss: float
+    error: float
     iterations: int
     kkt_residual: float
     work: int
@@ -64,8 +63,8 @@ class Arrival:
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How hard a single solve tries.
+class Accuracy:
+    """Limits of a single solve.
 
     Attributes
     ----------
@@ -73,39 +72,48 @@ class Effort:
         Cap on solver iterations.
     max_step : float
         Longest integration step [s].
-    miss : float
-        Miss at which the solve is content.
+    error : float
+        Terminal error [norm in R^6] at which the solve stops.
     """
 
     max_iterations: int
     max_step: float
-    miss: float
+    error: float
 
 
 class ArrivalSolver:
-    """Solve for arrivals from one situation after another.
+    """Solver of fixed-time problems.
 
     Parameters
     ----------
     robot : RobotParameters
         Limits of the drives.
     period : float
-        Spacing of the controller's ticks [s].
-    effort : Effort
-        How hard each solve tries.
+        Sample period: spacing of the knots [s].
+    accuracy : Accuracy
+        Limits of each solve.
+    settings : TimeOptimalSettings
+        Spacing of the knots, share of the acceleration limit, weight of the penalty.
     """
 
-    def __init__(self, robot: RobotParameters, period: float, effort: Effort) -> None:
+    def __init__(
+        self,
+        robot: RobotParameters,
+        period: float,
+        accuracy: Accuracy,
+        settings: TimeOptimalSettings,
+    ) -> None:
         self._max_speed = robot.max_rotor_speed
-        self._acceleration = _ACCELERATION_SHARE * robot.max_rotor_acceleration
+        self._acceleration = settings.acceleration_share * robot.max_rotor_acceleration
         self._period = period
-        self._effort = effort
+        self._max_step = accuracy.max_step
+        self._settings = settings
         self._solver = HoldSolver(
             SolverSettings(
-                max_iterations=effort.max_iterations,
+                max_iterations=accuracy.max_iterations,
                 gradient_tolerance=0.0,
-                decrease_tolerance=1e-6,
-                target_cost=effort.miss**2,
+                decrease_tolerance=_LEAST_DECREASE,
+                target_cost=accuracy.error**2,
             )
         )
 
@@ -122,20 +130,20 @@ class ArrivalSolver:
         Parameters
         ----------
         situation : Situation
-            Where the robot is and what its rotors do.
+            State of the robot and speeds of its rotors at the start.
         goal : ndarray, shape (6,)
             Goal with the quaternion sign that is aimed at.
         duration : float
             Time to the arrival [s].
         guess : FirstOrderHold
-            First guess; it is stretched in time to end at `duration`.
+            Initial guess; it is stretched in time to end at `duration`.
         to_first_knot : float
             Time to the first knot [s].
 
         Returns
         -------
         Arrival
-            The best found; its `miss` tells whether it gets there.
+            The best found; its `error` shows whether it reaches the goal.
         """
         problem = self._problem(situation, goal, duration, to_first_knot)
         times = np.concatenate(([0.0], np.cumsum(problem.durations)))
@@ -151,11 +159,11 @@ class ArrivalSolver:
     def _problem(
         self, situation: Situation, goal: Vector, duration: float, to_first_knot: float
     ) -> HoldProblem:
-        durations = knot_durations(duration, self._period, to_first_knot)
+        durations = knot_durations(duration, self._period, to_first_knot, self._settings)
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
         lower = -upper
-        # What the first and the last ramp can do is exact in the bounds; between other knots the
-        # acceleration is a penalty.
+        # The acceleration limit of the first and the last ramp is exact, as a bound on the knot
+        # whose neighbour is fixed; between other knots it is a penalty.
         in_force = np.clip(situation.input_in_force, -self._max_speed, self._max_speed)
         first, last = self._acceleration * durations[0], self._acceleration * durations[-1]
         upper[0] = np.minimum(upper[0], in_force + first)
@@ -163,9 +171,9 @@ class ArrivalSolver:
         if durations.size > 1:
             stop_upper = np.minimum(upper[-2], last)
             stop_lower = np.maximum(lower[-2], -last)
-            meets = stop_lower <= stop_upper
-            upper[-2] = np.where(meets, stop_upper, upper[-2])
-            lower[-2] = np.where(meets, stop_lower, lower[-2])
+            compatible = stop_lower <= stop_upper
+            upper[-2] = np.where(compatible, stop_upper, upper[-2])
+            lower[-2] = np.where(compatible, stop_lower, lower[-2])
         upper[-1] = lower[-1] = 0.0
         return HoldProblem(
             state=situation.state,
@@ -177,7 +185,7 @@ class ArrivalSolver:
             upper=upper,
             input_scale=self._max_speed,
             input_weight=_REGULARISATION,
-            slew_weight=SLEW_WEIGHT,
+            slew_weight=self._settings.slew_weight,
             max_acceleration=self._acceleration,
-            max_step=self._effort.max_step,
+            max_step=self._max_step,
         )

@@ -1,66 +1,81 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the knots of a plan lie in time."""
+"""Times of the knots of a plan."""
 
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
-SHORTEST = 0.3
-"""Share of the period below which an interval is too weak to be worth knots of its own."""
-_TOUCHING = 1e-4
-"""Time to a knot [s] below which it is not told from now."""
-
-MANOEUVRE = 4.0
-"""Time planned in full detail at either end of a long way [s]."""
+_SAME_TIME = 1e-4
+"""Time to a knot [s] below which it counts as passed."""
 
 
-def knot_durations(duration: float, period: float, to_first_knot: float) -> Vector:
-    """Return interval lengths that end at `duration`, knots on the ticks of the controller.
+def knot_durations(
+    duration: float, period: float, to_first_knot: float, settings: TimeOptimalSettings
+) -> Vector:
+    """Return interval lengths that end at `duration`, with knots at the sampling instants.
 
-    The first interval reaches to the next tick and the last is as short as the arrival wants it.
-    A long way is a manoeuvre, one long interval of steady rolling and another manoeuvre, so that
-    the size of the problem does not grow with the distance.
+    The first interval reaches to the next sampling instant; the last is as short as the time of
+    the arrival makes it. A long plan is a manoeuvre, one long interval of steady rolling and
+    another manoeuvre, so that the size of the problem does not grow with the distance.
 
     Parameters
     ----------
     duration : float
         Time to the arrival [s], positive.
     period : float
-        Spacing of the ticks [s].
+        Sample period [s].
     to_first_knot : float
-        Time to the first knot [s]; see `to_first_knot`.
+        Time to the first knot [s]; see `KnotGrid`.
+    settings : TimeOptimalSettings
+        Shortest interval, length of a manoeuvre.
 
     Returns
     -------
     ndarray, shape (N,)
+        Interval lengths [s].
     """
-    last = duration - SHORTEST * period
-    ticks: Vector = np.arange(to_first_knot, last, period, dtype=np.float64)
-    if duration > 2.0 * MANOEUVRE + 2.0 * period:
-        ticks = ticks[(ticks <= MANOEUVRE) | (ticks >= duration - MANOEUVRE)]
-    return np.diff(np.concatenate(([0.0], ticks, [duration])))
+    last = duration - settings.shortest_interval * period
+    instants: Vector = np.arange(to_first_knot, last, period, dtype=np.float64)
+    manoeuvre = settings.manoeuvre_time
+    if duration > 2.0 * manoeuvre + 2.0 * period:
+        instants = instants[(instants <= manoeuvre) | (instants >= duration - manoeuvre)]
+    return np.diff(np.concatenate(([0.0], instants, [duration])))
 
 
-def to_first_knot(now: float, origin: float, period: float, anew: bool) -> float:
-    """Return the time to the first knot after `now` [s] of the grid that began at `origin`.
-
-    A plan that is made anew leaves out a knot that is too near. One in hand bends there, however
-    near, and could not be followed without it.
+class KnotGrid:
+    """Sampling instants at which the knots of all plans lie, until a reset.
 
     Parameters
     ----------
-    now, origin : float
-        Times [s].
     period : float
-        Spacing of the grid [s].
-    anew : bool
-        Whether there is no plan in hand.
-
-    Returns
-    -------
-    float
-        Positive [s].
+        Sample period: spacing of the knots [s].
+    settings : TimeOptimalSettings
+        Shortest interval.
     """
-    left = period - float(np.mod(now - origin, period))
-    return left + period if left < (SHORTEST * period if anew else _TOUCHING) else left
+
+    def __init__(self, period: float, settings: TimeOptimalSettings) -> None:
+        self._period = period
+        self._shortest = settings.shortest_interval * period
+        self._origin: float | None = None
+
+    def begin(self, now: float) -> None:
+        """Begin the grid at `now` [s] unless it has begun."""
+        if self._origin is None:
+            self._origin = now
+
+    def begin_anew(self, now: float) -> None:
+        """Begin the grid at `now` [s]."""
+        self._origin = now
+
+    def to_first_knot(self, now: float, new_plan: bool) -> float:
+        """Return the time from `now` [s] to the first knot after it [s], positive.
+
+        A new plan leaves out a knot that is too near. A plan that is being followed changes its
+        slope there, however near, and would not be feasible without it.
+        """
+        origin = now if self._origin is None else self._origin
+        left = self._period - float(np.mod(now - origin, self._period))
+        shortest = self._shortest if new_plan else _SAME_TIME
+        return left + self._period if left < shortest else left

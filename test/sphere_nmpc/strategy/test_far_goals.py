@@ -12,8 +12,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.stages import FAR, FAR_IN_TIME, STAGE, Stages
-from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
+from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
+from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import settling_index, state_errors
 from sphere_sim.world.plant.factory import make_plant
@@ -21,6 +22,9 @@ from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
+TUNING = TimeOptimalSettings()
+FAR, FAR_IN_TIME = TUNING.far_distance, TUNING.far_distance_in_time
+STEP = TUNING.intermediate_distance
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 TOP_SPEED = cruise_speed(ROBOT.lumped, ROBOT.max_rotor_speed)
 DIRECTION = np.array([0.8, 0.6])
@@ -57,7 +61,7 @@ def test_it_sets_off_straight_whatever_the_distance(strategy, distance) -> None:
     assert np.max(aside) < 1.0
     # What is integrated at each sample: without intermediate goals minutes to days.
     longest = max(d.plan.hold.end - d.plan.hold.start for d in trajectory.decisions)
-    assert longest < 3.0 * STAGE / TOP_SPEED
+    assert longest < 3.0 * STEP / TOP_SPEED
 
 
 @pytest.mark.slow
@@ -76,37 +80,37 @@ def test_it_rolls_on_at_top_speed_and_settles() -> None:
 
 def test_a_goal_within_reach_is_aimed_at_itself() -> None:
     near = situation(np.zeros(2), goal_at(0.99 * FAR))
-    assert Stages().aim(near, 0.0) == (near, False, False)
+    assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False, False)
 
 
 def test_where_time_is_short_the_way_is_divided_earlier() -> None:
     limited = replace(situation(np.zeros(2), goal_at(0.5 * FAR)), time_budget=0.1)
     assert FAR_IN_TIME < 0.5 * FAR
-    first, is_new, _ = Stages().aim(limited, 0.0)
+    first, is_new, _ = IntermediateGoals(TUNING).aim(limited, 0.0)
     assert is_new
-    np.testing.assert_allclose(first.goal[POSITION], STAGE * DIRECTION)
+    np.testing.assert_allclose(first.goal[POSITION], STEP * DIRECTION)
     near = replace(limited, goal=goal_at(0.99 * FAR_IN_TIME))
-    assert Stages().aim(near, 0.0) == (near, False, False)
+    assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False, False)
 
 
 def test_an_intermediate_goal_is_on_the_way_and_moves_on_before_it_is_reached() -> None:
-    stages, far = Stages(), situation(np.zeros(2), goal_at(500.0))
-    first, is_new, is_onward = stages.aim(far, 0.0)
-    assert is_new and not is_onward
-    np.testing.assert_allclose(first.goal[POSITION], STAGE * DIRECTION)
+    goals, far = IntermediateGoals(TUNING), situation(np.zeros(2), goal_at(500.0))
+    first, is_new, is_moved_on = goals.aim(far, 0.0)
+    assert is_new and not is_moved_on
+    np.testing.assert_allclose(first.goal[POSITION], STEP * DIRECTION)
     np.testing.assert_array_equal(first.goal[2:], far.goal[2:])
-    same, is_new, _ = stages.aim(far, 10.0)
+    same, is_new, _ = goals.aim(far, 10.0)
     assert not is_new
     np.testing.assert_array_equal(same.goal, first.goal)
-    second, is_new, is_onward = stages.aim(far, 4.4)
-    assert is_new and is_onward
+    second, is_new, is_moved_on = goals.aim(far, 4.4)
+    assert is_new and is_moved_on
     turns = (second.goal - first.goal)[POSITION] / (4.0 * np.pi * ROBOT.shell_radius)
     np.testing.assert_allclose(turns, round(float(np.hypot(*turns))) * DIRECTION)
 
 
 def test_near_the_goal_it_is_aimed_at_itself_again() -> None:
-    stages, goal = Stages(), goal_at(500.0)
-    stages.aim(situation(np.zeros(2), goal), 0.0)
-    last = situation(goal[POSITION] - 0.9 * STAGE * DIRECTION, goal)
-    assert stages.aim(last, 10.0) == (last, True, False)
-    assert stages.aim(last, 10.0) == (last, False, False)
+    goals, goal = IntermediateGoals(TUNING), goal_at(500.0)
+    goals.aim(situation(np.zeros(2), goal), 0.0)
+    last = situation(goal[POSITION] - 0.9 * STEP * DIRECTION, goal)
+    assert goals.aim(last, 10.0) == (last, True, False)
+    assert goals.aim(last, 10.0) == (last, False, False)

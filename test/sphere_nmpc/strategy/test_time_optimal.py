@@ -15,9 +15,10 @@ from sphere_nmpc.model.state import Vector, flipped_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_nmpc.strategy.time_optimal.grid import knot_durations, to_first_knot
-from sphere_nmpc.strategy.time_optimal.search import ARRIVED, ArrivalSearch
-from sphere_nmpc.strategy.time_optimal.starts import cruise_speed
+from sphere_nmpc.strategy.time_optimal.grid import KnotGrid, knot_durations
+from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.scenario.perturbation import perturbed
@@ -28,7 +29,9 @@ from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 SETTINGS = ControllerSettings(strategy="time_optimal")
+HIGH_RATE = ControllerSettings(strategy="time_optimal", control_rate=100.0)
 PERIOD = SETTINGS.period
+TUNING = TimeOptimalSettings()
 AT_ORIGIN = np.array([0, 0, 1.0, 0, 0, 0])
 
 
@@ -65,7 +68,7 @@ def settling_time(found: Trajectory, goal: Vector, within: float = 1e-2) -> floa
 @pytest.mark.parametrize("duration", [0.3, 1.0, 4.99, 12.0, 80.0])
 @pytest.mark.parametrize("to_next_tick", [0.25, 0.13, 0.01])
 def test_knots_lie_on_ticks_and_end_at_the_arrival(duration: float, to_next_tick: float) -> None:
-    durations = knot_durations(duration, PERIOD, to_next_tick)
+    durations = knot_durations(duration, PERIOD, to_next_tick, TUNING)
     assert np.sum(durations) == pytest.approx(duration, abs=1e-12)
     assert np.all(durations > 0.0) and durations.size < 50
     knots = np.cumsum(durations)[:-1]
@@ -75,11 +78,13 @@ def test_knots_lie_on_ticks_and_end_at_the_arrival(duration: float, to_next_tick
 
 @pytest.mark.parametrize("now", np.arange(0.0, 0.76, 0.01))
 def test_first_knot_is_that_of_the_grid_unless_a_new_plan_finds_it_too_near(now: float) -> None:
-    in_hand = to_first_knot(now, 0.0, PERIOD, anew=False)
-    assert 0.0 < in_hand <= PERIOD + 1e-9
-    assert abs(np.mod(now + in_hand + 0.1, PERIOD) - 0.1) < 1e-9
-    anew = to_first_knot(now, 0.0, PERIOD, anew=True)
-    assert anew >= 0.3 * PERIOD and np.isclose(anew - in_hand, [0.0, PERIOD], atol=1e-9).any()
+    grid = KnotGrid(PERIOD, TUNING)
+    grid.begin(0.0)
+    followed = grid.to_first_knot(now, new_plan=False)
+    assert 0.0 < followed <= PERIOD + 1e-9
+    assert abs(np.mod(now + followed + 0.1, PERIOD) - 0.1) < 1e-9
+    new = grid.to_first_knot(now, new_plan=True)
+    assert new >= 0.3 * PERIOD and np.isclose(new - followed, [0.0, PERIOD], atol=1e-9).any()
 
 
 @pytest.mark.parametrize("case", [1, 3])
@@ -108,9 +113,9 @@ def test_cruise_speed_is_what_the_plant_does() -> None:
 
 def test_an_arrival_keeps_every_limit_and_arrives_on_the_plant() -> None:
     scenario = PAPER_CASES[2]
-    search = ArrivalSearch(ROBOT, PERIOD, situation(scenario), PERIOD, seed=0)
+    search = ArrivalSearch(ROBOT, PERIOD, situation(scenario), PERIOD, 0, TUNING)
     found = search.improve(60_000)
-    assert found is not None and found.miss <= ARRIVED
+    assert found is not None and found.error <= TUNING.coarse_error
     hold = found.hold
     np.testing.assert_array_equal(hold.speeds[[0, -1]], np.zeros((2, 2)))
     assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
@@ -131,7 +136,7 @@ def test_an_arrival_keeps_every_limit_and_arrives_on_the_plant() -> None:
 
 
 def test_search_goes_on_where_it_stopped_and_never_gets_worse() -> None:
-    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, seed=3)
+    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, 3, TUNING)
     durations = []
     for _ in range(6):
         found = search.improve(20_000)
@@ -142,12 +147,12 @@ def test_search_goes_on_where_it_stopped_and_never_gets_worse() -> None:
 
 def test_search_repeats_itself_and_minds_the_deadline() -> None:
     first, second = (
-        ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[4]), PERIOD, seed=5).improve(20_000)
+        ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[4]), PERIOD, 5, TUNING).improve(20_000)
         for _ in range(2)
     )
     assert first is not None and second is not None
     np.testing.assert_array_equal(first.hold.speeds, second.hold.speeds)
-    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, seed=5)
+    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, 5, TUNING)
     began = time.perf_counter()
     search.improve(100_000_000, deadline=began + 0.05)
     # One solve may overrun; a loaded machine may add much to it.
@@ -232,6 +237,62 @@ def test_out_of_time_before_any_arrival_is_found_it_keeps_still() -> None:
     plan = strategy.plan(dataclasses.replace(situation(PAPER_CASES[1]), time_budget=0.0))
     assert plan.status is PlanStatus.RAMP_TO_REST
     assert isinstance(plan.hold, FirstOrderHold) and not np.any(plan.hold.speeds)
+
+
+def test_tuning_that_is_given_is_used() -> None:
+    tuning = dataclasses.replace(TUNING, acceleration_share=0.5)
+    plan = TimeOptimalStrategy(SETTINGS, ROBOT, tuning).plan(situation(PAPER_CASES[3]))
+    assert plan.status is PlanStatus.SOLVED
+    slopes = np.diff(plan.hold.speeds, axis=0) / np.diff(plan.hold.times)[:, None]
+    assert np.max(np.abs(slopes)) <= 0.501 * ROBOT.max_rotor_acceleration
+
+
+def test_sphere_at_rest_at_the_goal_leaves_only_beyond_the_leaving_error() -> None:
+    goal = PAPER_CASES[3].goal
+
+    def plan_at(strategy: TimeOptimalStrategy, time: float, error: float) -> PlanStatus:
+        state = goal + error * np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return strategy.plan(Situation(time, state, goal, np.zeros(2), ROBOT.lumped)).status
+
+    between = 0.5 * (TUNING.least_dead_band + TUNING.leaving_error)
+    holding = TimeOptimalStrategy(SETTINGS, ROBOT)
+    assert plan_at(holding, 0.0, 0.5 * TUNING.least_dead_band) is PlanStatus.HOLDING
+    assert plan_at(holding, PERIOD, between) is PlanStatus.HOLDING
+    assert plan_at(holding, 2.0 * PERIOD, 1.1 * TUNING.leaving_error) is PlanStatus.SOLVED
+    # One that has not come to rest at the goal before plans a way there.
+    assert plan_at(TimeOptimalStrategy(SETTINGS, ROBOT), 0.0, between) is PlanStatus.SOLVED
+
+
+@pytest.mark.parametrize(
+    ("noise", "uncertainty", "expected"),
+    [(0.0, 0.0, 2e-3), (1e-4, 0.0, 5e-3), (1e-4, 4e-3, 1.2e-2), (1.0, 0.0, 6e-2)],
+)
+def test_dead_band_follows_noise_and_uncertainty_between_its_limits(
+    noise: float, uncertainty: float, expected: float
+) -> None:
+    assert TUNING.dead_band(noise, uncertainty) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, HIGH_RATE], ids=["4 Hz", "100 Hz"])
+def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettings) -> None:
+    def plans(strategy: TimeOptimalStrategy, case: int) -> list[Vector]:
+        now, found = situation(PAPER_CASES[case]), []
+        for k in range(1, 5):
+            plan = strategy.plan(now)
+            found.append(plan.hold.speeds)
+            time = k * settings.control_period
+            state, speeds = plan.states[min(1, len(plan.states) - 1)], plan.hold.at(time)
+            now = dataclasses.replace(now, time=time, state=state, input_in_force=speeds)
+        return found
+
+    used = TimeOptimalStrategy(settings, ROBOT)
+    plans(used, 2)
+    slippery = dataclasses.replace(situation(PAPER_CASES[4]), noise=0.02)
+    used.plan(slippery)
+    used.reset()
+    expected = plans(TimeOptimalStrategy(settings, ROBOT), 1)
+    for found, wanted in zip(plans(used, 1), expected, strict=True):
+        np.testing.assert_array_equal(found, wanted)
 
 
 def test_arrival_that_is_only_coarse_is_not_found_again_and_again() -> None:

@@ -1,0 +1,94 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Search for a new plan, over several samples where one is too short."""
+
+import dataclasses
+
+from sphere_nmpc.model.state import nearer_sign
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.states import Following, Searching, StartedSearch
+
+
+class NewPlan:
+    """Search for a plan from the present state.
+
+    Parameters
+    ----------
+    full, reduced : ArrivalPlanner
+        Planners with the full and with a reduced limit of acceleration, for slippery floors.
+    grid : KnotGrid
+        Times of the knots; it begins anew with a plan that a search found at a later sample.
+    """
+
+    def __init__(self, full: ArrivalPlanner, reduced: ArrivalPlanner, grid: KnotGrid) -> None:
+        self._full = full
+        self._reduced = reduced
+        self._grid = grid
+        self._tuning = full.tuning
+
+    def search(
+        self,
+        state: Searching,
+        situation: Situation,
+        at_rest: bool,
+        deadline: float,
+        settings: ControllerSettings,
+    ) -> Searching | Following:
+        """Begin a search or continue the one that was started, and solve its result precisely.
+
+        At a high control rate no sample is long enough: a search from rest, which is as good a
+        little later, is then continued at the next ones. While the robot moves, the situation
+        changes, and each sample begins a new search.
+
+        Parameters
+        ----------
+        state : Searching
+            Search to be continued, if any.
+        situation : Situation
+            With a goal that is near enough to plan for.
+        at_rest : bool
+            Whether the rotors are at rest.
+        deadline : float
+            Steady clock reading at which to stop [s].
+        settings : ControllerSettings
+            Planning effort, sample period, control period.
+
+        Returns
+        -------
+        Searching or Following
+            Following once a plan is found that reaches the goal.
+        """
+        started = state.started
+        if started is None or not at_rest:
+            started = self._begin(situation, state.strict)
+        search, planner, now = started.search, started.planner, situation.time
+        effort = settings.planning_effort
+        found = search.improve(effort - search.work, deadline)
+        unspent = max(0, effort - search.work)
+        waited = now - started.begun_at
+        longest = self._tuning.search_share * settings.period
+        if at_rest and unspent and waited + settings.control_period < longest:
+            return Searching(started, state.strict)
+        if found is None:
+            return Searching(strict=state.strict)
+        if waited > 0.0:
+            self._grid.begin_anew(now)
+        for delay in self._tuning.delays + self._tuning.further_delays:
+            arrival = planner.solve(
+                situation, found.goal, delay * found.duration, found.hold, new_plan=True
+            )
+            if arrival.error <= self._tuning.arrival_error:
+                return Following(arrival, now, planner, unspent)
+        return Searching(strict=True)
+
+    def _begin(self, situation: Situation, strict: bool) -> StartedSearch:
+        slippery = situation.noise > self._tuning.slip_noise
+        planner = self._reduced if slippery else self._full
+        goal = nearer_sign(situation.goal, situation.state)
+        search = planner.search(
+            dataclasses.replace(situation, goal=goal), new_plan=True, strict=strict
+        )
+        return StartedSearch(search, planner, situation.time)

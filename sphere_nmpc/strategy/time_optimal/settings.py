@@ -1,0 +1,205 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Tuning of the strategy `time_optimal`."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TimeOptimalSettings:
+    """Numbers that decide how plans are searched for, followed and ended.
+
+    They are not parameters of a node: the defaults suit the robot of Table 1 and are what the
+    results in ``docs/results.md`` were obtained with. Errors are norms in R^6 (metres and
+    quaternion components together), as in the metrics of a study.
+    """
+
+    # Knots of a plan
+
+    shortest_interval: float = 0.3
+    """Length [sample periods] below which an interval gets no knot of its own: within a shorter
+    one the rotors can hardly change their speeds."""
+    manoeuvre_time: float = 4.0
+    """Time [s] at either end of a long plan that has a knot every period; between the two there is
+    a single interval of steady rolling. Longer: larger problems for far goals."""
+
+    # The problem: end at the goal, at rest, after a given time
+
+    slew_weight: float = 10.0
+    """Weight [-] of accelerations beyond the limit between inner knots. Too small: they are
+    exceeded where the terminal error falls by it; too large: slower convergence."""
+    acceleration_share: float = 0.998
+    """Share [-] of the acceleration limit that plans use, so that what little the penalty leaves
+    stays within the limit."""
+    precise_iterations: int = 40
+    """Cap on solver iterations of a plan that is going to be followed."""
+    precise_step: float = 0.05
+    """Longest integration step [s] of such a plan."""
+    precise_error: float = 1e-6
+    """Terminal error [-] at which the solve of such a plan stops."""
+    arrival_error: float = 1e-4
+    """Predicted terminal error [-] up to which a plan counts as reaching the goal. Smaller: plans
+    are delayed more often; larger: larger errors at rest."""
+
+    # Search for an early arrival
+
+    coarse_step: float = 0.25
+    """Longest integration step [s] within the search. Longer: faster, but what is found may not be
+    feasible when it is solved precisely."""
+    coarse_target: float = 1e-4
+    """Terminal error [-] at which a solve within the search stops."""
+    coarse_error: float = 1e-3
+    """Terminal error [-] up to which a solve within the search counts as reaching the goal ..."""
+    coarse_error_share: float = 0.02
+    """... and the share [-] of the error at the start, which may itself be small ..."""
+    least_coarse_error: float = 2e-4
+    """... but never less than this [-], which coarse solves still reach; used alone in a strict
+    search."""
+    trial_iterations: int = 12
+    """Cap on solver iterations of the first solve from an initial guess."""
+    refining_iterations: int = 40
+    """Cap on solver iterations of the second solve, for guesses that are not given up."""
+    shortening_iterations: int = 25
+    """Cap on solver iterations of each attempt to shorten an arrival."""
+    kept_guesses: float = 0.35
+    """Share [-] of initial guesses that are solved a second time: those of the least error after
+    the first. Smaller: more guesses are tried, more of them given up too early."""
+    compared_guesses: int = 40
+    """Number of latest guesses that this share is taken of."""
+    least_compared_guesses: int = 8
+    """Number of guesses that are all solved twice before any is given up."""
+    manoeuvre_allowance: float = 2.0
+    """Time [s] beyond that of steady rolling which the first guesses may take."""
+    failures_before_longer: int = 6
+    """Number of guesses without an arrival after which the guesses take longer."""
+    longer: float = 1.1
+    """Factor [-] by which they then take longer."""
+    independent_arrivals: int = 3
+    """Number of arrivals from random guesses before the best one is perturbed. More: local minima
+    of later arrivals are left more reliably, with less effort for each."""
+    independent_limit: float = 1.1
+    """Duration [of the best arrival] of the guesses until then: a later arrival of another local
+    minimum may become the earlier one when shortened."""
+    earlier: float = 0.97
+    """Duration [of the best arrival] of all later guesses."""
+    random_share: float = 0.4
+    """Share [-] of random guesses among the later ones; the others perturb the best arrival."""
+    largest_perturbation: float = 0.5
+    """Largest perturbation of the best arrival [of the speed limit]."""
+    first_shortening: float = 0.1
+    """Share [-] of its duration by which an arrival is first shortened; halved at each failure."""
+    least_shortening: float = 0.01
+    """Share [-] of its duration below which an arrival is not shortened further."""
+
+    # Random initial guesses
+
+    shortest_cruise: float = 0.3
+    """Duration [s] below which steady rolling between the manoeuvres is left out."""
+    guess_spacing: float = 0.4
+    """Mean spacing [s] of the random knots of a manoeuvre."""
+    least_manoeuvres: float = 0.8
+    """Time [s] that is left for the two manoeuvres at the least."""
+
+    # Intermediate goals on the way to a far one
+
+    far_distance: float = 60.0
+    """Distance [m] beyond which a goal is approached by intermediate ones ..."""
+    far_distance_in_time: float = 8.0
+    """... and the distance [m] where the wall time of a sample is limited: on a busy machine no
+    arrival over 10 m is found within a tenth of a second, and the sphere would not start."""
+    intermediate_distance: float = 5.0
+    """Distance of the first intermediate goal [m], and the distance to the goal itself at which it
+    is aimed at again."""
+    intermediate_turns: int = 4
+    """Turns of the shell by which an intermediate goal is moved on; an even number keeps the sign
+    of the quaternion."""
+    braking_time: float = 4.5
+    """Time left of a plan [s] below which its intermediate goal is moved on; longer than
+    `manoeuvre_time`, so that it still rolls at full speed."""
+    least_rolling: float = 1.0
+    """Rate of the shell [rad/s] below which a plan cannot be extended by steady rolling."""
+
+    # Following a plan
+
+    delays: tuple[float, ...] = (1.0, 1.01, 1.02, 1.04, 1.08, 1.16, 1.32)
+    """Factors [-] on the time left that are tried, in this order, before a new search."""
+    further_delays: tuple[float, ...] = (1.6, 2.0, 2.5)
+    """Further factors [-] for the result of a search, which near the goal may be much too short
+    once it is solved precisely."""
+    large_delay: float = 1.03
+    """Factor [-] on the time left beyond which the whole planning effort is spent again: the
+    robot does not behave as the plan assumed."""
+    improvement_divisor: int = 10
+    """Each later sample spends the planning effort over this on an earlier arrival."""
+    least_search_time: float = 5e-3
+    """Wall time left [s] below which no such search begins."""
+    fixed_time: float = 1.0
+    """Time left of a plan [s] below which no earlier arrival is searched for."""
+    ended_time: float = 1e-3
+    """Time left of a plan [s] below which it has ended."""
+    last_periods: tuple[float, float] = (4.5, 1.5)
+    """Time left of a plan [sample periods] below which disturbances can be corrected only in part,
+    and hardly at all: too few knots are left."""
+    last_errors: tuple[float, float] = (0.2, 0.7)
+    """Terminal error [of the dead band] that is accepted then, rather than a delay."""
+
+    # Searches from rest and slip
+
+    search_share: float = 0.5
+    """Share [of the sample period] for which a search from rest may go on over several samples of
+    a high control rate."""
+    slip_noise: float = 0.01
+    """Process noise [m, -; a sample] above which a new plan takes the floor to be slippery."""
+    slip_acceleration: float = 0.45
+    """Share [-] of the acceleration limit that such a plan uses. On floors of friction 0.15 to 0.2
+    a sphere that uses all of it slips with every plan and never arrives."""
+
+    # Holding at the goal
+
+    rest_speed: float = 1e-3
+    """Rotor speed [rad/s] below which the rotors are at rest."""
+    least_dead_band: float = 2e-3
+    """Error [-] below which the rotors stay at rest at the goal where there is no noise ..."""
+    largest_dead_band: float = 6e-2
+    """... and with the most noise."""
+    noise_factor: float = 50.0
+    """Dead band over the standard deviation of the process noise [-]."""
+    uncertainty_factor: float = 3.0
+    """Dead band over the standard deviation of the state estimate [-]: no plan ends closer."""
+    leaving_uncertainty_factor: float = 1.5
+    """Factor [-] on that part once at rest, where more poses show the true error."""
+    leaving_error: float = 8e-3
+    """Error [-] up to which the sphere stays at rest in any case: a plan to correct less leads
+    through errors above 1e-2."""
+    correction_noise: float = 2e-4
+    """Process noise [m, -; a sample] above which errors within the dead band are corrected by
+    rolling; below it they do not grow."""
+    correction_horizon: int = 4
+    """Horizon [knots] of the paper's problem that does so."""
+    correction_weight: float = 100.0
+    """Factor [-] on its input weight. Large, so that it corrects what rolling itself corrects and
+    leaves alone what takes a manoeuvre."""
+
+    def dead_band(self, noise: float, uncertainty: float) -> float:
+        """Return the error [-] within which the sphere rests at the goal.
+
+        Parameters
+        ----------
+        noise : float
+            Standard deviation of the process noise [m, -; a sample].
+        uncertainty : float
+            Standard deviation of the state estimate's error in R^6.
+        """
+        wanted = max(self.noise_factor * noise, self.uncertainty_factor * uncertainty)
+        return min(max(wanted, self.least_dead_band), self.largest_dead_band)
+
+    def leaving_band(self, uncertainty: float) -> float:
+        """Return the error [-] beyond which a sphere that came to rest now is to leave again."""
+        widened = self.leaving_uncertainty_factor * (self.uncertainty_factor * uncertainty)
+        return max(self.leaving_error, widened)
+
+    def accepted_error(self, periods_left: float) -> float:
+        """Return the terminal error [of the dead band] that is accepted this near the arrival."""
+        if periods_left >= self.last_periods[0]:
+            return 0.0
+        return self.last_errors[0 if periods_left >= self.last_periods[1] else 1]

@@ -1,0 +1,93 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""States of the strategy `time_optimal`; `strategy.py` has the transitions between them."""
+
+from dataclasses import dataclass
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+
+
+@dataclass(frozen=True, eq=False)
+class StartedSearch:
+    """A search that goes on at the next sample.
+
+    Attributes
+    ----------
+    search : ArrivalSearch
+        The search itself.
+    planner : ArrivalPlanner
+        Planner with the drive limits of the search.
+    begun_at : float
+        Control time at which it began [s].
+    """
+
+    search: ArrivalSearch
+    planner: ArrivalPlanner
+    begun_at: float
+
+
+@dataclass(frozen=True, eq=False)
+class Searching:
+    """There is no plan: the rotors are ramped to rest, and a plan is searched for.
+
+    Attributes
+    ----------
+    started : StartedSearch or None
+        Search to be continued; None to begin a new one.
+    strict : bool
+        Whether the last search ended with an arrival that does not reach the goal when it is
+        solved precisely; the next one is then strict, as it would find the same again.
+    """
+
+    started: StartedSearch | None = None
+    strict: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Following:
+    """A plan to the goal is being followed.
+
+    Attributes
+    ----------
+    arrival : Arrival
+        The plan; its time 0 is `planned_at`.
+    planned_at : float
+        Control time of the sample at which it was solved [s].
+    planner : ArrivalPlanner
+        Planner with the drive limits of the plan.
+    unspent_effort : int
+        Part of the planning effort that the first search had no time for; later samples use it.
+    """
+
+    arrival: Arrival
+    planned_at: float
+    planner: ArrivalPlanner
+    unspent_effort: int
+
+    def time_left(self, now: float) -> float:
+        """Return the time from `now` to the arrival [s]."""
+        return self.arrival.duration - (now - self.planned_at)
+
+    def rest(self, now: float) -> FirstOrderHold:
+        """Return what remains of the plan at `now` [s], from time 0 (now) on."""
+        elapsed, hold = now - self.planned_at, self.arrival.hold
+        return hold.starting_at(elapsed, hold.at(elapsed)).delayed(-elapsed)
+
+
+@dataclass(frozen=True)
+class Holding:
+    """The sphere rests at the goal.
+
+    Attributes
+    ----------
+    leaving_error : float
+        Error [norm in R^6] below which it stays there, whatever the dead band.
+    """
+
+    leaving_error: float
+
+
+State = Searching | Following | Holding

@@ -1,16 +1,21 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Isolation of the test session from other ROS graphs, and from chance."""
+"""Isolation of the test session from other ROS graphs and from randomness; common fixtures."""
 
 import fcntl
 import os
 import signal
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from ros_graph import Graph
 
 _HERE = Path(__file__).parent
 # Modules that tests share, and the scripts of bench/, some of which are tested.
@@ -41,6 +46,17 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # A busy machine must not fail a test, and neither must a draw that no earlier run has seen.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture
+def graph(request: pytest.FixtureRequest) -> Iterator["Graph"]:
+    """Return a new graph of nodes; a parameter, if there is one, is the arguments for rclpy."""
+    pytest.importorskip("rclpy")
+    from ros_graph import Graph
+
+    graph = Graph(getattr(request, "param", None))
+    yield graph
+    graph.close()
 
 
 @pytest.fixture(autouse=True)

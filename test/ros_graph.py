@@ -41,8 +41,8 @@ def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subpro
 class Graph:
     """A probe that listens and speaks, and the nodes it talks to."""
 
-    def __init__(self) -> None:
-        rclpy.init()
+    def __init__(self, args: list[str] | None = None) -> None:
+        rclpy.init(args=args or [])
         self.probe = Node("probe")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.probe)

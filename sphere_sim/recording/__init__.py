@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: written so that they survive a crash, and read back as arrays; neither needs ROS."""
+"""Recording of bags that survive a crash, and reading of bags as arrays, both without ROS."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which files make up a bag, with or without its metadata.yaml."""
+"""Storage files of a bag, with or without its metadata.yaml."""
 
 import re
 from dataclasses import dataclass, field
@@ -9,28 +9,28 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.errors import BagError, one_line_reason
 
 METADATA = "metadata.yaml"
 _ZSTD = ".zstd"
 _SUFFIXES = (".mcap", ".db3")
-_EXPECTED = "a folder, a .mcap or a .db3 file, also with .zstd behind"
+_EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"
 
 
 @dataclass
 class BagFiles:
-    """The storage files of a bag.
+    """Storage files of a bag.
 
     Attributes
     ----------
     files : list of Path
-        In the order in which they were written.
+        Files in the order in which they were written.
     described : bool
-        Whether metadata.yaml says that they belong together.
+        Whether metadata.yaml, or the user, names them as one bag.
     custom_data : dict of str to str
-        What metadata.yaml says about the run.
+        Custom data in metadata.yaml.
     notes : list of str
-        What is missing or left out, for people.
+        Messages for users on what is missing or ignored.
     """
 
     files: list[Path]
@@ -40,7 +40,7 @@ class BagFiles:
 
 
 def find_files(path: Path) -> BagFiles:
-    """Return the storage files of a bag.
+    """Find the storage files of a bag.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def find_files(path: Path) -> BagFiles:
     Raises
     ------
     BagError
-        If there is none, their compression is not known, or they are of several bags.
+        If there is none, their compression is unknown, or they are of several bags.
     """
     if not path.exists():
         raise BagError(path, "there is no such file or folder")
@@ -60,7 +60,7 @@ def find_files(path: Path) -> BagFiles:
     if not present:
         inside = sorted(it.name for it in path.iterdir() if it.is_dir() and _storage_files(it))
         hint = f"; there is one in {', '.join(inside)}" if inside else ""
-        raise BagError(path, f"is no bag: the folder holds no .mcap or .db3 file{hint}")
+        raise BagError(path, f"is not a bag: the folder holds no .mcap or .db3 file{hint}")
     found = BagFiles(list(present.values()))
     if not (path / METADATA).exists():
         found.notes.append(f"{METADATA} is missing, the storage was read without it")
@@ -70,9 +70,9 @@ def find_files(path: Path) -> BagFiles:
             information = yaml["rosbag2_bagfile_information"]
             names = [PurePath(str(name)).name for name in information["relative_file_paths"]]
         except Exception as error:
-            # A damaged file raises anything: YAML's errors, those of a text's encoding, KeyError.
-            reason = " ".join(str(error).split()) or type(error).__name__
-            found.notes.append(f"{METADATA} is left out, it cannot be read ({reason})")
+            # A damaged file raises errors of YAML, of the text encoding, KeyError and others.
+            reason = one_line_reason(error)
+            found.notes.append(f"{METADATA} is ignored, it cannot be read ({reason})")
         else:
             _describe(path, found, information, names, present)
     if not found.described:
@@ -81,19 +81,19 @@ def find_files(path: Path) -> BagFiles:
 
 
 def storage_name(file: PurePath) -> str:
-    """Return the name of a storage file before it was compressed."""
+    """Return the name of a storage file without the suffix of its compression."""
     return file.name.removesuffix(_ZSTD)
 
 
 def custom_data(information: Any) -> dict[str, str]:
-    """Return what a recorder said about the run, from metadata in the words of rosbag2."""
+    """Return the custom data in the metadata of a bag as rosbag2 structures it."""
     custom = information.get("custom_data") if isinstance(information, dict) else None
     return {str(key): str(it) for key, it in custom.items()} if isinstance(custom, dict) else {}
 
 
 def _single(path: Path) -> BagFiles:
     if not storage_name(path).endswith(_SUFFIXES):
-        raise BagError(path, f"is no bag: expected {_EXPECTED}")
+        raise BagError(path, f"is not a bag: expected {_EXPECTED}")
     found = BagFiles([path], described=True)
     others = [
         file.name for file in _storage_files(path.parent)
@@ -105,9 +105,9 @@ def _single(path: Path) -> BagFiles:
 
 
 def _storage_files(folder: Path) -> list[Path]:
-    """Return the storage files in order of their numbers.
+    """Return the storage files of a folder in order of their numbers.
 
-    ``ros2 bag play`` leaves what it decompressed beside the original, which is then left out.
+    ``ros2 bag play`` leaves a decompressed file beside the original, which is then ignored.
     """
     files = [file for file in folder.iterdir() if storage_name(file).endswith(_SUFFIXES)]
     plain = {file.name for file in files if file.suffix != _ZSTD}
@@ -118,7 +118,7 @@ def _storage_files(folder: Path) -> list[Path]:
 
 
 def _recording(file: Path) -> tuple[str, str]:
-    """Return what the files of one recording have in common: their name less the number."""
+    """Return name without number, and suffix, which the files of one recording share."""
     name = PurePath(storage_name(file))
     return re.sub(r"_\d+$", "", name.stem), name.suffix
 
@@ -131,31 +131,31 @@ def _number(file: Path) -> int:
 def _describe(
     path: Path, found: BagFiles, information: Any, names: list[str], present: dict[str, Path]
 ) -> None:
-    """Take over what metadata.yaml says, and note where the folder differs."""
+    """Apply the contents of metadata.yaml, with notes where the folder differs from it."""
     compression = str(information.get("compression_format") or "")
     if compression not in ("", "zstd"):
         raise BagError(path, f"is compressed with '{compression}', expected 'zstd' or nothing")
-    # Somebody may have decompressed the files by hand, and old recorders do not name the suffix.
+    # Users may have decompressed the files, and old recorders do not list the suffix.
     named = {storage_name(PurePath(name)): name for name in names}
     files = [present[key] for key in named if key in present]
     missing = [name for key, name in named.items() if key not in present]
-    strange = [file.name for key, file in present.items() if key not in named]
+    unlisted = [file.name for key, file in present.items() if key not in named]
     if missing:
-        found.notes.append(f"{', '.join(missing)} is missing, though {METADATA} names it")
+        found.notes.append(f"{', '.join(missing)} is missing, though {METADATA} lists it")
     if not files:
-        found.notes.append(f"none of the files that {METADATA} names is there; it is left out")
+        found.notes.append(f"none of the files that {METADATA} lists exists; it is ignored")
         return
-    if strange:
-        found.notes.append(f"{', '.join(strange)} was left out: {METADATA} does not name it")
+    if unlisted:
+        found.notes.append(f"{', '.join(unlisted)} was ignored: {METADATA} does not list it")
     found.files, found.described = files, True
     found.custom_data = custom_data(information)
 
 
 def _refuse_several(path: Path, files: list[Path]) -> None:
-    """Refuse to mix runs: their mixture would have figures that are of neither."""
+    """Raise if the files are of several bags; the metrics of mixed runs would be meaningless."""
     names = sorted({"".join(_recording(file)) for file in files})
     if len(names) > 1:
         raise BagError(
-            path, f"holds files of several bags ({', '.join(names)}) and no {METADATA} that tells "
-            "which belong together; give one of the files"
+            path, f"holds files of several bags ({', '.join(names)}) and no {METADATA} that "
+            "lists the files of one; give one of the files"
         )

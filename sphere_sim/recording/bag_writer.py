@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A rosbag2 folder (metadata.yaml of version 9 and one MCAP file), complete after every commit."""
+"""Writer of rosbag2 folders (metadata.yaml of version 9, one MCAP file) that survive a crash."""
 
 import errno
 import io
@@ -17,18 +17,18 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc import __version__
 from sphere_sim.atomic_write import write_atomically
+from sphere_sim.recording.bag_files import METADATA
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.mcap_writer import McapWriter
 
-METADATA = "metadata.yaml"
 _LIBRARY = f"sphere_nmpc {__version__}"
 _ROS_DISTRO = "jazzy"
 _LARGEST_CHUNK = 1 << 20
-"""A chunk this large is committed without waiting for the next second [bytes]."""
+"""Size from which on pending messages are committed at once [bytes]."""
 
 
-def dump_yaml(value: Any) -> str:
-    """Return `value` in the block style rosbag2 writes."""
+def _dump_yaml(value: Any) -> str:
+    """Return `value` as YAML in the block style of rosbag2."""
     yaml = YAML(typ="safe")
     yaml.default_flow_style = False
     yaml.width = 4096
@@ -38,12 +38,12 @@ def dump_yaml(value: Any) -> str:
 
 
 class BagWriter:
-    """Write serialised messages into a new bag.
+    """New bag that takes serialised messages and is complete after every commit.
 
     Parameters
     ----------
     folder : Path
-        The bag; its parents are made, it must not exist itself.
+        Folder of the bag, which must not exist; missing parent folders are created.
 
     Raises
     ------
@@ -54,9 +54,9 @@ class BagWriter:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.custom_data: dict[str, str] = {"sphere_nmpc_version": __version__}
-        """Stored with the bag; both keys and values are text."""
+        """Custom data that every commit stores."""
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
-        # What metadata.yaml says of each topic, as text: it never changes and is slow to dump.
+        # Entry of each topic in metadata.yaml as text: it never changes and is slow to dump.
         self._topics: dict[str, str] = {}
         self._channels: dict[str, int] = {}
         try:
@@ -74,35 +74,35 @@ class BagWriter:
                 self._file.close()
                 raise
         except BagError:
-            # What is left behind would be in the way of the next recording.
+            # A folder that is left behind would block the next recording.
             shutil.rmtree(folder, ignore_errors=True)
             raise
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Names of the topics so far."""
+        """Names of the topics of the bag."""
         return tuple(self._channels)
 
     @property
     def message_count(self) -> int:
-        """Messages written so far, committed or not."""
+        """Number of messages written, committed or not."""
         return sum(self._file.count(channel) for channel in self._channels.values())
 
-    def knows(self, msgtype: str) -> bool:
-        """Tell whether the definition of a message type is at hand, as a bag needs it."""
+    def supports(self, msgtype: str) -> bool:
+        """Return whether the definition of a message type is known, as a bag needs it."""
         return msgtype in self._typestore.types
 
     def add_topic(self, name: str, msgtype: str, offered_qos: Sequence[Qos] = ()) -> None:
-        """Announce a topic; nothing happens when it is there already.
+        """Add a topic; without effect if the bag has it already.
 
         Parameters
         ----------
         name : str
             Full name, with the leading slash.
         msgtype : str
-            As in ``geometry_msgs/msg/PoseStamped``; one that `knows` knows.
-        offered_qos : sequence of rosbags.interfaces.Qos
-            What its publishers offer.
+            Message type as in ``geometry_msgs/msg/PoseStamped``; see `supports`.
+        offered_qos : sequence of rosbags.interfaces.Qos, optional
+            Quality of service that its publishers offer.
         """
         if name in self._channels:
             return
@@ -116,12 +116,12 @@ class BagWriter:
             "offered_qos_profiles": qos,
             "type_description_hash": digest,
         }
-        self._topics[name] = textwrap.indent(dump_yaml(about), "    ")
+        self._topics[name] = textwrap.indent(_dump_yaml(about), "    ")
         self._channels[name] = self._file.add_channel(
             name,
             msgtype,
             definition,
-            {"offered_qos_profiles": dump_yaml(qos), "topic_type_hash": digest},
+            {"offered_qos_profiles": _dump_yaml(qos), "topic_type_hash": digest},
         )
 
     def write(self, topic: str, stamp: int, data: bytes) -> None:
@@ -130,28 +130,28 @@ class BagWriter:
         Parameters
         ----------
         topic : str
-            One that was announced.
+            Topic that was added before.
         stamp : int
-            Time of reception on the clock of the recording [ns].
+            Log time on the clock of the recording [ns].
         data : bytes
-            The message in CDR.
+            Message in CDR.
 
         Raises
         ------
         BagError
-            If a commit was due and the disk did not take it.
+            If a commit was due and failed.
         """
         self._file.add_message(self._channels[topic], stamp, data)
         if self._file.pending > _LARGEST_CHUNK:
             self.commit()
 
     def commit(self) -> None:
-        """Bring everything so far to the disk; call it about every second.
+        """Write all messages so far to disk; to be called about every second.
 
         Raises
         ------
         BagError
-            If the disk does not take it; the bag then ends with the commit before.
+            If the disk is full or fails; the bag then has the content of the commit before.
         """
         information = self._information()
         self._file.commit({"rosbag2": {"serialized_metadata": information}})
@@ -162,12 +162,12 @@ class BagWriter:
             raise BagError(self.folder, f"cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """Commit what is left and close the file.
+        """Commit the remaining messages and close the file.
 
         Raises
         ------
         BagError
-            As `commit`; the file is closed all the same.
+            As `commit`; the file is closed in any case.
         """
         try:
             self.commit()
@@ -175,12 +175,12 @@ class BagWriter:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as the last commit left it."""
+        """Close the file without a commit."""
         self._file.close()
 
     def _information(self) -> str:
-        """Return what metadata.yaml says, in the words of rosbag2."""
-        head = dump_yaml(self._totals())
+        """Return the content of metadata.yaml as rosbag2 structures it."""
+        head = _dump_yaml(self._totals())
         if not self._topics:
             return f"{head}\ntopics_with_message_count: []"
         entries = (

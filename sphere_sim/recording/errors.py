@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong with a recording."""
+"""Errors of recordings."""
 
 from pathlib import Path
 
@@ -8,17 +8,20 @@ from sphere_nmpc.errors import SphereNmpcError
 
 
 class BagError(SphereNmpcError):
-    """A recording cannot be written or read; the message says which and why.
+    """Bag that cannot be written or read; the message names the bag and the reason.
 
     Parameters
     ----------
     path : Path
         The bag.
     reason : str
-        What is wrong with it, in words.
+        Description of what is wrong with it.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"bag {path}: {reason}")
-        self.path = path
-        self.reason = reason
+
+
+def one_line_reason(error: Exception) -> str:
+    """Return the message of an error in one line; its type where it has no message."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__

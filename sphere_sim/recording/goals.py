@@ -1,84 +1,81 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which goals were in force in a recorded run, and from when on."""
-
-from typing import Any
+"""Goals of a recorded run and the times from which on they were in force."""
 
 import numpy as np
 
 from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
 from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.stamps import stamp_of, state_of
+from sphere_sim.recording.message_fields import stamp_of, state_of
+from sphere_sim.recording.messages import Messages
 
-NO_GOALS = np.empty(0), np.empty((0, 6))
+_NO_GOALS = np.empty(0), np.empty((0, 6))
 
 
 def read_goals(
-    taken: dict[str, list[tuple[int, Any]]],
-    robot: str,
-    clock: BagClock,
-    end: float,
-    notes: list[str],
+    messages: Messages, robot: str, clock: BagClock, end: float
 ) -> tuple[Vector, Vector]:
-    """Return when goals came into force [s], in order, and the goals (g, 6).
+    """Return the times at which goals came into force [s], ascending, and the goals (g, 6).
 
     Parameters
     ----------
-    taken : dict of str to list of (int, Any)
-        Messages by topic with their log time [ns].
+    messages : Messages
+        The bag; notes are added on what is missing or ignored.
     robot : str
         Namespace of the robot, without a slash at its end.
     clock : BagClock
         The run's clock.
     end : float
-        Time of the last pose [s]; a goal that came later is left out.
-    notes : list of str
-        Takes what is missing or left out.
+        Time of the last pose [s]; later goals are ignored.
     """
-    # What the controller accepted counts; what was asked for is second best.
+    notes = messages.notes
+    # Goals that the controller accepted are preferred to those that were requested.
     accepted = sorted(
-        topic for topic in taken if topic.startswith(f"{robot}/") and
+        topic for topic in messages.decoded if topic.startswith(f"{robot}/") and
         topic.endswith("/active_goal")
     )
     topic = accepted[0] if accepted else f"{robot}/goal_pose"
-    if topic not in taken:
-        notes.append(f"{robot}/goal_pose and active_goal are missing; no errors can be told")
-        return NO_GOALS
+    if topic not in messages.decoded:
+        notes.append(f"{robot}/goal_pose and active_goal are missing; no errors can be computed")
+        return _NO_GOALS
     if len(accepted) > 1:
-        notes.append(f"{', '.join(accepted[1:])}: left out, goals are those of {topic}")
+        notes.append(f"{', '.join(accepted[1:])}: ignored, goals are those of {topic}")
     if not accepted:
-        notes.append("active_goal is missing; goal_pose is taken instead")
+        notes.append("active_goal is missing; goal_pose is used instead")
     entries = []
-    for received, message in taken[topic]:
+    for received, message in messages.decoded[topic]:
         state = np.array(state_of(message))
         norm = float(np.linalg.norm(state[QUATERNION]))
         if not (np.all(np.isfinite(state)) and abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE):
             continue
         state[QUATERNION] /= norm
-        # The controller tells when it took the goal; what a user typed as a stamp does not.
-        told = clock.told(stamp_of(message), received, kept=True) if accepted else None
-        entries.append((clock.heard(received) if told is None else told, state))
-    if len(entries) < len(taken[topic]):
-        count = len(taken[topic]) - len(entries)
-        notes.append(f"{topic}: {count} goals are no poses and were left out")
+        # The controller stamps a goal when it accepts it; stamps set by users mean nothing.
+        time = (
+            clock.time_of_message(stamp_of(message), received, latched=True) if accepted
+            else clock.time_of_log(received)
+        )
+        entries.append((time, state))
+    if len(entries) < len(messages.decoded[topic]):
+        count = len(messages.decoded[topic]) - len(entries)
+        notes.append(f"{topic}: {count} invalid goals were ignored")
     entries.sort(key=lambda entry: entry[0])
-    # A goal that is sent again while it is in force is confirmed, and goes on from the first time.
-    fresh = [
-        entry for before, entry in zip([None, *entries], entries, strict=False)
-        if before is None or not np.array_equal(before[1], entry[1])
+    # A goal that is sent again while it is in force stays in force from the first time on.
+    changes = [
+        entry for previous, entry in zip([None, *entries], entries, strict=False)
+        if previous is None or not np.array_equal(previous[1], entry[1])
     ]
-    return _inside(fresh, topic, end, notes)
+    return _within_run(changes, topic, end, notes)
 
 
-def _inside(
+def _within_run(
     entries: list[tuple[float, Vector]], topic: str, end: float, notes: list[str]
 ) -> tuple[Vector, Vector]:
     """Return the goals that were in force at any pose."""
     late = ", ".join(f"{time:.6g}" for time, _ in entries if time > end)
     kept = [entry for entry in entries if entry[0] <= end]
     if late:
-        what = "left out" if kept else "no goal falls inside the recording, nothing to measure"
-        notes.append(f"{topic}: goal at {late} s, poses from 0 to {end:.6g} s: {what}")
+        result = "ignored" if kept else "no goal falls inside the recording, nothing to measure"
+        notes.append(f"{topic}: goal at {late} s, poses from 0 to {end:.6g} s: {result}")
     if not kept:
-        return NO_GOALS
+        return _NO_GOALS
     return np.array([time for time, _ in kept]), np.array([state for _, state in kept])

@@ -1,17 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""An MCAP file that is complete on disk after every commit.
+"""Writer of MCAP files that are complete on disk after every commit.
 
-The writers of the ``mcap`` and ``rosbags`` packages put index and footer down once, at the end; a
-process killed before that leaves a file that most tools refuse. Here every commit writes the new
-chunk *and* index and footer behind it with one system call, over the index and footer of the
-commit before. What is on disk is therefore a valid file at any moment but during that call.
+The writers of the ``mcap`` and ``rosbags`` packages write index and footer once, at the end; a
+process that is killed earlier leaves a file that most tools refuse. Here every commit writes the
+new chunk with index and footer behind it, over the index and footer of the commit before.
 """
 
-import contextlib
-import os
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import zstandard
@@ -33,10 +30,10 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+from mcap.writer import MCAP0_MAGIC
 
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.committed_file import CommittedFile
 
-_MAGIC = b"\x89MCAP0\r\n"
 _COMPRESSION = "zstd"
 
 
@@ -49,7 +46,7 @@ def _encode(*records: McapRecord) -> bytes:
 
 
 class McapWriter:
-    """Write messages into chunks and keep the file complete.
+    """MCAP file that takes messages and is complete after every commit.
 
     Parameters
     ----------
@@ -61,11 +58,10 @@ class McapWriter:
     Raises
     ------
     BagError
-        If the file cannot be created.
+        If the file cannot be created or written.
     """
 
     def __init__(self, path: Path, library: str) -> None:
-        self._path = path
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
         self._counts: dict[int, int] = {}
@@ -76,33 +72,24 @@ class McapWriter:
         self._definitions = RecordBuilder()
         self._messages = RecordBuilder()
         self._offsets: dict[int, list[tuple[int, int]]] = {}
-        self._tail = b""
-        try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            raise BagError(path, f"cannot be created: {error.strerror}") from error
-        self._end = 0
-        try:
-            self._put(_MAGIC + _encode(Header(profile="ros2", library=library)), b"")
-        except BagError:
-            self.close()
-            raise
+        header = MCAP0_MAGIC + _encode(Header(profile="ros2", library=library))
+        self._file = CommittedFile(path, header)
 
     @property
     def pending(self) -> int:
-        """How much has not been committed yet [bytes]."""
+        """Size of the messages that are not committed yet [bytes]."""
         size: int = self._messages.count
         return size
 
     @property
     def span(self) -> tuple[int, int] | None:
-        """Times of the earliest and the latest message [ns]; None without messages."""
+        """Times of the earliest and latest message [ns]; None without messages."""
         return self._span
 
     def add_channel(
         self, topic: str, msgtype: str, definition: str, metadata: Mapping[str, str]
     ) -> int:
-        """Announce a topic and return the identifier its messages are written with."""
+        """Add a topic and return the identifier of its channel."""
         schema = self._schemas.get(msgtype)
         if schema is None:
             number = len(self._schemas) + 1
@@ -145,11 +132,11 @@ class McapWriter:
         self._span = (min(low, stamp), max(high, stamp))
 
     def count(self, channel: int) -> int:
-        """Return how many messages a channel has."""
+        """Return the number of messages of a channel."""
         return self._counts[channel]
 
     def commit(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        """Bring everything added so far to the disk and leave a complete file there.
+        """Write everything added so far, and leave a complete file on disk.
 
         Parameters
         ----------
@@ -159,19 +146,19 @@ class McapWriter:
         Raises
         ------
         BagError
-            If the disk does not take it; the file is then as the commit before left it.
+            If the file cannot be written; its content is then that of the commit before.
         """
         body: bytes = self._definitions.end()
         if self._offsets:
-            body += self._chunk(self._end + len(body))
-        self._put(body, self._closing(self._end + len(body), metadata))
+            body += self._chunk(self._file.end + len(body))
+        self._file.commit(body, self._tail(self._file.end + len(body), metadata))
 
     def close(self) -> None:
-        """Close the file as the last commit left it."""
-        os.close(self._file)
+        """Close the file; its content is that of the last commit."""
+        self._file.close()
 
     def _chunk(self, position: int) -> bytes:
-        """Encode the pending messages, at `position` of the file, and note their index."""
+        """Encode the pending messages for `position` of the file, and update the index."""
         raw = self._messages.end()
         stamps = [stamp for entries in self._offsets.values() for stamp, _ in entries]
         packed = zstandard.compress(raw)
@@ -186,9 +173,9 @@ class McapWriter:
             )
         )
         indexes = b""
-        places = {}
+        index_offsets = {}
         for channel, entries in self._offsets.items():
-            places[channel] = position + len(chunk) + len(indexes)
+            index_offsets[channel] = position + len(chunk) + len(indexes)
             indexes += _encode(MessageIndex(channel_id=channel, records=entries))
         self._chunk_indexes += _encode(
             ChunkIndex(
@@ -198,7 +185,7 @@ class McapWriter:
                 compressed_size=len(packed),
                 message_end_time=max(stamps),
                 message_index_length=len(indexes),
-                message_index_offsets=places,
+                message_index_offsets=index_offsets,
                 message_start_time=min(stamps),
                 uncompressed_size=len(raw),
             )
@@ -207,8 +194,8 @@ class McapWriter:
         self._offsets = {}
         return chunk + indexes
 
-    def _closing(self, position: int, metadata: Mapping[str, Mapping[str, str]]) -> bytes:
-        """Encode all that follows the last chunk, at `position` of the file."""
+    def _tail(self, position: int, metadata: Mapping[str, Mapping[str, str]]) -> bytes:
+        """Encode metadata, index and footer for `position` of the file."""
         records = b""
         indexes: list[McapRecord] = []
         for name, values in metadata.items():
@@ -246,29 +233,7 @@ class McapWriter:
             summary += group
         offsets_at = start + len(summary)
         summary += _encode(*offsets)
-        # The checksum covers the footer up to itself; the last four bytes are its place.
+        # The checksum covers the footer up to its own four bytes at the end.
         unsigned = _encode(Footer(start, offsets_at, 0))[:-4]
         footer = _encode(Footer(start, offsets_at, zlib.crc32(summary + unsigned)))
-        return records + summary + footer + _MAGIC
-
-    def _put(self, body: bytes, tail: bytes) -> None:
-        try:
-            _write_all(lambda data, at: os.pwrite(self._file, data, at), body + tail, self._end)
-        except OSError as error:
-            # The old tail's blocks are still ours, so this needs no space; a device that fails
-            # or has gone takes nothing at all.
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, self._end + len(self._tail))
-                os.pwrite(self._file, self._tail, self._end)
-            raise BagError(self._path, f"cannot be written: {error.strerror}") from error
-        self._end += len(body)
-        self._tail = tail
-
-
-def _write_all(write: Callable[[memoryview, int], int], data: bytes, position: int) -> None:
-    """Write `data` at `position`; one call unless the disk takes less."""
-    rest = memoryview(data)
-    while rest:
-        written = write(rest, position)
-        position += written
-        rest = rest[written:]
+        return records + summary + footer + MCAP0_MAGIC

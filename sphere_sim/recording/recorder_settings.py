@@ -9,7 +9,7 @@ from sphere_nmpc.quantity import quantity, validate
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """Where a recording goes and when it starts.
+    """Folder, start and commit period of recordings.
 
     Raises
     ------
@@ -24,7 +24,7 @@ class RecorderSettings:
         True, "-", "Whether to record at once, or to wait for the start service"
     )
     commit_period: float = quantity(
-        0.5, "s", "Wall time after which what was received is on the disk, readable by all",
+        0.5, "s", "Wall time after which received messages are on disk in a readable bag",
         minimum=0.05, maximum=60.0,
     )
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run as arrays."""
+"""Recorded run as arrays."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,20 +16,21 @@ from sphere_sim.evaluation.metrics import Metrics, measure
 
 @dataclass(frozen=True, eq=False)
 class Solves:
-    """What the controller said about its solves; all of length m.
+    """Solves that the controller reported; all arrays of length m.
 
     Attributes
     ----------
     times : ndarray
-        Sample instants [s].
+        Sampling instants [s].
     durations : ndarray
         Solve times [s].
     costs : ndarray
-        Value of the optimal control problem; nan where not told.
+        Values of the optimal control problem; nan where not reported.
     statuses : tuple of str
-        How the solves ended.
+        Status of the plan after each solve.
     to_go : ndarray
-        In what time the plans reach the goal [s]; nan where not told, empty where none tells.
+        Time until the plan reaches the goal [s]; nan where not reported, empty where no solve
+        reports it.
     """
 
     times: Vector
@@ -41,12 +42,12 @@ class Solves:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run of one robot, times in seconds since its first pose.
+    """One run of one robot; times in seconds since its first pose.
 
     Attributes
     ----------
     name : str
-        For legends.
+        Name of the run in legends.
     path : Path
         The bag.
     origin : float
@@ -54,25 +55,25 @@ class Run:
     times : ndarray, shape (n,)
         Times of the poses [s].
     states : ndarray, shape (n, 6)
-        Measured states; consecutive quaternions never jump to the other sign.
+        Measured states, without sign changes between consecutive quaternions.
     joint_times : ndarray, shape (m,)
         Times of the joint states [s].
     rotor_speeds, rotor_torques : ndarray, shape (m, 2)
-        Measured speeds [rad/s] and torques [N m]; nan where not told.
+        Measured speeds [rad/s] and torques [N m]; nan where not recorded.
     goal_times : ndarray, shape (g,)
-        When goals came into force [s].
+        Times at which the goals came into force [s].
     goals : ndarray, shape (g, 6)
         The goals.
     plans : tuple of FirstOrderHold
-        What the controller sent, knot times in this run's time.
+        Rotor trajectories that the controller sent, knot times in the run's time.
     solves : Solves
-        What it said about its solves.
+        Solves that it reported.
     robot : RobotParameters
-        As the controller believed it, or the defaults where the bag does not tell.
+        Robot parameters of the controller, or the defaults where the bag does not have them.
     custom_data : dict of str to str
-        What the recorder said about the run.
+        Custom data of the bag, such as the seed of the run.
     notes : tuple of str
-        What is missing or amiss, for people.
+        Messages for users on what is missing or invalid in the bag.
     """
 
     name: str
@@ -93,19 +94,19 @@ class Run:
 
     @property
     def goal(self) -> Vector | None:
-        """The last goal, with the quaternion sign nearer to the last state; None without one."""
+        """Last goal, with the quaternion sign nearer to the last state; None without a goal."""
         return nearer_sign(self.goals[-1], self.states[-1]) if len(self.goals) else None
 
     @property
     def goals_in_force(self) -> Vector:
-        """The goal at each pose, shape (n, 6); nan before the first."""
+        """Goal at each pose, shape (n, 6); nan before the first goal."""
         if not len(self.goals):
             return np.full_like(self.states, np.nan)
         which = np.searchsorted(self.goal_times, self.times, side="right") - 1
         return np.where(which[:, None] < 0, np.nan, self.goals[np.maximum(which, 0)])
 
     def metrics(self) -> Metrics | None:
-        """Measure the run from its last goal on; None without a goal or poses after it."""
+        """Return the metrics from the last goal on; None without a goal or later poses."""
         goal = self.goal
         if goal is None:
             return None
@@ -125,7 +126,7 @@ class Run:
 
 
 def without_sign_jumps(states: Vector) -> Vector:
-    """Return the states with consecutive quaternions of the nearer sign, shape (n, 6)."""
+    """Return the states (n, 6) with each quaternion of the sign nearer to the one before."""
     smooth: NDArray[np.float64] = states.copy()
     products = np.sum(states[1:, QUATERNION] * states[:-1, QUATERNION], axis=1)
     signs = np.cumprod(np.where(products < 0.0, -1.0, 1.0))

@@ -1,10 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is recorded unless somebody says otherwise, and which topics a pattern means.
+"""Default topics of the recorder, and topic patterns.
 
-``goal_pose`` is not among it: ``ros2 topic pub --once`` sends at its first matched subscription,
-and with a recorder among the subscribers the goal may never reach the controller. Accepted
-goals are on ``controller/active_goal``, refused ones in ``/rosout``.
+``goal_pose`` is not recorded by default: ``ros2 topic pub --once`` publishes to its first matched
+subscription and ends, so that with a recorder among the subscribers the goal may never reach the
+controller. Accepted goals are on ``controller/active_goal``, refused ones in ``/rosout``.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ DEFAULT_TOPICS = (
     "/tf",
     "/tf_static",
 )
-"""Names and patterns; those without a slash in front are in the namespace of the recorder."""
+"""Names and patterns; those without a leading slash are in the namespace of the recorder."""
 
 KNOWN_TYPES = {
     "pose": "geometry_msgs/msg/PoseStamped",
@@ -37,18 +37,18 @@ KNOWN_TYPES = {
     "/clock": "rosgraph_msgs/msg/Clock",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
-"""Types of the topics that are awaited before anybody publishes them, so that the first messages
-are not missed."""
+"""Types of topics that are subscribed to before they have a publisher, so that their first
+messages are not missed."""
 
 LATCHED = ("controller/active_goal",)
-"""Those of them whose publisher keeps the last message for late subscribers."""
+"""Topics among these whose publisher keeps the last message for late subscribers."""
 
 
 def absolute(name: str, namespace: str) -> str:
-    """Return a topic or pattern with its full name, as a node in `namespace` would see it."""
+    """Return the full name of a topic or pattern for a node in `namespace`."""
     return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
 
 
-def is_wanted(topic: str, patterns: Sequence[str]) -> bool:
-    """Tell whether a full topic name matches one of the full patterns; ``*`` matches anything."""
+def matches_any(topic: str, patterns: Sequence[str]) -> bool:
+    """Return whether a topic matches a pattern, in full names; ``*`` matches anything."""
     return any(fnmatchcase(topic, pattern) for pattern in patterns)

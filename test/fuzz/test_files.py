@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever is in a file, it is read or refused in one line that names the file."""
+"""Files of any content: they are read, or refused in one line that names the file."""
 
 import random
 from pathlib import Path

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever arrives, no callback raises, and what is sent keeps the limits."""
+"""Nodes under arbitrary messages: no callback raises, and commands keep the limits."""
 
 import math
 
@@ -10,6 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -25,6 +26,7 @@ NUMBERS = st.one_of(
 SECONDS = st.one_of(st.integers(-(2**31), 2**31 - 1), st.integers(0, 3))
 NANOSECONDS = st.one_of(st.integers(0, 2**32 - 1), st.integers(0, 10**9 - 1))
 NAMES = st.lists(st.sampled_from([*JOINT_NAMES, "", "wheel", "\u00fc"]), max_size=3)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MANY = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -102,6 +104,7 @@ def test_poses_of_now_with_any_numbers_keep_the_limits(controller, sent) -> None
         controller._receive_pose(pose)
         controller._receive_goal(pose if rng.random() < 0.3 else PoseStamped())
         controller._tick()
+    assert sent.worst_speed > 0.0, "plans were sent"
     assert not sent.broken
 
 
@@ -123,8 +126,11 @@ def test_any_command_leaves_the_robot_within_its_limits(graph, trajectory, data)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_bytes_that_are_no_message_do_not_reach_a_node(graph, controller, seed) -> None:
+def test_nodes_keep_the_limits_and_serve_on_after_bytes_that_are_no_message(
+    graph, controller, seed
+) -> None:
     rng = np.random.default_rng(seed)
+    accepted = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
     whole = {
         "pose": PoseStamped(),
         "goal_pose": PoseStamped(),
@@ -132,7 +138,8 @@ def test_bytes_that_are_no_message_do_not_reach_a_node(graph, controller, seed) 
             joint_names=list(JOINT_NAMES), points=[JointTrajectoryPoint(velocities=[1.0, 2.0])]
         ),
     }
-    graph.add(SimulatorNode([Parameter("start_paused", value=True)]))
+    simulator = SimulatorNode([Parameter("start_paused", value=True)])
+    graph.add(simulator)
     for topic, message in whole.items():
         sender = graph.speaker(type(message), topic)
         data = serialize_message(message)
@@ -145,4 +152,9 @@ def test_bytes_that_are_no_message_do_not_reach_a_node(graph, controller, seed) 
                     spoilt[place] = rng.integers(256)
             sender.publish(bytes(spoilt))
             graph.spin()
-    graph.spin_for(0.2)
+    assert np.all(np.isfinite(simulator.simulator.plant.state))
+    assert np.all(np.abs(simulator.simulator.speed_reference) <= 100.0)
+    goal = PoseStamped()
+    goal.pose.position.x = 1.25
+    graph.speaker(PoseStamped, "goal_pose").publish(goal)
+    graph.until(lambda: accepted and accepted[-1].pose.position.x == 1.25)

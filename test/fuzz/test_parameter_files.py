@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever is in a parameter file, a node starts with it or says in one line why it does not."""
+"""Parameter files of any content: a node starts, or reports in one line why it does not."""
 
 import signal
 from pathlib import Path

@@ -196,7 +196,7 @@ def _bag_cut_short(home: ScratchHome) -> Complaints:
     for share in (0.5, 0.9):
         bag.write_bytes(content[: int(share * len(content))])
         ended = home.run(["report", str(out / "bag"), "--out", str(home.fresh())])
-        found += [f"{share:.0%} of a bag: {fault}" for fault in ended.faults(0, "breaks off")]
+        found += [f"{share:.0%} of a bag: {fault}" for fault in ended.faults(0, "is truncated")]
     return found
 
 

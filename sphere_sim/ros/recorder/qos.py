@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service that fits whatever the publishers of a topic offer."""
+"""Quality of service of the recorder's subscriptions, and of topics as a bag stores it."""
 
 from collections.abc import Sequence
 
@@ -15,19 +15,19 @@ from rosbags.interfaces import (
 )
 
 _DEPTH = 2000
-"""Messages a topic may be behind; a simulation in lockstep does not wait for its listeners."""
+"""Queue length of a subscription: a simulation in lockstep does not wait for the recorder."""
 _NANOSECONDS = 1_000_000_000
 
 
-def fitting_qos(offered: Sequence[QoSProfile], latched: bool = False) -> QoSProfile:
-    """Return what to ask for, so that every publisher is heard.
+def compatible_qos(offered: Sequence[QoSProfile], latched: bool = False) -> QoSProfile:
+    """Return the strictest profile that is compatible with all publishers of a topic.
 
     Parameters
     ----------
     offered : sequence of QoSProfile
-        What the publishers offer, possibly nothing yet.
+        Profiles that the publishers offer; may be empty.
     latched : bool, optional
-        Whether to expect kept messages while there is no publisher.
+        Whether to request kept messages while there is no publisher.
     """
     reliable = all(qos.reliability is ReliabilityPolicy.RELIABLE for qos in offered)
     kept = all(qos.durability is DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
@@ -42,13 +42,18 @@ def fitting_qos(offered: Sequence[QoSProfile], latched: bool = False) -> QoSProf
     )
 
 
-def same_demand(one: QoSProfile, other: QoSProfile) -> bool:
-    """Tell whether two subscriptions would hear the same publishers."""
+def is_latched(profile: QoSProfile) -> bool:
+    """Return whether a subscription receives messages that publishers keep."""
+    return profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def same_requests(one: QoSProfile, other: QoSProfile) -> bool:
+    """Return whether two subscriptions are compatible with the same publishers."""
     return one.reliability is other.reliability and one.durability is other.durability
 
 
 def qos_for_bag(profile: QoSProfile) -> Qos:
-    """Return a profile in the form in which it is stored with a bag."""
+    """Return a profile in the form in which a bag stores it."""
     deadline, lifespan, lease = (
         QosTime(*divmod(duration.nanoseconds, _NANOSECONDS))
         for duration in (profile.deadline, profile.lifespan, profile.liveliness_lease_duration)

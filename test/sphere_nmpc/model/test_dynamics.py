@@ -243,7 +243,6 @@ def test_rotor_torque_agrees_with_the_plant_and_with_the_paper_finite_difference
         start, end, period = rng.uniform(-60, 60, 2), rng.uniform(-60, 60, 2), 1e-4
         plant = RollingPlant(TABLE_1, x)
         plant._speeds = start
-        before = plant.body_rate
         plant.advance(end, 0.5)
         slope = (end - start) / 0.5
         exact = column(rotor_torque(ca.DM(plant.state[2:6]), end, slope, p, inertia))
@@ -255,7 +254,6 @@ def test_rotor_torque_agrees_with_the_plant_and_with_the_paper_finite_difference
         plant.advance(end + slope * period, period)
         printed = inertia * ((plant.body_rate - begin)[:2] / period + slope)
         np.testing.assert_allclose(exact, printed, atol=2e-2 * np.abs(exact).max())
-        assert not np.allclose(before, begin)
 
 
 def test_finite_difference_of_torque_over_half_a_second_is_only_an_estimate() -> None:

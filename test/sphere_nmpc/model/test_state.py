@@ -54,13 +54,25 @@ def test_parts_of_wrong_length_are_refused() -> None:
         make_state([0, 0, 0], [1, 0, 0, 0])
 
 
-@given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
-def test_any_six_numbers_become_a_state_or_are_refused(values: list[float]) -> None:
-    try:
-        state = as_state(values)
-    except InvalidStateError:
-        return
-    assert abs(np.linalg.norm(state[2:6]) - 1.0) < 1e-14
+DIRECTIONS = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+    lambda values: np.linalg.norm(values) > 1e-3
+)
+
+
+@given(direction=DIRECTIONS, norm=st.floats(0.991, 1.009))
+def test_quaternion_of_nearly_unit_norm_is_normalised(
+    direction: list[float], norm: float
+) -> None:
+    unit = np.array(direction) / np.linalg.norm(direction)
+    state = as_state([1.0, 2.0, *norm * unit])
+    np.testing.assert_allclose(state, [1.0, 2.0, *unit], atol=1e-14)
+
+
+@given(direction=DIRECTIONS, norm=st.one_of(st.floats(0.0, 0.989), st.floats(1.011, 1e6)))
+def test_quaternion_of_another_norm_is_refused(direction: list[float], norm: float) -> None:
+    unit = np.array(direction) / np.linalg.norm(direction)
+    with pytest.raises(InvalidStateError, match="norm"):
+        as_state([1.0, 2.0, *norm * unit])
 
 
 def test_distances_do_not_depend_on_the_sign_of_either_quaternion() -> None:

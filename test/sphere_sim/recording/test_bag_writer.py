@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag opens in independent readers at every moment, whatever ended its writer."""
+"""Bags open in independent readers at any moment, however their writer ended."""
 
 import os
 import resource
@@ -37,7 +37,7 @@ for i in range(1, 10**9):
 
 
 def counts(folder: Path) -> tuple[int, int]:
-    """Return how many messages two independent readers decode, checksums included."""
+    """Return the numbers of messages that two independent readers decode, with checksums."""
     with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         of_rosbags = sum(
             reader.deserialize(raw, connection.msgtype).data
@@ -68,13 +68,13 @@ def test_bag_survives_kill_with_all_that_was_committed(tmp_path) -> None:
         command = [sys.executable, "-c", WRITE_UNTIL_KILLED, str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
-            told = [int(process.stdout.readline()) for _ in range(3 + attempt)]
+            committed = [int(process.stdout.readline()) for _ in range(3 + attempt)]
             process.send_signal(signal.SIGKILL)
         of_rosbags, of_mcap = counts(folder)
-        assert of_rosbags == of_mcap >= told[-1]
+        assert of_rosbags == of_mcap >= committed[-1]
 
 
-def test_metadata_tells_topics_and_custom_data(tmp_path) -> None:
+def test_metadata_lists_topics_and_custom_data(tmp_path) -> None:
     writer = BagWriter(tmp_path / "bag")
     writer.add_topic(TOPIC, KIND)
     writer.add_topic("/silent", KIND)
@@ -97,20 +97,20 @@ def test_existing_folder_is_not_overwritten(tmp_path) -> None:
         BagWriter(tmp_path / "bag")
 
 
-def test_folder_that_cannot_be_made_is_told(tmp_path) -> None:
+def test_folder_that_cannot_be_created_is_refused(tmp_path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BagError, match="cannot be created: Not a directory"):
         BagWriter(tmp_path / "file" / "bag")
 
 
-def test_full_disk_leaves_what_was_recorded(tmp_path) -> None:
+def test_full_disk_keeps_committed_messages(tmp_path) -> None:
     writer = BagWriter(tmp_path / "bag")
     writer.add_topic(TOPIC, KIND)
     writer.write(TOPIC, 1, TRUE)
     writer.commit()
     size = next((tmp_path / "bag").glob("*.mcap")).stat().st_size
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    # A limit on the size of files does what a full disk does: it cuts a write short.
+    # Like a full disk, a limit on the size of files makes a write incomplete.
     resource.setrlimit(resource.RLIMIT_FSIZE, (size + 300, before[1]))
     try:
         for i in range(2, 5000):
@@ -124,7 +124,7 @@ def test_full_disk_leaves_what_was_recorded(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("limit", [10, 300])
-def test_a_disk_that_is_full_at_the_start_leaves_no_folder_in_the_way(tmp_path, limit) -> None:
+def test_disk_full_at_the_start_leaves_no_folder(tmp_path, limit) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     files = len(os.listdir("/proc/self/fd"))
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
@@ -138,13 +138,13 @@ def test_a_disk_that_is_full_at_the_start_leaves_no_folder_in_the_way(tmp_path, 
     BagWriter(tmp_path / "bag").close()
 
 
-def test_long_recording_commits_as_fast_as_a_short_one(tmp_path) -> None:
+def test_size_of_a_file_grows_linearly_with_commits(tmp_path) -> None:
     writer = BagWriter(tmp_path / "bag")
     writer.add_topic(TOPIC, KIND)
     for i in range(1, 301):
         writer.write(TOPIC, i, TRUE)
         writer.commit()
-    # Index and footer are rewritten each time; they must not grow the file quadratically.
+    # Index and footer are rewritten each time: appended copies would add up quadratically.
     assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 300 * 400
     writer.close()
     assert counts(tmp_path / "bag") == (300, 300)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals, plans and solves come at their time, whatever their stamps and whoever logged them."""
+"""Goals, plans and solves get the right times from stamps and log times."""
 
 import dataclasses
 
@@ -12,11 +12,11 @@ from sphere_sim.recording.run_reader import read_run
 
 POSE_PERIOD = 0.01
 START = 5_000_000_000
-"""Stamp of the first pose of `messages` [ns]; the last comes 3 s later."""
+"""Stamp of the first pose of `messages` [ns]; that of the last is 3 s later."""
 
 
 def stamped(entry, stamp: int):
-    """Return an entry with another stamp [ns] in its message, logged as before."""
+    """Return an entry with another stamp [ns] in its message and the same log time."""
     message = entry[3]
     time = dataclasses.replace(
         message.header.stamp, sec=stamp // 10**9, nanosec=stamp % 10**9
@@ -26,7 +26,7 @@ def stamped(entry, stamp: int):
 
 
 def later(entries, topic: str, time: float, stamp: int):
-    """Return entries with the goals on `topic` at `time` [s] since the first pose, and stamped."""
+    """Return entries with the goals of `topic` at `time` [s] since the first pose, and `stamp`."""
     goals = [stamped(entry, stamp) for entry in entries if entry[0] == topic]
     rest = [entry for entry in entries if not entry[0].endswith(("goal_pose", "active_goal"))]
     log = START + round(time * 1e9)
@@ -35,12 +35,12 @@ def later(entries, topic: str, time: float, stamp: int):
 
 
 def run_of(rosbag2, on_system_clock, entries):
-    """Return the run as ``ros2 bag record`` logs it, which knows nothing of simulated time."""
+    """Return the run as ``ros2 bag record`` logs it, without simulated time."""
     return read_run(rosbag2(on_system_clock(entries, goals_first=False), "mcap", parts=1))
 
 
 @pytest.mark.parametrize("stamp", [0, 12_345_000_000_000, 1_700_000_000_000_000_000])
-def test_what_a_user_typed_as_a_stamp_does_not_count(
+def test_stamp_of_goal_pose_is_not_used(
     rosbag2, on_system_clock, messages, stamp
 ) -> None:
     entries = later(list(messages()), "/goal_pose", 1.5, stamp)
@@ -52,14 +52,14 @@ def test_what_a_user_typed_as_a_stamp_does_not_count(
 @pytest.mark.parametrize(
     ("stamp", "time", "tolerance"),
     [
-        (START + 1_480_000_000, 1.48, 1e-9),  # when the controller took it
-        (0, 1.5, POSE_PERIOD),  # by a controller without a clock
-        (START - 4_000_000_000, -4.0, 1e-9),  # kept since before the recording
+        (START + 1_480_000_000, 1.48, 1e-9),  # when the controller accepted it
+        (0, 1.5, POSE_PERIOD),  # from a controller without a clock
+        (START - 4_000_000_000, -4.0, 1e-9),  # latched since before the recording
         (START + 90_000_000_000, 1.5, POSE_PERIOD),  # of another clock
         (1_800_000_000_000_000_000, 1.5, POSE_PERIOD),
     ],
 )
-def test_what_the_controller_stamped_counts_where_it_can_be(
+def test_plausible_stamp_of_active_goal_is_used(
     rosbag2, on_system_clock, messages, stamp, time, tolerance
 ) -> None:
     entries = later(list(messages()), "/controller/active_goal", 1.5, stamp)
@@ -68,7 +68,7 @@ def test_what_the_controller_stamped_counts_where_it_can_be(
     assert np.all(np.isfinite(run.goals_in_force[run.times >= max(time, 0.0) + POSE_PERIOD]))
 
 
-def test_a_kept_goal_is_in_force_from_the_start(rosbag2, on_system_clock, messages) -> None:
+def test_latched_goal_is_in_force_from_the_start(rosbag2, on_system_clock, messages) -> None:
     kept = later(list(messages()), "/controller/active_goal", 0.7, START - 4_000_000_000)
     run, whole = run_of(rosbag2, on_system_clock, kept), read_run(rosbag2(
         messages(), "sqlite3", name="whole"
@@ -76,7 +76,7 @@ def test_a_kept_goal_is_in_force_from_the_start(rosbag2, on_system_clock, messag
     assert run.metrics() == whole.metrics()
 
 
-def test_plans_without_a_stamp_start_when_they_came(rosbag2, on_system_clock, messages) -> None:
+def test_plans_without_a_stamp_start_at_their_log_time(rosbag2, on_system_clock, messages) -> None:
     entries = [
         stamped(entry, 0) if entry[0] == "/rotor_trajectory" else entry for entry in messages()
     ]
@@ -85,7 +85,7 @@ def test_plans_without_a_stamp_start_when_they_came(rosbag2, on_system_clock, me
     assert starts == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
 
 
-def test_solves_of_a_controller_that_counts_from_its_own_start(
+def test_solve_times_of_a_controller_without_simulated_time(
     rosbag2, on_system_clock, messages
 ) -> None:
     entries = []
@@ -99,12 +99,14 @@ def test_solves_of_a_controller_that_counts_from_its_own_start(
         entries.append(entry)
     run = run_of(rosbag2, on_system_clock, entries)
     assert run.solves.times == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
-    told = run_of(lambda *how, **more: rosbag2(*how, name="told", **more), on_system_clock,
-                  list(messages()))
-    np.testing.assert_allclose(told.solves.times, 0.5 * np.arange(7), atol=1e-9)
+    with_sim_time = run_of(
+        lambda *how, **more: rosbag2(*how, name="sim_time", **more), on_system_clock,
+        list(messages()),
+    )
+    np.testing.assert_allclose(with_sim_time.solves.times, 0.5 * np.arange(7), atol=1e-9)
 
 
-def test_a_goal_after_the_last_pose_leaves_the_figures_of_the_one_before(
+def test_goal_after_the_last_pose_is_ignored(
     rosbag2, messages
 ) -> None:
     entries = list(messages())
@@ -116,23 +118,23 @@ def test_a_goal_after_the_last_pose_leaves_the_figures_of_the_one_before(
     run = read_run(rosbag2([*entries, late], "mcap"))
     assert len(run.goals) == 1 and run.metrics() is not None
     assert run.notes == (
-        "/controller/active_goal: goal at 3.5 s, poses from 0 to 3 s: left out",
+        "/controller/active_goal: goal at 3.5 s, poses from 0 to 3 s: ignored",
     )
 
 
-def test_a_run_without_a_goal_inside_says_so(rosbag2, messages, tmp_path, capsys) -> None:
+def test_report_says_why_a_run_has_no_goal(rosbag2, messages, tmp_path, capsys) -> None:
     entries = later(list(messages()), "/controller/active_goal", 7.25, 0)
     bag, out = rosbag2(entries, "mcap", parts=1), tmp_path / "out"
     assert main([str(bag), "--out", str(out)]) == 0
-    told = capsys.readouterr()
-    assert "mine: no figures, as no goal was in force at any pose" in told.out
+    printed = capsys.readouterr()
+    assert "mine: no figures, as no goal was in force at any pose" in printed.out
     reason = "goal at 7.25 s, poses from 0 to 3 s: no goal falls inside the recording"
-    assert reason in told.err
+    assert reason in printed.err
     assert reason in (out / "summary.json").read_text()
     assert reason in (out / "report.html").read_text()
 
 
-def test_goals_and_plans_that_are_none_are_told(rosbag2, messages) -> None:
+def test_invalid_goals_and_plans_are_ignored_with_a_note(rosbag2, messages) -> None:
     entries = list(messages())
     for i, entry in enumerate(entries):
         if entry[0] == "/controller/active_goal":
@@ -146,12 +148,12 @@ def test_goals_and_plans_that_are_none_are_told(rosbag2, messages) -> None:
     run = read_run(rosbag2([*entries, (*plan[:3], foreign)], "mcap"))
     assert len(run.goals) == 1 and len(run.plans) == 7
     assert run.notes == (
-        "/controller/active_goal: 1 goals are no poses and were left out",
-        "/rotor_trajectory: 1 trajectories are no plans and were left out",
+        "/controller/active_goal: 1 invalid goals were ignored",
+        "/rotor_trajectory: 1 invalid trajectories were ignored",
     )
 
 
-def test_of_a_simulator_started_again_the_longest_run_is_taken(
+def test_longest_run_is_used_after_a_restart_of_the_simulator(
     rosbag2, on_system_clock, messages
 ) -> None:
     whole = list(messages())
@@ -167,7 +169,7 @@ def test_of_a_simulator_started_again_the_longest_run_is_taken(
     assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")
 
 
-def test_goal_that_is_sent_three_times_is_in_force_from_the_first(
+def test_repeated_goal_is_in_force_from_the_first_time(
     rosbag2, on_system_clock, messages
 ) -> None:
     entries = later(list(messages()), "/controller/active_goal", 0.5, START + 500_000_000)

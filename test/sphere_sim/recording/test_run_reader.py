@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Any bag of the robot becomes the same arrays; anything else becomes one clear sentence."""
+"""Bags of the robot of every kind give the same arrays; anything else gives one clear error."""
 
 import dataclasses
 
@@ -58,32 +58,32 @@ def test_single_file_and_folder_without_metadata_are_read(make_bag, messages) ->
 
 
 @pytest.mark.parametrize("share", [0.9, 0.5])
-def test_truncated_mcap_is_read_as_far_as_it_goes(make_bag, messages, share) -> None:
+def test_truncated_mcap_is_read_up_to_its_end(make_bag, messages, share) -> None:
     folder = make_bag(list(messages()) * 30, "mcap")  # several chunks
     file = next(folder.glob("*.mcap"))
     data = file.read_bytes()
     file.write_bytes(data[: int(share * len(data))])
     run = read_run(folder)
     assert len(run.times) > 100
-    assert any("breaks off" in note for note in run.notes)
+    assert any("is truncated" in note for note in run.notes)
 
 
-def test_missing_topics_are_told_and_the_rest_is_read(make_bag, messages) -> None:
+def test_missing_topics_are_noted_and_the_rest_is_read(make_bag, messages) -> None:
     names = ("joint_states", "rotor_trajectory", "active_goal", "goal_pose", "status")
     run = read_run(make_bag(without(messages(), *names)))
     assert len(run.times) == 301
     assert run.goal is None and run.metrics() is None
-    told = " ".join(run.notes)
-    for name in ("joint_states", "rotor_trajectory", "active_goal", "solved"):
-        assert name in told
+    notes = " ".join(run.notes)
+    for name in ("joint_states", "rotor_trajectory", "active_goal", "reports a solve"):
+        assert name in notes
 
 
-def test_goal_pose_stands_in_for_active_goal(make_bag, messages) -> None:
+def test_goal_pose_replaces_a_missing_active_goal(make_bag, messages) -> None:
     run = read_run(make_bag(without(messages(), "active_goal")))
-    assert run.goal is not None and any("goal_pose is taken" in note for note in run.notes)
+    assert run.goal is not None and any("goal_pose is used" in note for note in run.notes)
 
 
-def test_a_goal_counts_from_when_the_controller_took_it(make_bag, messages) -> None:
+def test_goal_is_in_force_from_when_the_controller_accepted_it(make_bag, messages) -> None:
     entries = list(messages())
     place = next(i for i, e in enumerate(entries) if e[0] == "/controller/active_goal")
     topic, kind, stamp, goal = entries[place]
@@ -94,7 +94,7 @@ def test_a_goal_counts_from_when_the_controller_took_it(make_bag, messages) -> N
     assert run.goal_times.tolist() == [0.0], "and its first solve is one of those measured"
 
 
-def test_broken_poses_are_left_out(make_bag, messages) -> None:
+def test_invalid_poses_are_ignored_with_a_note(make_bag, messages) -> None:
     entries = list(messages())
     poses = [i for i, entry in enumerate(entries) if entry[0] == "/pose"]
     place = entries[poses[5]][3].pose
@@ -109,10 +109,10 @@ def test_broken_poses_are_left_out(make_bag, messages) -> None:
     )
     run = read_run(make_bag(entries))
     assert len(run.times) == 300 and np.all(np.isfinite(run.states))
-    assert "1 poses are no poses" in run.notes[0]
+    assert "1 invalid poses were ignored" in run.notes[0]
 
 
-def test_robots_are_told_apart_by_namespace(make_bag, messages) -> None:
+def test_robots_are_selected_by_namespace(make_bag, messages) -> None:
     bag = make_bag([*messages("/left"), *messages("/right")])
     with pytest.raises(BagError, match=r"several robots.*/left, /right"):
         read_run(bag)
@@ -122,7 +122,7 @@ def test_robots_are_told_apart_by_namespace(make_bag, messages) -> None:
 
 
 def test_bag_of_another_robot_is_refused(make_bag, messages) -> None:
-    with pytest.raises(BagError, match="another robot's; has: /rotor_trajectory"):
+    with pytest.raises(BagError, match="another robot; has: /rotor_trajectory"):
         read_run(make_bag(e for e in messages() if e[0] == "/rotor_trajectory"))
 
 
@@ -136,7 +136,7 @@ def test_bag_with_other_joints_is_refused(make_bag, messages) -> None:
         read_run(make_bag(entries))
 
 
-def test_empty_bag_is_told(make_bag) -> None:
+def test_empty_bag_is_refused(make_bag) -> None:
     with pytest.raises(BagError, match="is empty: it has no topic at all"):
         read_run(make_bag([]))
 
@@ -149,7 +149,7 @@ def test_empty_bag_is_told(make_bag) -> None:
         (lambda path: path.write_text("x"), "expected a folder, a .mcap or a .db3 file"),
     ],
 )
-def test_what_is_no_bag_is_told(tmp_path, make, reason) -> None:
+def test_path_that_is_not_a_bag_is_refused(tmp_path, make, reason) -> None:
     path = tmp_path / "thing"
     make(path)
     with pytest.raises(BagError, match=reason):

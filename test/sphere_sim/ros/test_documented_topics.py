@@ -66,9 +66,11 @@ def test_tables_agree_with_the_node(graph, name) -> None:
     assert own == documented(name)
 
 
-def test_a_namespace_moves_everything_relative(graph) -> None:
-    node = SimulatorNode()
-    assert all(not row[0].startswith("/simulator/pose") for row in offered(node))
-    relative = {row[0] for row in documented("simulator")} - {"/clock", "/diagnostics"}
-    assert "/pose" in relative
-    node.destroy_node()
+@pytest.mark.parametrize("name", CLASSES)
+@pytest.mark.parametrize("graph", [["--ros-args", "-r", "__ns:=/second"]], indirect=True)
+def test_a_namespace_precedes_all_names_but_those_of_every_robot(graph, name) -> None:
+    node = CLASSES[name]()
+    graph.add(node)
+    shared = {"/clock", "/diagnostics"}
+    expected = {topic if topic in shared else f"/second{topic}" for topic, *_ in documented(name)}
+    assert {topic for topic, *_ in offered(node) if "type_description" not in topic} == expected

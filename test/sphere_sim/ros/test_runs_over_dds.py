@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator and controller as processes: they reach the goal, and lockstep repeats itself."""
+"""Simulator and controller as processes: goals are reached, and lockstep runs are repeatable."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -70,11 +70,14 @@ def run(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_lockstep_repeats_itself_and_the_run_without_ros(graph, strategy) -> None:
+def test_lockstep_repeats_itself_at_any_pace_and_the_run_without_ros(graph, strategy) -> None:
     noisy = {"process_noise": 1e-3, "seed": 5}
     sample = round(STRATEGIES[strategy].sample_period * 1e9)
-    settings = {"lockstep": True, "real_time_factor": 0.0, "pose_rate": 20.0, **noisy}
-    first, again = (run(graph, 6.0, strategy, **settings) for _ in range(2))
+    settings = {"lockstep": True, "pose_rate": 20.0, **noisy}
+    # As fast as possible, and at three times real time.
+    first, again = (
+        run(graph, 6.0, strategy, real_time_factor=pace, **settings) for pace in (0.0, 3.0)
+    )
     shared = first[0].keys() & again[0].keys()
     assert set(range(sample, 6_000_000_001, sample)) <= shared
     assert all(first[0][stamp] == again[0][stamp] for stamp in shared), "bit for bit"
@@ -82,33 +85,21 @@ def test_lockstep_repeats_itself_and_the_run_without_ros(graph, strategy) -> Non
     assert len(shared) >= 6_000_000_000 // sample
     assert all(first[1][stamp] == again[1][stamp] for stamp in shared), "bit for bit"
 
-    robot, believed = RobotParameters(), ControllerSettings(strategy=strategy)
+    robot, assumed = RobotParameters(), ControllerSettings(strategy=strategy)
     alone = run_closed_loop(
-        Simulator(SimulatorSettings(**noisy), robot), Controller(believed, robot),
-        CASE.goal, 6.0, believed.control_period, output_period=believed.control_period,
+        Simulator(SimulatorSettings(**noisy), robot), Controller(assumed, robot),
+        CASE.goal, 6.0, assumed.control_period, output_period=assumed.control_period,
     )
     for time, state in zip(alone.times, alone.states, strict=True):
         np.testing.assert_allclose(first[0][round(time * 1e9)], state, atol=1e-6)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    # A plan of `time_optimal` is looked for as long as the sample lasts: at five times real time
-    # in a fifth of the time, so that it may arrive later.
-    "strategy, duration, later", [("time_optimal", 16.0, 0.25), ("paper", 20.0, 0.0)]
-)
-def test_pace_of_time_does_not_matter(graph, strategy, duration, later) -> None:
-    sample, settled, punctual = STRATEGIES[strategy].sample_period, [], []
-    for pace in (1.0, 5.0):
-        poses, sent = run(graph, duration, strategy, real_time_factor=pace)
-        outside = [
-            stamp for stamp, state in poses.items()
-            if state_error(np.array(state), CASE.goal) > 1e-2
-        ]
-        settled.append(max(outside) / 1e9)
-        gaps = np.diff([stamp / 1e9 for stamp in sorted(sent) if stamp < max(outside)])
-        punctual.append(gaps.max() < 1.2 * sample)
-    assert settled[0] < duration - sample, "in real time it arrives whatever else the machine does"
-    # A machine without time for the controller makes commands late, and those are another motion.
-    if all(punctual):
-        assert settled[1] == pytest.approx(settled[0], abs=1.01 * sample, rel=later)
+@pytest.mark.parametrize("pace", [1.0, 5.0])
+@pytest.mark.parametrize(("strategy", "duration"), [("time_optimal", 20.0), ("paper", 25.0)])
+def test_goal_is_reached_at_each_pace_of_time(graph, strategy, duration, pace) -> None:
+    # Without lockstep: on a busy machine some commands are late, and the motion is another one.
+    poses, _ = run(graph, duration, strategy, real_time_factor=pace)
+    last = [np.array(state) for stamp, state in poses.items() if stamp > (duration - 1.0) * 1e9]
+    assert last
+    assert max(state_error(state, CASE.goal) for state in last) < 1e-2

@@ -15,7 +15,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.ros import surroundings
 from sphere_nmpc.ros.controller import node as controller_node
@@ -266,11 +265,3 @@ def test_what_is_over_is_told_too(graph, capfd) -> None:
 
     graph.until(lambda: heard("no pose: given a publisher"))
     graph.until(lambda: heard("no pose: over"))
-
-
-def test_fault_log_is_what_limits_the_lines() -> None:
-    lines: list[str] = []
-    log = FaultLog(lines.append, clock=lambda: 0.0)
-    for _ in range(3):
-        log.report("no pose", "given nothing")
-    assert lines == ["no pose: given nothing"]

@@ -76,7 +76,7 @@ def digest(copy) -> str:
         ("sphere_sim/report/figures/style.py", False),
         ("sphere_sim/benchmark/report.py", False),
         ("sphere_sim/study/best_known.py", False),
-        ("sphere_sim/whole_file.py", False),
+        ("sphere_sim/study/tables.py", False),
         ("sphere_nmpc/strategy/plan_keeping.py", False),
         ("sphere_nmpc/strategy/paper.py", True),
         ("sphere_nmpc/solver/native/driver.c", True),

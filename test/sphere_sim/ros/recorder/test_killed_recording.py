@@ -71,7 +71,7 @@ def test_a_killed_recording_is_reported_on_and_replayed(run, tmp_path, capsys) -
     assert recorded.goals.size and recorded.plans and recorded.solves.times.size
     assert command(["report", str(bag), "--out", str(tmp_path / "out"), "--csv"]) == 0
     told = capsys.readouterr()
-    assert "breaks off" not in told.err and "damaged" not in told.err
+    assert "is truncated" not in told.err and "damaged" not in told.err
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     (figures,) = summary.values()
     assert figures["metrics"]["final_error"] is not None

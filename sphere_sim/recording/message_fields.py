@@ -1,0 +1,23 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Fields of messages as ``rosbags`` decodes them."""
+
+from typing import Any
+
+NANOSECONDS = 1_000_000_000
+"""Nanoseconds in a second."""
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp [ns] of a message with a header."""
+    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+
+
+def state_of(message: Any) -> list[float]:
+    """Return x, y [m; world frame] and the quaternion wxyz of a stamped pose, unchecked."""
+    position, orientation = message.pose.position, message.pose.orientation
+    return [
+        float(value) for value in (
+            position.x, position.y, orientation.w, orientation.x, orientation.y, orientation.z
+        )
+    ]

@@ -1,0 +1,185 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recording session: the consecutive bags of one recorder, and the log times of their messages."""
+
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+from rosbags.interfaces import Qos
+
+from sphere_sim.recording.bag_writer import BagWriter
+from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.message_fields import NANOSECONDS
+
+_KEPT = 2
+"""Messages of a topic that are kept until the clock has a time for them: a simulator publishes the
+state of its first step before the clock reports that step."""
+_CDR_HEADER = 4
+"""Bytes before the first field of a serialised message; the second one is the byte order."""
+
+
+class RecordingSession:
+    """Bags that are started and stopped, and messages that are written into the one in progress.
+
+    Parameters
+    ----------
+    output : str
+        Folder of the first bag, see `RecorderSettings`; later ones have a number appended.
+    clock_topic : str
+        Topic of simulated time, whose newest value is the log time of all messages; empty to log
+        the times of arrival.
+    offered_qos : callable
+        Returns the quality of service that the publishers of a topic offer.
+    warn, fail : callable
+        Called with one line about a topic that cannot be recorded, and about a failed recording.
+    """
+
+    def __init__(
+        self,
+        output: str,
+        clock_topic: str,
+        offered_qos: Callable[[str], Sequence[Qos]],
+        warn: Callable[[str], object],
+        fail: Callable[[str], object],
+    ) -> None:
+        self.received: set[str] = set()
+        """Topics with at least one message."""
+        self.refused: set[str] = set()
+        """Topics that cannot be recorded."""
+        self._output = output
+        self._clock_topic = clock_topic
+        self._offered_qos = offered_qos
+        self._warn = warn
+        self._fail = fail
+        self._bag: BagWriter | None = None
+        self._started = 0
+        self._types: dict[str, str] = {}
+        self._latched: dict[str, bytes | None] = {}
+        self._early: dict[str, deque[bytes]] = {}
+        self._simulated_time = 0
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the bag in progress; None while nothing is recorded."""
+        return None if self._bag is None else self._bag.folder
+
+    def set_topic(self, topic: str, msgtype: str, latched: bool) -> None:
+        """Register the message type of a topic, and whether its publishers keep messages.
+
+        The last message of a latched topic is written into each bag that is started later.
+        """
+        self._types[topic] = msgtype
+        if latched:
+            self._latched.setdefault(topic, None)
+        else:
+            self._latched.pop(topic, None)
+
+    def refuse(self, topic: str, reason: str) -> None:
+        """Record no messages of a topic."""
+        self.refused.add(topic)
+        self._warn(f"{topic} is not recorded: {reason}")
+
+    def add_to_bag(self, topic: str) -> bool:
+        """Add a registered topic to the bag in progress; return whether the bag has it."""
+        bag, msgtype = self._bag, self._types.get(topic)
+        if bag is None or msgtype is None or topic in self.refused:
+            return False
+        if topic not in bag.topics:
+            if not bag.supports(msgtype):
+                self.refuse(topic, f"the definition of {msgtype} is not known")
+                return False
+            bag.add_topic(topic, msgtype, self._offered_qos(topic))
+        return True
+
+    def write(self, messages: Iterable[tuple[int, str, bytes]]) -> None:
+        """Write messages of registered topics in order of arrival.
+
+        Parameters
+        ----------
+        messages : iterable of (int, str, bytes)
+            Time of arrival [ns; system clock], topic, and message in CDR.
+        """
+        for arrival, topic, message in sorted(messages, key=lambda entry: entry[0]):
+            if topic == self._clock_topic:
+                self._simulated_time = _clock_stamp(message)
+            self._write(topic, message, self._simulated_time if self._clock_topic else arrival)
+
+    def commit(self) -> None:
+        """Write all messages so far to disk."""
+        if self._bag is not None:
+            try:
+                self._bag.commit()
+            except BagError as error:
+                self._abort(error)
+
+    def start(self) -> Path:
+        """Start a new bag and return its folder.
+
+        Raises
+        ------
+        BagError
+            If its folder exists or cannot be written.
+        """
+        self._bag = BagWriter(self._next_folder())
+        self._started += 1
+        self._early = {
+            topic: deque((message,), _KEPT)
+            for topic, message in self._latched.items() if message is not None
+        }
+        return self._bag.folder
+
+    def stop(self) -> str:
+        """Close the bag in progress; return a summary of it, empty if there is none."""
+        bag, self._bag = self._bag, None
+        if bag is None:
+            return ""
+        try:
+            bag.close()
+        except BagError as error:
+            self._fail(f"the last messages are lost: {error}")
+        return f"{bag.message_count} messages on {len(bag.topics)} topics in {bag.folder}"
+
+    def add_custom_data(self, values: Mapping[str, str]) -> None:
+        """Add custom data to the bag in progress."""
+        if self._bag is not None:
+            self._bag.custom_data.update(values)
+
+    def _write(self, topic: str, message: bytes, stamp: int) -> None:
+        """Write a message; before the clock runs, keep the newest few of each topic instead."""
+        self.received.add(topic)
+        if topic in self._latched:
+            self._latched[topic] = message
+        if self._bag is None:
+            return
+        if stamp <= 0:
+            self._early.setdefault(topic, deque(maxlen=_KEPT)).append(message)
+            return
+        early, self._early = self._early, {}
+        try:
+            for name, messages in (*early.items(), (topic, (message,))):
+                for data in messages if self.add_to_bag(name) else ():
+                    self._bag.write(name, stamp, data)
+        except BagError as error:
+            self._abort(error)
+
+    def _abort(self, error: BagError) -> None:
+        """Close a bag that can no longer be written; its last commit stays readable."""
+        if self._bag is not None:
+            self._bag.abandon()
+            self._bag = None
+            self._fail(f"recording stopped, {error}; what was recorded before is complete")
+
+    def _next_folder(self) -> Path:
+        output = self._output or time.strftime("runs/%Y-%m-%d_%H-%M-%S")
+        folder = Path(output).expanduser().absolute()
+        return folder.with_name(f"{folder.name}_{self._started}") if self._started else folder
+
+
+def _clock_stamp(message: bytes) -> int:
+    """Return the time [ns] in a serialised rosgraph_msgs/Clock."""
+    order = "<" if message[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", message, _CDR_HEADER)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)

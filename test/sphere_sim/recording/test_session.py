@@ -1,0 +1,144 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recording sessions: log times, latched messages, consecutive bags and failures, without ROS."""
+
+import resource
+import struct
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import Reader
+
+from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.session import RecordingSession
+
+CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+FLAG, FLAG_TYPE = "/flag", "std_msgs/msg/Bool"
+TRUE = b"\x00\x01\x00\x00\x01"
+S = 1_000_000_000
+
+
+def clock_message(stamp: int) -> bytes:
+    return b"\x00\x01\x00\x00" + struct.pack("<iI", stamp // S, stamp % S)
+
+
+class Recorded:
+    """Session in a folder, with the lines it reports."""
+
+    def __init__(self, folder: Path, clock_topic: str = "") -> None:
+        self.warnings: list[str] = []
+        self.failures: list[str] = []
+        self.session = RecordingSession(
+            str(folder), clock_topic, lambda topic: (), self.warnings.append, self.failures.append
+        )
+        self.session.set_topic(CLOCK, CLOCK_TYPE, latched=False)
+        self.session.set_topic(FLAG, FLAG_TYPE, latched=False)
+
+
+def stamps(folder: Path, topic: str = FLAG) -> list[int]:
+    """Return the log times of a topic [ns]."""
+    with Reader(folder) as reader:
+        return [stamp for it, stamp, _ in reader.messages() if it.topic == topic]
+
+
+@pytest.fixture
+def bag(tmp_path) -> Path:
+    return tmp_path / "bag"
+
+
+def test_messages_are_written_in_order_of_arrival(bag) -> None:
+    session = Recorded(bag).session
+    session.start()
+    session.write([(3 * S, FLAG, TRUE), (1 * S, FLAG, TRUE), (2 * S, FLAG, TRUE)])
+    assert session.stop() == f"3 messages on 1 topics in {bag}"
+    assert stamps(bag) == [1 * S, 2 * S, 3 * S]
+
+
+def test_log_time_is_the_newest_simulated_time(bag) -> None:
+    session = Recorded(bag, CLOCK).session
+    session.start()
+    session.write([
+        (10, CLOCK, clock_message(5 * S)), (11, FLAG, TRUE), (12, CLOCK, clock_message(6 * S)),
+        (13, FLAG, TRUE),
+    ])
+    session.stop()
+    assert stamps(bag) == stamps(bag, CLOCK) == [5 * S, 6 * S]
+
+
+def test_newest_two_messages_before_the_clock_runs_get_its_first_time(bag) -> None:
+    session = Recorded(bag, CLOCK).session
+    session.start()
+    session.write([(i, FLAG, TRUE) for i in range(5)])
+    session.write([(6, CLOCK, clock_message(0))])
+    session.commit()
+    assert stamps(bag) == []
+    session.write([(7, CLOCK, clock_message(4 * S))])
+    session.stop()
+    assert stamps(bag) == stamps(bag, CLOCK) == [4 * S, 4 * S]
+
+
+def test_latched_messages_are_repeated_in_a_later_bag(bag) -> None:
+    session = Recorded(bag).session
+    session.set_topic("/goal", FLAG_TYPE, latched=True)
+    session.start()
+    session.write([(1 * S, "/goal", TRUE), (2 * S, FLAG, TRUE)])
+    session.stop()
+    second = session.start()
+    session.write([(3 * S, FLAG, TRUE)])
+    session.stop()
+    assert second == bag.with_name("bag_1")
+    assert stamps(second, "/goal") == stamps(second) == [3 * S]
+
+
+def test_messages_between_two_bags_are_in_neither(bag) -> None:
+    session = Recorded(bag).session
+    session.write([(1 * S, FLAG, TRUE)])
+    assert session.folder is None and session.stop() == ""
+    session.start()
+    session.stop()
+    session.write([(2 * S, FLAG, TRUE)])
+    assert stamps(bag) == [] and session.received == {FLAG}
+
+
+def test_existing_folder_is_refused_and_nothing_recorded(bag) -> None:
+    bag.mkdir()
+    session = Recorded(bag).session
+    with pytest.raises(BagError, match="exists already"):
+        session.start()
+    assert session.folder is None
+
+
+def test_unknown_message_type_is_reported_once_and_the_rest_recorded(bag) -> None:
+    recorded = Recorded(bag)
+    recorded.session.set_topic("/odd", "odd_msgs/msg/Odd", latched=False)
+    recorded.session.start()
+    assert not recorded.session.add_to_bag("/odd")
+    recorded.session.write([(1, "/odd", TRUE), (2, FLAG, TRUE), (3, "/odd", TRUE)])
+    recorded.session.stop()
+    assert recorded.warnings == [
+        "/odd is not recorded: the definition of odd_msgs/msg/Odd is not known"
+    ]
+    assert recorded.session.refused == {"/odd"} and stamps(bag) == [2]
+
+
+def test_full_disk_ends_the_recording_with_one_line_and_a_readable_bag(bag) -> None:
+    recorded = Recorded(bag)
+    recorded.session.start()
+    recorded.session.write([(1, FLAG, TRUE)])
+    recorded.session.commit()
+    size = next(bag.glob("*.mcap")).stat().st_size
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 300, before[1]))
+    try:
+        recorded.session.write([(i * i * 7919, FLAG, TRUE) for i in range(2, 5000)])
+        recorded.session.commit()
+        recorded.session.commit()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert len(recorded.failures) == 1
+    assert recorded.failures[0].startswith("recording stopped, bag ")
+    assert recorded.session.folder is None and stamps(bag) == [1]
+    restarted = recorded.session.start()
+    recorded.session.write([(2, FLAG, TRUE)])
+    recorded.session.stop()
+    assert stamps(restarted) == [2]

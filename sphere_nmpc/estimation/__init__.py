@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller learns from motion."""
+"""Estimation of the state and of the plant's parameters from poses and the rotor speeds sent."""

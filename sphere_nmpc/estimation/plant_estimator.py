@@ -1,53 +1,68 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Learn the four lumped constants of the plant, its lag and its noise from its own motion.
+"""Least-squares estimate of the plant's four lumped constants, its lag and its noise.
 
-Masses and inertias enter the motion through [Rs, c1, r1, r3] alone. Rotors that follow what is
-sent with a first-order lag move the sphere as if all had been sent that much later, to the
-second order in the lag; a pose whose stamp is late by a constant looks the same. So the lag is
-the fifth unknown. Each pair of poses with the rotor speeds sent in between is a measurement of
-all five; the last ones are fitted together by Gauss-Newton least squares with a Gaussian prior
-around the values the robot was built to. What the fit cannot explain is the noise.
+Masses and inertias enter the motion through [Rs, c1, r1, r3] alone. Rotors that follow the
+commanded speeds with a first-order lag move the sphere as if all commands had been sent later by
+that lag, to second order in it; a pose whose stamp is late by a constant has the same effect. So
+the lag is the fifth parameter. Each pair of poses with the rotor speeds sent in between is a
+measurement of all five; the newest ones are fitted together by Gauss-Newton least squares with a
+Gaussian prior, around the values of the robot as built unless others are given. The residuals of
+the fit are the noise.
 """
 
-from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.estimation.unknowns import SIZE, Unknowns, noticeable
+from sphere_nmpc.estimation.contract import PlantEstimate
+from sphere_nmpc.estimation.plant_parameters import (
+    PRIOR_DEVIATION,
+    SIZE,
+    ParameterDistribution,
+    ParameterScaling,
+    significant,
+)
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector, nearer_sign
 from sphere_nmpc.solver.roll_out import roll_out
 
 LEAST_NOISE = 1e-5
-"""Floor of the noise [m, -]: the prediction's own error over a sample."""
+"""Floor of the noise [m, -]: the error of the prediction itself over a sample period."""
 EXCITED = 2.0
-"""Rotor speed [rad/s] below which nothing is learnt about the constants."""
+"""Rotor speed [rad/s] below which a transition holds no information about the constants."""
 JUMP = 0.25
-"""A pose further than this from its prediction was moved by something else."""
+"""Prediction error [mixed units] above which something other than the rotors moved the robot."""
 
 _WINDOW = 40
+"""Transitions fitted together."""
 _NOISE_WINDOW = 20
+"""Residuals from which the noise is estimated."""
 _STEP = 0.05
+"""Longest integration step of the prediction [s]."""
 _DIFFERENCE = 1e-5
+"""Step of the finite differences, in scaled parameters."""
 _SHORTEST_PIECE = 1e-9
-_SETTLED = 1e-5
-_ROUNDS = 6
+"""Shortest piece of the rotor speeds [s]."""
+_CONVERGED = 1e-5
+"""Change of the scaled parameters at which the iteration ends."""
+_ITERATIONS = 6
+"""Gauss-Newton iterations for each new transition at most."""
 _STILL_LINEAR = 3e-3
-"""Change, in standard deviations of the prior, up to which a linearisation is kept: what it leaves
-out is then below `LEAST_NOISE`, and a lesson costs one transition instead of all of them."""
+"""Change, in standard deviations of the prior, up to which a linearisation is kept: its error is
+then below `LEAST_NOISE`, and a new transition costs one linearisation instead of all of them."""
 _FREEDOM = 5
-"""Independent components of a state: the quaternion's norm is not one."""
+"""Independent components of a state: the quaternion's norm is one."""
 _EXPECTED_NOISE = 1e-4
-"""Noise assumed before anything was seen [m, -] ..."""
-_EXPECTATION_COUNTS = 5.0
-"""... and how many independent residuals that assumption is worth."""
+"""Prior noise [m, -] ..."""
+_EXPECTED_WEIGHT = 5.0
+"""... and the number of independent residuals that it weighs as much as."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Linear:
-    """Residual (6,) and Jacobian (6, 5) of a transition where the scaled unknowns were `at`."""
+class _Linearisation:
+    """Residual (6,) and Jacobian (6, 5) of a transition at the scaled parameters `at`."""
 
     at: Vector
     residual: Vector
@@ -56,14 +71,14 @@ class _Linear:
 
 @dataclass(eq=False)
 class _Transition:
-    """Two measured states and what was sent in between, from `lead` [s] before the first on."""
+    """Two measured states and the rotor speeds sent from `lead` [s] before the first one on."""
 
     start: Vector
     end: Vector
     times: Vector
     inputs: Vector
     lead: float
-    linear: _Linear | None = None
+    linearisation: _Linearisation | None = None
 
     def window(self, lag: float) -> tuple[Vector, Vector]:
         """Return durations (K,) and speeds (K + 1, 2) that moved the sphere at this lag [s]."""
@@ -75,50 +90,57 @@ class _Transition:
         return np.diff(times), np.column_stack(speeds)
 
 
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Result of an update: distribution of the parameters, last residuals, and the estimate."""
+
+    parameters: ParameterDistribution
+    residuals: tuple[Vector, ...]
+    estimate: PlantEstimate
+
+
 class PlantEstimator:
-    """Fit the constants to the newest transitions.
+    """Fit the parameters to the newest transitions.
+
+    The result of an update is published as a whole when the update is complete: another thread
+    may read `estimate` and `parameters` at any time.
 
     Parameters
     ----------
     nominal : LumpedConstants
-        What the robot was built to: centre of the prior and start of the fit.
-    lag : float, optional
-        Lag that is expected [s].
+        Constants of the robot as built.
+    mean : ndarray, shape (5,), optional
+        Mean of the prior in scaled parameters; by default the robot as built, without lag.
     """
 
-    def __init__(self, nominal: LumpedConstants, lag: float = 0.0) -> None:
-        self._unknowns = Unknowns(nominal, lag)
+    def __init__(self, nominal: LumpedConstants, mean: Vector | None = None) -> None:
+        self._nominal = nominal
+        self._scaling = ParameterScaling(nominal)
+        self._mean = ParameterDistribution.prior(0.0).mean if mean is None else mean
+        self._transitions: tuple[_Transition, ...] = ()
         self.jumps = 0
-        """Transitions left out as something else had moved the robot."""
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything learnt."""
-        self._scale: Vector = self._unknowns.centre.copy()
-        self._covariance: Vector = np.diag(self._unknowns.spread**2)
-        self._transitions: deque[_Transition] = deque(maxlen=_WINDOW)
-        self._residuals: deque[Vector] = deque(maxlen=_NOISE_WINDOW)
+        """Transitions left out as something other than the rotors had moved the robot."""
+        self._publish(ParameterDistribution(self._mean, np.diag(PRIOR_DEVIATION**2)), ())
 
     @property
-    def constants(self) -> LumpedConstants:
-        """The constants as believed now."""
-        return self._unknowns.lumped(self._scale)
+    def estimate(self) -> PlantEstimate:
+        """Constants, lag, noise and standard deviations after the last complete update."""
+        return self._fit.estimate
 
     @property
-    def lag(self) -> float:
-        """How far the motion lags behind what is sent [s]; 0 where it is too short to matter."""
-        return noticeable(self._unknowns.lag(self._scale))
+    def parameters(self) -> ParameterDistribution:
+        """Distribution of the scaled parameters after the last complete update."""
+        return self._fit.parameters
 
-    @property
-    def standard_deviation(self) -> Vector:
-        """Uncertainty of [Rs, c1, r1, r3] in their own units, shape (4,)."""
-        deviation = self._unknowns.constants(np.sqrt(np.diag(self._covariance)))
-        return deviation
+    def restarted(self, lag: float) -> "PlantEstimator":
+        """Return a new estimator with the present constants and another lag [s] as prior.
 
-    @property
-    def noise(self) -> float:
-        """What the fit leaves over: standard deviation of each state a sample [m, -]."""
-        return float(np.sqrt(_variance(list(self._residuals), 0)))
+        Transitions are not taken over, as they hold the old lag; the noise is.
+        """
+        fit = self._fit
+        new = PlantEstimator(self._nominal, fit.parameters.with_lag_prior(lag).mean)
+        new._publish(new.parameters, fit.residuals)
+        return new
 
     def observe(
         self,
@@ -139,72 +161,88 @@ class PlantEstimator:
         inputs : ndarray, shape (K + 1, 2)
             Rotor speeds at their ends [rad/s].
         lead : float, optional
-            How long before the first state the pieces begin [s]; without it no lag is learnt.
+            Time from the start of the pieces to the first state [s]; without it the lag is not
+            estimated.
         """
         times = np.concatenate(([0.0], np.cumsum(durations)))
         transition = _Transition(start, end, times, inputs, lead)
-        residual = self._residual(transition, self._scale)
+        parameters = self.parameters
+        residual = self._residual(transition, parameters.mean)
         if float(np.linalg.norm(residual)) > JUMP:
             self.jumps += 1
             return
         if float(np.max(np.abs(inputs))) > EXCITED:
-            self._transitions.append(transition)
-            self._fit()
-            residual = self._residual(transition, self._scale)
-        self._residuals.append(residual)
+            transitions = (*self._transitions, transition)[-_WINDOW:]
+            parameters = self._fitted(parameters, transitions)
+            self._transitions = transitions
+            residual = self._residual(transition, parameters.mean)
+        self._publish(parameters, (*self._fit.residuals, residual)[-_NOISE_WINDOW:])
 
-    def _fit(self) -> None:
-        """Refit all transitions kept, from the constants believed so far."""
-        prior = 1.0 / self._unknowns.spread**2
-        for _ in range(_ROUNDS):
-            before = self._scale
-            linear = [self._linear(transition) for transition in self._transitions]
-            jacobian = np.vstack([part.jacobian for part in linear])
-            residuals = [part.residual + part.jacobian @ (before - part.at) for part in linear]
+    def _publish(self, parameters: ParameterDistribution, residuals: tuple[Vector, ...]) -> None:
+        scaling, mean = self._scaling, parameters.mean
+        estimate = PlantEstimate(
+            scaling.lumped(mean),
+            significant(scaling.lag(mean)),
+            float(np.sqrt(_variance(residuals, 0))),
+            scaling.constants(np.sqrt(np.diag(parameters.covariance))),
+        )
+        self._fit = _Fit(parameters, residuals, estimate)
+
+    def _fitted(
+        self, parameters: ParameterDistribution, transitions: tuple[_Transition, ...]
+    ) -> ParameterDistribution:
+        """Return the fit to all transitions, starting from the parameters so far."""
+        prior = 1.0 / PRIOR_DEVIATION**2
+        for _ in range(_ITERATIONS):
+            before = parameters.mean
+            parts = [self._linearised(transition, before) for transition in transitions]
+            jacobian = np.vstack([part.jacobian for part in parts])
+            residuals = [part.residual + part.jacobian @ (before - part.at) for part in parts]
             residual = np.concatenate(residuals)
             variance = _variance(residuals, SIZE)
             information = np.diag(prior) + jacobian.T @ jacobian / variance
-            right = (self._unknowns.centre - before) * prior - jacobian.T @ residual / variance
-            change = np.linalg.solve(information, right)
-            self._scale = self._unknowns.within(before + change)
-            self._covariance = np.asarray(np.linalg.inv(information), dtype=float)
-            if float(np.max(np.abs(self._scale - before))) < _SETTLED:
+            right = (self._mean - before) * prior - jacobian.T @ residual / variance
+            mean = self._scaling.within(before + np.linalg.solve(information, right))
+            covariance = np.asarray(np.linalg.inv(information), dtype=float)
+            parameters = ParameterDistribution(mean, covariance)
+            if float(np.max(np.abs(mean - before))) < _CONVERGED:
                 break
+        return parameters
 
-    def _linear(self, transition: _Transition) -> _Linear:
-        linear = transition.linear
-        if linear is not None:
-            moved = np.abs(self._scale - linear.at) / self._unknowns.spread
+    def _linearised(self, transition: _Transition, at: Vector) -> _Linearisation:
+        known = transition.linearisation
+        if known is not None:
+            moved = np.abs(at - known.at) / PRIOR_DEVIATION
             if float(np.max(moved)) < _STILL_LINEAR:
-                return linear
-        residual = self._residual(transition, self._scale)
-        linear = _Linear(self._scale, residual, self._jacobian(transition, residual))
-        transition.linear = linear
-        return linear
+                return known
+        residual = self._residual(transition, at)
+        found = _Linearisation(at, residual, self._jacobian(transition, at, residual))
+        transition.linearisation = found
+        return found
 
-    def _residual(self, transition: _Transition, scale: Vector) -> Vector:
+    def _residual(self, transition: _Transition, scaled: Vector) -> Vector:
         """Return prediction minus measurement, shape (6,)."""
-        durations, inputs = transition.window(self._unknowns.lag(scale))
-        constants = self._unknowns.constants(scale)
+        durations, inputs = transition.window(self._scaling.lag(scaled))
+        constants = self._scaling.constants(scaled)
         predicted = roll_out(transition.start, inputs, durations, constants, _STEP)[-1]
         difference: Vector = predicted - nearer_sign(transition.end, predicted)
         return difference
 
-    def _jacobian(self, transition: _Transition, residual: Vector) -> Vector:
-        """Return d residual / d scale by differences, shape (6, 5)."""
+    def _jacobian(self, transition: _Transition, at: Vector, residual: Vector) -> Vector:
+        """Return the derivative of the residual by the scaled parameters, shape (6, 5)."""
         columns = []
         for i in range(SIZE):
-            scale = self._scale.copy()
-            # Both ways are inside for the lag, whose window cannot begin before the lead.
-            step = -_DIFFERENCE if self._unknowns.is_highest(scale, i) else _DIFFERENCE
-            scale[i] += step
-            columns.append((self._residual(transition, scale) - residual) / step)
+            scaled = at.copy()
+            # Inwards at the longest lag, where the window would begin before the lead.
+            step = -_DIFFERENCE if self._scaling.is_highest(at, i) else _DIFFERENCE
+            scaled[i] += step
+            columns.append((self._residual(transition, scaled) - residual) / step)
         return np.column_stack(columns)
 
 
-def _variance(residuals: list[Vector], fitted: int) -> float:
-    """Return the noise variance that residuals show, `fitted` unknowns having been fitted."""
+def _variance(residuals: Sequence[Vector], fitted: int) -> float:
+    """Return the noise variance shown by residuals after `fitted` parameters were fitted."""
     squares = sum(float(r @ r) for r in residuals)
     freedom = max(1, _FREEDOM * len(residuals) - fitted) if residuals else 0
-    expected = _EXPECTATION_COUNTS * _EXPECTED_NOISE**2
-    return max(LEAST_NOISE**2, (squares + expected) / (freedom + _EXPECTATION_COUNTS))
+    expected = _EXPECTED_WEIGHT * _EXPECTED_NOISE**2
+    return max(LEAST_NOISE**2, (squares + expected) / (freedom + _EXPECTED_WEIGHT))

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of the rotor speeds that were really sent, to predict what the robot did meanwhile."""
+"""History of the rotor speeds sent, and prediction of the motion that they cause."""
 
 from collections import deque
 
@@ -14,11 +14,11 @@ from sphere_nmpc.solver.roll_out import roll_out
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
 _SHORTEST = 1e-6
-"""Spacing of bends that count as one [s]."""
+"""Knots closer than this [s] count as one."""
 _MANY = 48
-"""Pieces beyond which straight runs of them are joined ..."""
+"""Number of pieces above which consecutive ones on a straight line are joined ..."""
 _STRAIGHT = 0.05
-"""... if no end between them is further than this from the straight line [rad/s]."""
+"""... if no end between them is further than this from the line [rad/s]."""
 
 
 class SentInputs:
@@ -31,17 +31,17 @@ class SentInputs:
         self._holds: deque[FirstOrderHold] = deque(maxlen=_KEPT)
 
     def clear(self) -> None:
-        """Forget everything; the rotors count as at rest."""
+        """Discard all holds; the rotors count as at rest."""
         self._holds.clear()
 
     def record(self, hold: FirstOrderHold) -> None:
-        """Remember a hold that takes effect at its first knot; it replaces what comes later."""
+        """Add a hold that takes effect at its first knot and replaces what was sent for later."""
         while self._holds and self._holds[-1].start >= hold.start:
             self._holds.pop()
         self._holds.append(hold)
 
     def copy(self) -> "SentInputs":
-        """Return what is remembered now, to be looked at in another thread."""
+        """Return a copy, which another thread may read."""
         twin = SentInputs()
         twin._holds.extend(self._holds)
         return twin
@@ -59,21 +59,21 @@ class SentInputs:
         return np.zeros(INPUT_SIZE)
 
     def leading_to(self, hold: FirstOrderHold, now: float) -> FirstOrderHold:
-        """Return what is followed from `now` on [s] when `hold` is sent.
+        """Return the speeds from `now` on [s] if `hold` is sent.
 
-        Until a hold begins, what is in force goes on, with its bends: the hold was planned from
-        where that leads. One that has begun is joined at its next knot.
+        Until the hold begins, the one in force is followed with all its knots, as the plan
+        assumed. A hold that has begun already is joined at its next knot.
         """
         joined = hold.starting_at(now, self.at(now))
         newest = self.newest
         if newest is None:
             return joined
-        bends = _between(newest, now + _SHORTEST, hold.start - _SHORTEST)
-        if not bends:
+        knots = _between(newest, now + _SHORTEST, hold.start - _SHORTEST)
+        if not knots:
             return joined
-        speeds = np.array([newest.at(t) for t in bends])
+        speeds = np.array([newest.at(t) for t in knots])
         return FirstOrderHold(
-            np.insert(joined.times, 1, bends), np.insert(joined.speeds, 1, speeds, axis=0)
+            np.insert(joined.times, 1, knots), np.insert(joined.speeds, 1, speeds, axis=0)
         )
 
     def predict(
@@ -84,14 +84,14 @@ class SentInputs:
         constants: Vector,
         max_step: float = DEFAULT_MAX_STEP,
     ) -> Vector:
-        """Return the state at `end`, shape (6,), given the one at `start` and what was sent.
+        """Return the state at `end`, shape (6,), predicted from `start` with the speeds sent.
 
         Parameters
         ----------
         state : ndarray, shape (6,)
             State at `start`.
         start, end : float
-            Control times [s]; nothing happens where `end` is not later.
+            Control times [s]; the state is returned unchanged if `end` is not later.
         constants : ndarray, shape (4,)
             Lumped constants [Rs, c1, r1, r3].
         max_step : float, optional
@@ -100,7 +100,7 @@ class SentInputs:
         times: list[float] = []
         speeds: list[Vector] = []
         for hold, since, until in self._in_force(start, end):
-            # Where one hold takes over from another the speed may jump: two ends at one time.
+            # Where one hold replaces another the speed may jump: two values at one time.
             here = [since, *_between(hold, since, until), until]
             times += here
             speeds += [hold.at(t) for t in here]
@@ -112,12 +112,12 @@ class SentInputs:
         return predicted
 
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
-        """Return the straight pieces of what was sent between two times.
+        """Return the speeds sent between two times as straight pieces.
 
         Parameters
         ----------
         start, end : float
-            Control times [s], `end` the later one; before the first hold the rotors rested.
+            Control times [s], `end` the later one; before the first hold the rotors are at rest.
 
         Returns
         -------
@@ -138,16 +138,16 @@ class SentInputs:
         return np.diff(times), speeds
 
     def moves_after(self, time: float) -> bool:
-        """Return whether the hold in force asks for any speed at `time` [s] or later."""
+        """Return whether the hold in force has a speed other than zero at `time` [s] or later."""
         newest = self.newest
         if newest is None:
             return False
         return bool(newest.at(time).any() or newest.speeds[newest.times > time].any())
 
     def _in_force(self, start: float, end: float) -> list[tuple[FirstOrderHold, float, float]]:
-        """Return what was in force between two times, in order, with since when and until when."""
+        """Return the holds in force between two times, in order, each with start and end [s]."""
         found: list[tuple[FirstOrderHold, float, float]] = []
-        # From the newest back, so that a long memory costs nothing.
+        # From the newest back, so that a long history costs nothing.
         for hold in reversed(self._holds):
             if end <= start:
                 break
@@ -164,7 +164,7 @@ def _between(hold: FirstOrderHold, since: float, until: float) -> list[float]:
 
 
 def _corners(times: Vector, speeds: Vector) -> list[int]:
-    """Return the indices of the ends that a line must go through to stay near all of them."""
+    """Return the indices of the ends whose connecting line stays near all others."""
     kept, last = [0], 0
     for i in range(2, times.size):
         share = (times[last + 1 : i] - times[last]) / (times[i] - times[last])

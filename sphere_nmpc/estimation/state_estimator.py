@@ -1,41 +1,43 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the robot is, from late and noisy poses and the rotor speeds that were really sent.
+"""Error-state extended Kalman filter on late and noisy poses and the rotor speeds sent.
 
-A multiplicative extended Kalman filter on the plane times SO(3): the state stays a unit
-quaternion and its error is a deviation of five numbers (`sphere_nmpc.model.tangent`). The plant's
-constants and lag are five more unknowns of the same filter, so that every pose counts once and
-the whole way rolled, not the noisy difference of two neighbours, tells about them.
+The state lives on the plane times SO(3): it stays a unit quaternion and its error is a vector of
+five numbers (`sphere_nmpc.model.tangent`). The plant's constants and lag are five more states of
+the same filter, so that each pose is used once, and the parameters are estimated from the whole
+path instead of from noisy differences between neighbouring poses.
 
-A pose is fused at the time at which it was measured. One that comes out of order is put where it
-belongs and those behind it are fused again. One that cannot be is left out, but a few in a row
-that agree with each other are believed: then something else has moved the robot.
+A pose is fused at the time at which it was measured. One that arrives out of order is inserted
+where it belongs, and the later ones are fused again. A pose outside the gate is rejected as an
+outlier, but several outliers in a row that agree with each other restart the filter there: then
+something other than the rotors has moved the robot.
 """
 
 from collections import deque
 from dataclasses import dataclass, replace
 
-from sphere_nmpc.estimation.belief import Belief, PoseNoise
+import numpy as np
+
+from sphere_nmpc.estimation.filter_state import REST_NOISE, FilterState, PoseNoise
+from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.estimation.unknowns import Unknowns, noticeable
-from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 
-AGREEING = 3
-"""Poses in a row that must agree with each other to be believed against the prediction."""
-STUBBORN = 8
-"""Poses left out in a row after which the newest one is believed whatever it says."""
-MEMORY = 64
-"""Poses that can be fused again for one that comes out of order."""
+AGREEING_OUTLIERS = 3
+"""Outliers in a row that restart the filter if they agree with each other."""
+MAX_OUTLIERS = 8
+"""Outliers in a row after which the filter restarts from the newest pose in any case."""
+HISTORY = 64
+"""Poses kept to be fused again after one that arrives out of order."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Fused:
-    """A pose as it was measured and what was believed once it had been looked at."""
+class _Entry:
+    """A pose as measured and the filter's state after it."""
 
     stamp: float
     pose: Vector
-    belief: Belief
+    after: FilterState
 
 
 class StateEstimator:
@@ -44,114 +46,122 @@ class StateEstimator:
     Parameters
     ----------
     sent : SentInputs
-        Rotor speeds that were really sent.
-    nominal : LumpedConstants
-        What the robot was built to.
+        Rotor speeds that were sent.
+    scaling : ParameterScaling
+        Units and range of the parameters.
+    parameters : ParameterDistribution
+        Prior of the parameters; one without variance is taken as exact.
     noise : PoseNoise
-        Of the poses.
-    lag : float, optional
-        Lag that is expected [s].
-    learning : bool, optional
-        Whether constants and lag are unknowns; otherwise they are what is given.
+        Measurement noise of the poses.
     """
 
     def __init__(
         self,
         sent: SentInputs,
-        nominal: LumpedConstants,
+        scaling: ParameterScaling,
+        parameters: ParameterDistribution,
         noise: PoseNoise,
-        lag: float = 0.0,
-        learning: bool = True,
     ) -> None:
         self._sent = sent
-        self._unknowns = Unknowns(nominal, lag)
-        self._pose_noise = noise
-        self._learning = learning
-        self._fused: deque[_Fused] = deque(maxlen=MEMORY)
-        self._learnt: Belief | None = None
+        self._scaling = scaling
+        self._parameters = parameters
+        self.noise = noise
+        """Measurement noise of the poses from now on."""
+        self._history: deque[_Entry] = deque(maxlen=HISTORY)
         self.outliers = 0
-        """Poses left out as they could not be."""
-        self.jumps = 0
-        """Times that poses were believed against the prediction."""
+        """Poses rejected since the start."""
+        self.restarts = 0
+        """Restarts from outliers since the start."""
 
     @property
-    def constants(self) -> LumpedConstants:
-        """The constants as believed now."""
-        return self._unknowns.lumped(self._scale)
+    def newest(self) -> tuple[float, Vector] | None:
+        """Control time [s] and state, shape (6,), of the newest pose; None without any."""
+        return (self._history[-1].stamp, self._history[-1].pose) if self._history else None
 
     @property
-    def lag(self) -> float:
-        """How far the motion lags behind what is sent [s]."""
-        return noticeable(self._unknowns.lag(self._scale))
+    def parameters(self) -> ParameterDistribution:
+        """Distribution of the parameters after the last pose."""
+        return self._parameters
 
-    @property
-    def surprise(self) -> float:
-        """How much more than expected the robot is disturbed: factor on the process noise."""
-        return self._fused[-1].belief.inflation if self._fused else 1.0
-
-    @property
-    def _scale(self) -> Vector:
-        return self._unknowns.centre if self._learnt is None else self._learnt.scale
+    def disturbance(self, duration: float) -> float:
+        """Return the standard deviation of a robot at rest after `duration` [s], each state."""
+        inflation = self._history[-1].after.inflation if self._history else 1.0
+        return REST_NOISE * float(np.sqrt(inflation * duration))
 
     def forget(self) -> None:
-        """Forget where the robot is, as after a jump of the clock; what was learnt stays."""
-        self._fused.clear()
+        """Discard all poses, as after a jump of the clock; the parameters stay."""
+        self._history.clear()
+
+    def set_parameters(self, parameters: ParameterDistribution) -> None:
+        """Continue from the estimated state with another distribution of the parameters.
+
+        Poses older than the newest one are too old from then on.
+        """
+        self._parameters = parameters
+        if self._history:
+            last = self._history[-1]
+            self._history.clear()
+            after = last.after.with_parameters(parameters, last.stamp, self._sent)
+            self._history.append(replace(last, after=after))
 
     def observe(self, stamp: float, pose: Vector) -> bool:
-        """Take a pose, shape (6,), that was measured at control time `stamp` [s].
+        """Take a pose, shape (6,), measured at control time `stamp` [s].
 
         Returns
         -------
         bool
-            False if it is known already or too old to be put where it belongs.
+            False if there is one of this time already or it is older than the history.
         """
-        later: list[_Fused] = []
-        while self._fused and self._fused[-1].stamp > stamp:
-            later.append(self._fused.pop())
-        known = bool(self._fused) and self._fused[-1].stamp == stamp
-        if known or (later and not self._fused):
-            self._fused.extend(reversed(later))
+        before = self._history.copy()
+        later: list[_Entry] = []
+        while self._history and self._history[-1].stamp > stamp:
+            later.append(self._history.pop())
+        known = bool(self._history) and self._history[-1].stamp == stamp
+        if known or (later and not self._history):
+            self._history = before
             return False
-        self._fuse(stamp, pose)
-        for entry in reversed(later):
-            self._fuse(entry.stamp, entry.pose)
-        self._learnt = self._fused[-1].belief
+        try:
+            self._fuse(stamp, pose)
+            for entry in reversed(later):
+                self._fuse(entry.stamp, entry.pose)
+        except Exception:
+            self._history = before
+            raise
+        self._parameters = self._history[-1].after.parameters
         return True
 
-    def predict(self, time: float) -> Belief | None:
-        """Return what is believed about the control time `time` [s]; None before any pose."""
-        return self._fused[-1].belief.carried_to(time, self._sent) if self._fused else None
+    def predict(self, time: float) -> FilterState | None:
+        """Return the filter's state predicted to control time `time` [s]; None without a pose."""
+        return self._history[-1].after.predicted(time, self._sent) if self._history else None
 
     def _fuse(self, stamp: float, pose: Vector) -> None:
-        if not self._fused:
-            belief = self._first(stamp, pose)
+        if not self._history:
+            after = self._at_pose(stamp, pose)
         else:
-            before = self._fused[-1].belief
-            belief, fits = before.with_pose(stamp, pose, self._sent)
-            if not fits:
-                belief = self._doubt(belief, stamp, pose)
-        self._fused.append(_Fused(stamp, pose, belief))
+            before = self._history[-1].after
+            after, fused = before.updated(stamp, pose, self.noise, self._sent)
+            if not fused:
+                after = self._after_outlier(after, stamp, pose)
+        self._history.append(_Entry(stamp, pose, after))
 
-    def _first(self, stamp: float, pose: Vector) -> Belief:
-        return Belief.at_pose(
-            stamp, pose, self._pose_noise, self._unknowns, self._learnt, self._learning
-        )
+    def _at_pose(self, stamp: float, pose: Vector) -> FilterState:
+        return FilterState.at_pose(stamp, pose, self.noise, self._scaling, self._parameters)
 
-    def _doubt(self, belief: Belief, stamp: float, pose: Vector) -> Belief:
-        """Leave a pose out, or believe it with those before it that were left out."""
+    def _after_outlier(self, predicted: FilterState, stamp: float, pose: Vector) -> FilterState:
+        """Return the prediction, or the state restarted from the last outliers."""
         self.outliers += 1
-        suspects = (*belief.suspects, (stamp, pose))
-        if len(suspects) >= AGREEING:
-            first, *others = suspects[-AGREEING:]
-            fresh = self._first(*first)
+        outliers = (*predicted.outliers, (stamp, pose))
+        if len(outliers) >= AGREEING_OUTLIERS:
+            first, *others = outliers[-AGREEING_OUTLIERS:]
+            restarted = self._at_pose(*first)
             for other in others:
-                fresh, fits = fresh.with_pose(*other, self._sent)
-                if not fits:
+                restarted, fused = restarted.updated(*other, self.noise, self._sent)
+                if not fused:
                     break
             else:
-                self.jumps += 1
-                return fresh
-        if len(suspects) >= STUBBORN:
-            self.jumps += 1
-            return self._first(stamp, pose)
-        return replace(belief, suspects=suspects)
+                self.restarts += 1
+                return restarted
+        if len(outliers) >= MAX_OUTLIERS:
+            self.restarts += 1
+            return self._at_pose(stamp, pose)
+        return replace(predicted, outliers=outliers)

@@ -85,7 +85,7 @@ class ControllerNode(LivingNode):
         self._background = Background(lambda line: self._faults.report("learning failed", line))
         self.controller = Controller(
             settings, robot.settings,
-            aside=self._background.do if self._schedule.is_real_time else None,
+            background=self._background.do if self._schedule.is_real_time else None,
         )
         self._watch = ControllerWatch(self, self._faults)
         self._stored_goal = StoredGoal(

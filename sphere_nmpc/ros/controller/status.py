@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The values of the controller's status: what it decided, what it learnt, how steadily it goes."""
+"""Values of the controller's status: decision, plant parameters, stability, controllability."""
 
 from typing import Any
 
@@ -14,19 +14,19 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5
-"""Control time between two looks at the controllability [s]; each costs a tenth of a ms."""
+"""Control time between two evaluations of the controllability [s]; each takes 0.1 ms."""
 _CONSTANTS = ("shell_radius_m", "c1", "r1", "r3")
 
 
 class ControllerStatus:
-    """Collect what is worth telling about a sample instant.
+    """Collect the status values of a sampling instant.
 
     Parameters
     ----------
     controller : Controller
-        Who is told about.
+        Controller that is reported on.
     robot : RobotParameters
-        What is believed about the robot.
+        Robot as built.
     settings : ControllerSettings
         Strategy and weights.
     """
@@ -40,7 +40,7 @@ class ControllerStatus:
         self._monitor = StabilityMonitor()
         self._stability: StabilityReport | None = None
         self._judged_at = float("-inf")
-        self._looked_at = float("-inf")
+        self._evaluated_at = float("-inf")
         # The first call builds the brackets, which takes longer than a sample.
         start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         self._controllability: Controllability = controllability(start, robot.lumped)
@@ -48,27 +48,28 @@ class ControllerStatus:
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running."""
         if settings.strategy != self._settings.strategy:
-            # What one strategy's values did says nothing about the next one's.
+            # The value functions of two strategies cannot be compared.
             self._monitor, self._stability = StabilityMonitor(), None
         self._settings = settings
 
     def judge(self, decision: Decision, time: float) -> None:
-        """Let the monitors see what was decided for `time` [s]; cheap enough for every tick."""
+        """Update the monitors with the decision for `time` [s]; to be called at every tick."""
         period = self._settings.period
         if time < self._judged_at:
-            self._judged_at = self._looked_at = float("-inf")
+            self._judged_at = self._evaluated_at = float("-inf")
         # The value function falls from one knot to the next, not within an interval.
         if decision.solved and time >= self._judged_at + 0.99 * period:
             self._judged_at = time
             self._judge(decision, time)
-        if decision.state is not None and time >= self._looked_at + _CONTROLLABILITY_EVERY:
-            self._looked_at = time
-            self._controllability = controllability(decision.state, self._controller.constants)
+        if decision.state is not None and time >= self._evaluated_at + _CONTROLLABILITY_EVERY:
+            self._evaluated_at = time
+            constants = self._controller.estimator.plant.constants
+            self._controllability = controllability(decision.state, constants)
 
     def values(self, decision: Decision, time: float, duration: float, missed: int) -> dict[
         str, Any
     ]:
-        """Return what is told about the instant `time` [s], decided within `duration` [s]."""
+        """Return the values of the instant `time` [s], decided within `duration` [s]."""
         plan, controller = decision.plan, self._controller
         return {
             "time_s": f"{time:.9g}",
@@ -90,24 +91,21 @@ class ControllerStatus:
             "failures": controller.failures,
             "missed_ticks": missed,
             "late_poses": controller.late_poses,
-            **self._learnt(),
+            **self._plant_values(),
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
         }
 
-    def _learnt(self) -> dict[str, float]:
-        controller = self._controller
-        deviations = controller.estimator.standard_deviation.tolist()
-        values = controller.constants.as_array().tolist()
-        learnt = {f"learnt_{name}": value for name, value in zip(_CONSTANTS, values, strict=True)}
-        if controller.fusion is None:
-            learnt |= {
-                f"learnt_{name}_deviation": value
-                for name, value in zip(_CONSTANTS, deviations, strict=True)
-            }
-            learnt["learnt_noise"] = controller.estimator.noise
-        return {**learnt, "learnt_lag_s": controller.lag}
+    def _plant_values(self) -> dict[str, float]:
+        plant = self._controller.estimator.plant
+        names = [f"learnt_{name}" for name in _CONSTANTS]
+        values = dict(zip(names, plant.constants.as_array().tolist(), strict=True))
+        if plant.deviations is not None:
+            for name, deviation in zip(names, plant.deviations.tolist(), strict=True):
+                values[f"{name}_deviation"] = deviation
+            values["learnt_noise"] = plant.noise
+        return {**values, "learnt_lag_s": plant.lag}
 
     def _stability_values(self) -> dict[str, Any]:
         report = self._stability
@@ -122,7 +120,7 @@ class ControllerStatus:
         }
 
     def _judge(self, decision: Decision, time: float) -> None:
-        """Show the monitor of Theorem 3 a step of the strategy that it is about."""
+        """Update the monitor of Theorem 3, which holds for the paper's strategy only."""
         goal, settings, state = self._controller.goal, self._settings, decision.state
         if settings.strategy != "paper" or goal is None or state is None:
             return

@@ -1,13 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The control loop on good days and bad ones."""
+"""The control loop without its transport, in regular operation and when something fails."""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.estimation.contract import Estimate
+from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
@@ -24,7 +30,7 @@ EPOCH = 1.7e9
 
 
 class Scripted:
-    """Plans whatever the test wants; counts resets and keeps what it was asked."""
+    """Strategy that returns the knots of the test and records how it was called."""
 
     def __init__(self) -> None:
         self.knots = np.array([[60.0, -40.0], [20.0, 30.0], [-50.0, 10.0], [30.0, 30.0]])
@@ -32,6 +38,7 @@ class Scripted:
         self.states: Vector | None = None
         self.resets = 0
         self.asked: list[Situation] = []
+        self.changes: list[ControllerSettings] = []
 
     def plan(self, situation: Situation) -> Plan:
         self.asked.append(situation)
@@ -41,6 +48,9 @@ class Scripted:
         hold = FirstOrderHold(times, np.vstack((situation.input_in_force, self.knots)))
         states = np.tile(situation.state, (times.size, 1)) if self.states is None else self.states
         return Plan(PlanStatus.SOLVED, hold, states)
+
+    def change(self, settings: ControllerSettings) -> None:
+        self.changes.append(settings)
 
     def reset(self) -> None:
         self.resets += 1
@@ -258,7 +268,7 @@ def test_estimate_that_raises_leaves_a_safe_plan_or_ramps_to_rest(
     def fail(*arguments: object, **named: object) -> None:
         raise ArithmeticError("no estimate")
 
-    monkeypatch.setattr(controller.estimator, "observe", fail)
+    monkeypatch.setattr(controller.estimator, "estimate", fail)
     controller.observe(PERIOD, START)
     controller.enabled = enabled
     decision = controller.decide(PERIOD)
@@ -411,10 +421,108 @@ def test_plan_that_ends_next_to_rest_on_a_wall_clock_is_sent(
     assert np.max(np.abs(hold.at(hold.end))) <= speed
 
 
-def test_live_change_of_settings_is_used_at_the_next_sample(strategy: Scripted) -> None:
-    controller = Controller(ControllerSettings(strategy="paper"), ROBOT)
+def test_live_change_of_settings_is_used_at_the_next_sample() -> None:
+    controller = Controller(SETTINGS, ROBOT)
     controller.set_goal(ORIGIN)
     controller.observe(0.0, START)
     heavy = controller.decide(0.0).plan.cost
-    controller.change(ControllerSettings(strategy="paper", terminal_weight=1e6))
+    controller.change(replace(SETTINGS, terminal_weight=1e6))
     assert controller.decide(0.0).plan.cost < 0.1 * heavy
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"goal_tolerance": 0.1}, {"planning_effort": 1000}, {"learning": False}, {"drive_lag": 0.01},
+     {"pose_position_noise": 0.01}, {"strategy": "plan_keeping", "sample_period": PERIOD}],
+)
+def test_live_change_keeps_the_strategy_unless_it_is_another_one(
+    controller: Controller, strategy: Scripted, change: dict[str, Any]
+) -> None:
+    track(controller)
+    changed = replace(SETTINGS, **change)
+    controller.change(changed)
+    assert sample(controller, PERIOD / 2) is Mode.TRACKING
+    kept = changed.strategy == SETTINGS.strategy
+    assert strategy.changes == ([changed] if kept else [])
+    assert len(strategy.asked) == (2 if kept else 1)
+    assert strategy.resets == 1  # at the goal
+
+
+def test_other_sample_period_makes_a_new_strategy(
+    controller: Controller, strategy: Scripted
+) -> None:
+    controller.change(replace(SETTINGS, sample_period=2 * PERIOD))
+    track(controller)
+    assert not strategy.changes and not strategy.asked
+
+
+FAILING = {
+    "newest pose": (ExactPoseEstimator, "newest", False),
+    "estimate": (ExactPoseEstimator, "estimate", False),
+    "plant parameters": (ExactPoseEstimator, "plant", False),
+    "uncertainty": (Estimate, "uncertainty", False),
+    "judgement of the arrival": (Arrival, "update", False),
+    "reset of the strategy": (Scripted, "reset", True),
+}
+"""Class, attribute, and whether it is used only where no fresh pose is left."""
+
+
+@pytest.mark.parametrize("part", FAILING)
+def test_failure_of_any_part_does_not_stop_the_loop(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    owner, name, late = FAILING[part]
+    calls: list[str] = []
+
+    def record_and_fail(*arguments: object) -> None:
+        calls.append(part)
+        raise ArithmeticError("made to fail")
+
+    track(controller)
+    is_property = isinstance(getattr(owner, name), property)
+    monkeypatch.setattr(owner, name, property(record_and_fail) if is_property else record_and_fail)
+    time = SETTINGS.pose_timeout + 1.0 if late else PERIOD
+    in_force = controller.speeds_at(time)
+    decision = controller.decide(time)
+    assert calls
+    hold = controller.commit(decision, time)
+    assert hold is not None
+    np.testing.assert_array_equal(hold.speeds[0], in_force)
+    assert not np.any(hold.speeds[-1])
+    monkeypatch.undo()
+    controller.observe(time + 0.1, START)
+    assert sample(controller, time + 0.1) is Mode.TRACKING
+
+
+def test_plan_without_a_hold_counts_as_failed(
+    controller: Controller, strategy: Scripted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track(controller)
+    empty = replace(strategy.plan(strategy.asked[0]), hold=None)  # type: ignore[arg-type]
+    monkeypatch.setattr(strategy, "plan", lambda situation: empty)
+    assert sample(controller, PERIOD) is Mode.FALLBACK
+    assert controller.failures == 1
+
+
+def test_command_that_cannot_be_joined_leaves_the_hold_in_force(controller: Controller) -> None:
+    track(controller)
+    decision = controller.decide(PERIOD)
+    broken = replace(decision, plan=replace(decision.plan, hold=None))  # type: ignore[arg-type]
+    expected = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
+    assert controller.commit(broken, PERIOD) is not None
+    found = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
+    np.testing.assert_allclose(found, expected, atol=1e-11)  # rounding of 60 rad/s
+    assert controller.failures == 1
+
+
+def test_pose_that_the_estimator_fails_on_is_counted_and_the_next_one_is_used(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object) -> bool:
+        raise ArithmeticError("made to fail")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ExactPoseEstimator, "observe", fail)
+        assert not controller.observe(0.0, START)
+    assert controller.failures == 1
+    assert controller.observe(0.1, START)

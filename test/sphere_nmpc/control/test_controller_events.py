@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever happens in whatever order, the loop never raises and never breaks a limit."""
+"""No sequence of events makes the control loop raise or exceed a limit."""
 
 import numpy as np
 from hypothesis import settings
@@ -22,23 +22,26 @@ AWAY = as_state([2.0, -3.0, 0.03, 0.454, 0.88, 0.1363])
 
 
 class Erratic:
-    """Answers with the knots it was given, with nonsense, or not at all."""
+    """Strategy that returns the given knots, an invalid plan, or raises."""
 
     def __init__(self) -> None:
-        self.mood = "sound"
+        self.behaviour = "sound"
         self.knots: list[tuple[float, float, float]] = []
 
     def plan(self, situation: Situation) -> Plan:
-        if self.mood == "raises":
+        if self.behaviour == "raises":
             raise RuntimeError("erratic")
         times = situation.time + np.cumsum([0.0, *(gap for gap, _, _ in self.knots)])
         speeds = np.vstack((situation.input_in_force, [[a, b] for _, a, b in self.knots]))
         states = np.tile(situation.state, (times.size, 1))
-        if self.mood == "nan":
+        if self.behaviour == "nan":
             states[-1, 0] = np.nan
-        # A plan for another time is nonsense too.
-        shift = {"early": -10.0, "late": 10.0}.get(self.mood, 0.0)
+        # A plan for another time is invalid too.
+        shift = {"early": -10.0, "late": 10.0}.get(self.behaviour, 0.0)
         return Plan(PlanStatus.SOLVED, FirstOrderHold(times + shift, speeds), states)
+
+    def change(self, settings: ControllerSettings) -> None:
+        pass
 
     def reset(self) -> None:
         pass
@@ -51,7 +54,7 @@ knots = st.lists(
 
 
 class Events(RuleBasedStateMachine):
-    """Time goes on between events; what is commanded is checked after each of them."""
+    """Time goes on between events; the commands are checked after each of them."""
 
     @initialize(start=st.sampled_from([0.0, 50.0, 1.7e9]))
     def set_up(self, start: float) -> None:
@@ -79,15 +82,29 @@ class Events(RuleBasedStateMachine):
     def goal(self, goal: np.ndarray) -> None:
         self.controller.set_goal(goal)
 
+    @rule(
+        learning=st.booleans(), noise=st.sampled_from([0.0, 1e-3, 0.05]),
+        lag=st.sampled_from([0.0, 0.01, 0.05]),
+    )
+    def change_settings(self, learning: bool, noise: float, lag: float) -> None:
+        self.controller.change(
+            ControllerSettings(learning=learning, pose_position_noise=noise, drive_lag=lag)
+        )
+
+    @rule()
+    def clock_jump(self) -> None:
+        self.controller.forget()
+
     @rule(enabled=st.booleans())
     def enable(self, enabled: bool) -> None:
         self.controller.enabled = enabled
 
     @rule(
-        mood=st.sampled_from(["sound", "sound", "raises", "nan", "early", "late"]), knots=knots
+        behaviour=st.sampled_from(["sound", "sound", "raises", "nan", "early", "late"]),
+        knots=knots,
     )
-    def mind(self, mood: str, knots: list[tuple[float, float, float]]) -> None:
-        self.strategy.mood, self.strategy.knots = mood, knots
+    def change_behaviour(self, behaviour: str, knots: list[tuple[float, float, float]]) -> None:
+        self.strategy.behaviour, self.strategy.knots = behaviour, knots
 
     @rule(delay=st.floats(0.0, 0.8), knots=knots)
     def sample(self, delay: float, knots: list[tuple[float, float, float]]) -> None:

@@ -180,4 +180,4 @@ def test_plans_that_are_made_ahead_and_sent_late_arrive_as_exactly() -> None:
         if hold is not None:
             simulator.follower.follow_trajectory(hold)
     assert state_error(simulator.plant.state, scenario.goal) < 1e-4
-    assert controller.estimator.noise < 1e-4
+    assert controller.estimator.plant.noise < 1e-4

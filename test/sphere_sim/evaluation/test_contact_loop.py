@@ -47,7 +47,7 @@ def test_lag_of_the_drives_costs_nothing_once_it_is_known(learning: bool) -> Non
     found = run(controller, settings)
     assert settling_time(found) < 2.0
     assert state_errors(found.states, CASE.goal)[-1] < FLOOR
-    assert controller.lag == pytest.approx(LAG, abs=5e-4)
+    assert controller.estimator.plant.lag == pytest.approx(LAG, abs=5e-4)
 
 
 def test_weak_drives_and_a_slippery_floor_need_to_be_known() -> None:

@@ -103,7 +103,7 @@ def test_perturbed_world_is_not_what_the_controller_believes() -> None:
     perturbed = replace(SHORT, perturbation=3.0)
     assert run_scenario(perturbed, SCENARIO) != nominal
     _, controller = prepare(perturbed, SCENARIO)
-    assert controller.constants == RobotParameters().lumped
+    assert controller.estimator.plant.constants == RobotParameters().lumped
 
 
 @pytest.mark.parametrize(

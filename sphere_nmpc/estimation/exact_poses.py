@@ -1,0 +1,129 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator for exact poses: prediction from the newest one, parameters by least squares."""
+
+from collections.abc import Callable
+
+from sphere_nmpc.estimation.contract import Estimate, PlantEstimate
+from sphere_nmpc.estimation.plant_estimator import PlantEstimator
+from sphere_nmpc.estimation.plant_parameters import LONGEST_LAG, ParameterDistribution
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.settings import ControllerSettings
+
+Background = Callable[[Callable[[], None]], object]
+"""Runs a task that the control loop does not wait for, tasks one after another."""
+
+_SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
+"""Spacing of the poses used for learning [s]; predictions over longer gaps are inaccurate."""
+
+
+class ExactPoseEstimator:
+    """See `sphere_nmpc.estimation.contract.Estimator`.
+
+    Parameters are estimated also where learning is off; they are then not used, but the noise is.
+
+    Parameters
+    ----------
+    settings : ControllerSettings
+        Expected lag, integration step, and whether learnt parameters are used.
+    nominal : LumpedConstants
+        Constants of the robot as built.
+    sent : SentInputs
+        Rotor speeds that were sent.
+    background : callable, optional
+        Runs the fit of the parameters; by default it runs at once, so that results repeat.
+    prior : ParameterDistribution, optional
+        What another estimator has learnt about the parameters.
+    """
+
+    def __init__(
+        self,
+        settings: ControllerSettings,
+        nominal: LumpedConstants,
+        sent: SentInputs,
+        background: Background | None = None,
+        prior: ParameterDistribution | None = None,
+    ) -> None:
+        self._settings = settings
+        self._nominal = nominal
+        self._sent = sent
+        self._background = background
+        mean = (ParameterDistribution.prior(settings.drive_lag) if prior is None else prior).mean
+        self._fit = PlantEstimator(nominal, mean)
+        self._newest: tuple[float, Vector] | None = None
+        self._learnt_up_to: tuple[float, Vector] | None = None
+
+    @property
+    def newest(self) -> tuple[float, Vector] | None:
+        """Control time [s] and state, shape (6,), of the newest pose; None without any."""
+        return self._newest
+
+    @property
+    def parameters(self) -> ParameterDistribution:
+        """Distribution of the parameters as learnt so far."""
+        return self._fit.parameters
+
+    @property
+    def plant(self) -> PlantEstimate:
+        """The parameters in use, with the noise and the standard deviations of the last fit."""
+        learnt = self._fit.estimate
+        if self._settings.learning:
+            return learnt
+        return PlantEstimate(
+            self._nominal, self._settings.drive_lag, learnt.noise, learnt.deviations
+        )
+
+    def observe(self, time: float, pose: Vector) -> bool:
+        """Take a pose; False if it is not newer than the newest."""
+        if self._newest is not None and time <= self._newest[0]:
+            return False
+        self._newest = (time, pose)
+        return True
+
+    def estimate(self, time: float) -> Estimate | None:
+        """Return the state predicted from the newest pose to control time `time` [s]."""
+        if self._newest is None:
+            return None
+        stamp, pose = self._newest
+        self._learn(stamp, pose)
+        plant = self.plant
+        # Because of the lag, inputs sent before the pose was measured have yet to take effect:
+        # relative to the inputs the pose is older by the lag.
+        state = self._sent.predict(
+            pose, stamp - plant.lag, time, plant.constants.as_array(),
+            self._settings.integration_step,
+        )
+        return Estimate(state, plant)
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Take over changed settings; what was learnt and they do not concern stays."""
+        before, self._settings = self._settings, settings
+        if settings.drive_lag != before.drive_lag:
+            # Transitions seen so far would pull the lag back to its last estimate. A task in the
+            # background finishes on the old object without effect.
+            self._fit = self._fit.restarted(settings.drive_lag)
+
+    def forget(self) -> None:
+        """Discard the newest pose and the transition that has begun."""
+        self._newest = self._learnt_up_to = None
+
+    def _learn(self, time: float, pose: Vector) -> None:
+        """Fit the parameters to the motion since the last pose used for it."""
+        last = self._learnt_up_to
+        if last is not None and time - last[0] < _SHORTEST_TRANSITION:
+            return
+        self._learnt_up_to = (time, pose)
+        if last is None or time - last[0] > _LONGEST_TRANSITION:
+            return
+        fit, sent, (since, start) = self._fit, self._sent.copy(), last
+
+        def learn() -> None:
+            pieces = sent.pieces(since - LONGEST_LAG, time)
+            fit.observe(start, pose, *pieces, lead=LONGEST_LAG)
+
+        if self._background is None:
+            learn()
+        else:
+            self._background(learn)

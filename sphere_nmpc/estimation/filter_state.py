@@ -1,0 +1,231 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""State of the extended Kalman filter: prediction with the inputs sent and update with a pose."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sphere_nmpc.estimation import plant_parameters
+from sphere_nmpc.estimation.plant_parameters import (
+    LAG_PRIOR,
+    ParameterDistribution,
+    ParameterScaling,
+)
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.tangent import (
+    DEVIATION_SIZE,
+    carried,
+    deviated,
+    deviation_between,
+    state_rates,
+)
+
+SIZE = DEVIATION_SIZE + plant_parameters.SIZE
+"""Size of the joint error state: error of the state, then of the scaled parameters."""
+GATE = 27.0
+"""Normalised innovation squared above which a pose is an outlier: exceeded by 1 valid pose in
+16000 (chi-squared, 5 degrees of freedom)."""
+REST_NOISE = 5e-5
+"""Process noise of a robot at rest [m or rad per root of a second]."""
+ROLLING_NOISE = 1e-3
+"""Process noise of a rolling robot over its speed [root of a second]: 0.1 % of the distance
+rolled in one second."""
+CONSTANTS_NOISE = 1e-4
+"""Process noise of the scaled constants while the rotors turn [1 / sqrt(s)]."""
+CONSISTENT, INCONSISTENT = 1.2, 1.6
+"""Average innovation ratio below which the process-noise inflation is reduced, above which it is
+increased ..."""
+DECREASE, INCREASE = 0.9, 1.5
+"""... by these factors a pose ..."""
+MAX_INFLATION = 1e4
+"""... up to this one."""
+_AVERAGED = 12.0
+"""Number of poses in the average of the innovation ratio."""
+_MAX_RATIO = 4.0
+"""Largest ratio in that average, so that a single outlier within the gate inflates nothing."""
+_TURNING = 1.0
+"""Rotor speed [rad/s] below which the constants have no process noise."""
+
+State = slice(0, DEVIATION_SIZE)
+Parameters = slice(DEVIATION_SIZE, SIZE)
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """Standard deviations of a measured pose about each axis: position [m], angle [rad]."""
+
+    position: float
+    angle: float
+
+    @property
+    def covariance(self) -> Vector:
+        """Covariance of the error of a pose, shape (5, 5)."""
+        matrix: Vector = np.diag([self.position**2] * 2 + [self.angle**2] * 3)
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """Gaussian on the plane, SO(3) and the scaled parameters; immutable.
+
+    Attributes
+    ----------
+    time : float
+        Control time up to which inputs are taken into account [s]: that of the pose less the lag.
+    state : ndarray, shape (6,)
+    scaled : ndarray, shape (5,)
+        Mean of the scaled parameters.
+    joint : ndarray, shape (10, 10)
+        Covariance of the error of the state and of the scaled parameters.
+    scaling : ParameterScaling
+        Units and range of the parameters.
+    inflation : float
+        Factor on the variance of the process noise, 1 while innovations are as expected.
+    ratio : float
+        Average of the normalised innovation squared over its expectation.
+    outliers : tuple of (float, ndarray)
+        Stamps and poses rejected since the last one that was fused.
+    """
+
+    time: float
+    state: Vector
+    scaled: Vector
+    joint: Vector
+    scaling: ParameterScaling
+    inflation: float = 1.0
+    ratio: float = 1.0
+    outliers: tuple[tuple[float, Vector], ...] = ()
+
+    @classmethod
+    def at_pose(
+        cls,
+        stamp: float,
+        pose: Vector,
+        noise: PoseNoise,
+        scaling: ParameterScaling,
+        parameters: ParameterDistribution,
+    ) -> "FilterState":
+        """Return the state after one pose, shape (6,), with the parameters known before."""
+        joint = np.zeros((SIZE, SIZE))
+        joint[State, State] = noise.covariance
+        joint[Parameters, Parameters] = parameters.covariance
+        mean = parameters.mean
+        return cls(stamp - scaling.lag(mean), pose, mean, joint, scaling)
+
+    @property
+    def covariance(self) -> Vector:
+        """Covariance of the error state [m; world frame, rad; body frame], shape (5, 5)."""
+        return self.joint[State, State].copy()
+
+    @property
+    def parameters(self) -> ParameterDistribution:
+        """Distribution of the scaled parameters."""
+        return ParameterDistribution(self.scaled, self.joint[Parameters, Parameters].copy())
+
+    @property
+    def constants(self) -> Vector:
+        """[Rs, c1, r1, r3], shape (4,)."""
+        return self.scaling.constants(self.scaled)
+
+    def with_parameters(
+        self, parameters: ParameterDistribution, stamp: float, sent: SentInputs
+    ) -> "FilterState":
+        """Return the estimate of the robot's state at `stamp` [s] with other parameters.
+
+        An error of the new lag is an error of the time to which the inputs have moved the robot,
+        and so an error of the state in the direction of motion.
+        """
+        time = stamp - self.scaling.lag(parameters.mean)
+        constants = self.scaling.constants(parameters.mean)
+        joint: Vector = np.zeros((SIZE, SIZE))
+        joint[State, State] = self.joint[State, State]
+        joint[Parameters, Parameters] = parameters.covariance
+        by_lag = np.eye(SIZE)
+        by_lag[State, -1] = LAG_PRIOR * state_rates(self.state, sent.at(time), constants)
+        joint = by_lag @ joint @ by_lag.T
+        return replace(self, time=time, scaled=parameters.mean, joint=joint)
+
+    def predicted(self, time: float, sent: SentInputs) -> "FilterState":
+        """Return the state predicted to a later time [s] with the inputs sent."""
+        if time <= self.time:
+            return self
+        state, joint = self.state, self.joint
+        durations, speeds = sent.pieces(self.time, time)
+        slopes = self.scaling.slopes()
+        for duration, here, there in zip(durations, speeds[:-1], speeds[1:], strict=True):
+            state, by_state, by_constants = carried(
+                state, (here, there), float(duration), self.constants
+            )
+            transition = np.eye(SIZE)
+            transition[State, State] = by_state
+            transition[State, DEVIATION_SIZE : DEVIATION_SIZE + 4] = by_constants * slopes
+            joint = transition @ joint @ transition.T
+            joint += self._process_noise(float(duration), 0.5 * (here + there))
+        return replace(self, time=time, state=state, joint=joint)
+
+    def updated(
+        self, stamp: float, pose: Vector, noise: PoseNoise, sent: SentInputs
+    ) -> tuple["FilterState", bool]:
+        """Fuse a pose, shape (6,), measured at `stamp` [s].
+
+        Returns
+        -------
+        state : FilterState
+            With the pose, or the prediction alone if the pose is an outlier.
+        fused : bool
+            Whether the pose passed the gate.
+        """
+        prior = self.predicted(stamp - self.scaling.lag(self.scaled), sent)
+        rates = state_rates(prior.state, sent.at(prior.time), prior.constants)
+        # If the lag is longer than estimated, the pose is of an earlier state.
+        output = np.zeros((DEVIATION_SIZE, SIZE))
+        output[:, State] = np.eye(DEVIATION_SIZE)
+        output[:, -1] = -LAG_PRIOR * rates
+        pose_covariance = noise.covariance
+        innovation_covariance = output @ prior.joint @ output.T + pose_covariance
+        innovation = deviation_between(prior.state, pose)
+        normalised = float(innovation @ np.linalg.solve(innovation_covariance, innovation))
+        if normalised > GATE:
+            return prior, False
+        gain = np.linalg.solve(innovation_covariance, output @ prior.joint).T
+        correction = gain @ innovation
+        kept = np.eye(SIZE) - gain @ output
+        joint = kept @ prior.joint @ kept.T + gain @ pose_covariance @ gain.T
+        ratio = min(normalised / DEVIATION_SIZE, _MAX_RATIO)
+        average = self.ratio + (ratio - self.ratio) / _AVERAGED
+        posterior = replace(
+            prior,
+            state=deviated(prior.state, correction[State]),
+            scaled=self.scaling.within(prior.scaled + correction[Parameters]),
+            joint=0.5 * (joint + joint.T),
+            inflation=_inflation(self.inflation, average),
+            ratio=average,
+            outliers=(),
+        )
+        return posterior, True
+
+    def _process_noise(self, duration: float, speeds: Vector) -> Vector:
+        """Return the process noise, (10, 10), of an interval at constant speeds [rad/s]."""
+        turning = float(np.max(np.abs(speeds)))
+        rate = float(self.constants[1] * np.linalg.norm(speeds))
+        variances = np.zeros(SIZE)
+        shift = REST_NOISE**2 + (ROLLING_NOISE * rate * self.constants[0]) ** 2
+        turn = REST_NOISE**2 + (ROLLING_NOISE * rate) ** 2
+        variances[:2], variances[2:DEVIATION_SIZE] = shift, turn
+        variances *= self.inflation
+        learning = self.joint[-1, -1] > 0.0
+        if turning > _TURNING and learning:
+            variances[DEVIATION_SIZE : DEVIATION_SIZE + 4] = CONSTANTS_NOISE**2
+        noise: Vector = np.diag(variances * duration)
+        return noise
+
+
+def _inflation(inflation: float, ratio: float) -> float:
+    """Return the process-noise inflation after a pose, given the average innovation ratio."""
+    if ratio > INCONSISTENT:
+        return min(MAX_INFLATION, INCREASE * inflation)
+    if ratio < CONSISTENT:
+        return max(1.0, DECREASE * inflation)
+    return inflation

@@ -1,0 +1,260 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Both estimators behind the contract: live changes, learning in the background, snapshots."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation import plant_estimator
+from sphere_nmpc.estimation.contract import Estimator, PlantEstimate
+from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
+from sphere_nmpc.estimation.factory import make_estimator
+from sphere_nmpc.estimation.noisy_poses import NoisyPoseEstimator
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.settings import ControllerSettings
+
+LUMPED = RobotParameters().lumped
+START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
+EXACT = ControllerSettings()
+NOISY = ControllerSettings(pose_position_noise=1e-4, pose_orientation_noise=2e-4)
+BOTH = pytest.mark.parametrize("settings", [EXACT, NOISY], ids=["exact", "noisy"])
+PERIOD, DURATION, LATER = 0.25, 4.0, 6.0
+GAIN, LAG = 1.1, 0.01
+
+
+@pytest.fixture
+def sent() -> SentInputs:
+    times = np.arange(0.0, LATER + 1.0, 0.5)
+    speeds = np.random.default_rng(1).uniform(-100.0, 100.0, (times.size, 2))
+    speeds[0] = 0.0
+    made = SentInputs()
+    made.record(FirstOrderHold(times, speeds))
+    return made
+
+
+def track(estimator: Estimator, sent: SentInputs, until: float = DURATION) -> None:
+    """Pass the poses of a robot with a larger input gain and a lag; estimate at each of them."""
+    constants = LUMPED.as_array() * np.array([1.0, GAIN, 1.0, 1.0])
+    state, newest = START, estimator.newest
+    for time in np.arange(0.0, until + 1e-9, PERIOD).tolist():
+        state = sent.predict(state, time - PERIOD - LAG, time - LAG, constants, 0.02)
+        if newest is None or time > newest[0]:
+            assert estimator.observe(time, state)
+            assert estimator.estimate(time) is not None
+
+
+def tracked(settings: ControllerSettings, sent: SentInputs) -> Estimator:
+    estimator = make_estimator(settings, LUMPED, sent)
+    track(estimator, sent)
+    return estimator
+
+
+def gain(estimator: Estimator) -> float:
+    return estimator.plant.constants.input_gain / LUMPED.input_gain
+
+
+def state_at(estimator: Estimator, time: float) -> Vector:
+    estimate = estimator.estimate(time)
+    assert estimate is not None
+    return estimate.state
+
+
+@BOTH
+def test_constants_and_lag_are_estimated(settings: ControllerSettings, sent: SentInputs) -> None:
+    found = tracked(settings, sent)
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+    assert found.plant.lag == pytest.approx(LAG, rel=0.1)
+
+
+@BOTH
+def test_without_a_pose_there_is_no_state_but_the_nominal_plant(
+    settings: ControllerSettings, sent: SentInputs
+) -> None:
+    found = make_estimator(settings, LUMPED, sent)
+    assert found.newest is None and found.estimate(0.0) is None
+    assert found.plant.constants == LUMPED and found.plant.lag == 0.0
+
+
+@BOTH
+def test_changed_drive_lag_restarts_the_lag_and_keeps_the_constants(
+    settings: ControllerSettings, sent: SentInputs
+) -> None:
+    found = tracked(settings, sent)
+    constants = found.plant.constants
+    found.change(replace(settings, drive_lag=0.03))
+    assert found.plant.lag == pytest.approx(0.03)
+    assert found.plant.constants == constants
+    track(found, sent, LATER)
+    assert found.plant.lag == pytest.approx(LAG, rel=0.1), "estimated again from the new prior"
+
+
+@BOTH
+def test_changed_drive_lag_is_used_at_once_without_learning(
+    settings: ControllerSettings, sent: SentInputs
+) -> None:
+    settings = replace(settings, learning=False)
+    found = tracked(settings, sent)
+    before = state_at(found, DURATION + 0.1)
+    found.change(replace(settings, drive_lag=0.03))
+    assert found.plant.constants == LUMPED and found.plant.lag == 0.03
+    assert np.linalg.norm(state_at(found, DURATION + 0.1) - before) > 1e-3
+
+
+@BOTH
+def test_learning_that_is_switched_off_and_on_again_keeps_what_was_estimated(
+    settings: ControllerSettings, sent: SentInputs
+) -> None:
+    found = tracked(settings, sent)
+    before = found.plant
+    found.change(replace(settings, learning=False))
+    assert found.plant.constants == LUMPED and found.plant.lag == 0.0
+    found.change(settings)
+    assert found.plant.constants == before.constants and found.plant.lag == before.lag
+
+
+@BOTH
+def test_change_of_a_setting_of_no_concern_changes_no_estimate(
+    settings: ControllerSettings, sent: SentInputs
+) -> None:
+    found = tracked(settings, sent)
+    before, state = found.plant, state_at(found, DURATION)
+    found.change(replace(settings, goal_tolerance=0.1, planning_effort=1000, pose_timeout=1.0))
+    assert found.plant.constants == before.constants and found.plant.lag == before.lag
+    assert found.plant.noise == before.noise
+    np.testing.assert_array_equal(state_at(found, DURATION), state)
+
+
+@BOTH
+def test_forgetting_poses_keeps_the_constants(
+    settings: ControllerSettings, sent: SentInputs
+) -> None:
+    found = tracked(settings, sent)
+    before = found.plant
+    found.forget()
+    assert found.newest is None and found.estimate(DURATION) is None
+    assert found.plant.constants == before.constants and found.plant.lag == before.lag
+
+
+def test_changed_noise_level_keeps_state_and_constants_and_weighs_later_poses(
+    sent: SentInputs,
+) -> None:
+    kept, changed = tracked(NOISY, sent), tracked(NOISY, sent)
+    noisier = replace(NOISY, pose_position_noise=0.1, pose_orientation_noise=0.1)
+    assert make_estimator(noisier, LUMPED, sent, previous=changed) is changed
+    assert changed.plant.constants == kept.plant.constants
+    np.testing.assert_array_equal(state_at(changed, DURATION), state_at(kept, DURATION))
+    stamp, shift = DURATION + PERIOD, 2.0 * NOISY.pose_position_noise
+    seen = stamp - kept.plant.lag
+    moved = state_at(kept, seen) + shift * np.array([1.0, 0, 0, 0, 0, 0])
+    for found in (kept, changed):
+        assert found.observe(stamp, moved)
+    remaining = [abs(state_at(found, seen)[0] - moved[0]) for found in (kept, changed)]
+    assert remaining[0] < 0.9 * shift and remaining[1] > 0.99 * shift
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "kind"),
+    [(EXACT, NOISY, NoisyPoseEstimator), (NOISY, EXACT, ExactPoseEstimator)],
+    ids=["to noisy", "to exact"],
+)
+def test_other_kind_of_estimator_takes_over_parameters_and_pose(
+    sent: SentInputs, before: ControllerSettings, after: ControllerSettings, kind: type
+) -> None:
+    previous = tracked(before, sent)
+    found = make_estimator(after, LUMPED, sent, previous=previous)
+    assert isinstance(found, kind)
+    assert gain(found) == gain(previous) and found.plant.lag == previous.plant.lag
+    assert found.newest is not None and previous.newest is not None
+    assert found.newest[0] == previous.newest[0]
+    np.testing.assert_allclose(
+        state_at(found, DURATION + 0.1), state_at(previous, DURATION + 0.1), atol=5e-4
+    )
+
+
+def test_learning_in_the_background_gives_the_constants_of_learning_in_line(
+    sent: SentInputs,
+) -> None:
+    in_line = tracked(EXACT, sent)
+    with ThreadPoolExecutor(1) as pool:
+        found = make_estimator(EXACT, LUMPED, sent, background=pool.submit)
+        track(found, sent)
+    assert found.plant.constants == in_line.plant.constants
+    assert found.plant.lag == in_line.plant.lag and found.plant.noise == in_line.plant.noise
+
+
+def same(first: PlantEstimate, second: PlantEstimate) -> bool:
+    assert first.deviations is not None and second.deviations is not None
+    return (first.constants, first.lag, first.noise) == (
+        second.constants, second.lag, second.noise
+    ) and np.array_equal(first.deviations, second.deviations)
+
+
+def test_update_that_is_interrupted_in_the_middle_publishes_nothing(
+    sent: SentInputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parameters, noise and deviations that the loop reads are always of one update."""
+    tasks: list[Callable[[], None]] = []
+    found = make_estimator(EXACT, LUMPED, sent, background=tasks.append)
+    track(found, sent)
+    for task in tasks[:-1]:
+        task()
+    before = found.plant
+    stopped, go_on = threading.Event(), threading.Event()
+    invert = np.linalg.inv
+
+    def interrupted(matrix: Vector) -> Vector:
+        stopped.set()
+        go_on.wait()
+        inverse: Vector = invert(matrix)
+        return inverse
+
+    monkeypatch.setattr(plant_estimator.np.linalg, "inv", interrupted)
+    thread = threading.Thread(target=tasks[-1])
+    thread.start()
+    stopped.wait()
+    during = found.plant
+    go_on.set()
+    thread.join()
+    assert same(during, before)
+    assert not same(found.plant, before)
+
+
+def test_update_that_fails_in_the_middle_publishes_nothing_and_the_next_one_succeeds(
+    sent: SentInputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks: list[Callable[[], None]] = []
+    found = make_estimator(EXACT, LUMPED, sent, background=tasks.append)
+    track(found, sent)
+    *first, second_last, last = tasks
+    for task in first:
+        task()
+    before = found.plant
+
+    def fail(matrix: Vector) -> Vector:
+        raise np.linalg.LinAlgError("singular")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(plant_estimator.np.linalg, "inv", fail)
+        with pytest.raises(np.linalg.LinAlgError):
+            second_last()
+    assert same(found.plant, before)
+    last()
+    assert not same(found.plant, before)
+
+
+def test_update_that_ends_after_a_changed_drive_lag_does_not_undo_it(sent: SentInputs) -> None:
+    tasks: list[Callable[[], None]] = []
+    found = make_estimator(EXACT, LUMPED, sent, background=tasks.append)
+    track(found, sent)
+    found.change(replace(EXACT, drive_lag=0.03))
+    for task in tasks:
+        task()
+    assert found.plant.lag == pytest.approx(0.03)

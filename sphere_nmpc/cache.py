@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where files are kept between runs, and whether code that lies there may be loaded."""
+"""Folders for files that are kept between runs, and the check of code that is loaded from them."""
 
 import atexit
 import os
@@ -32,10 +32,10 @@ def cache_folder() -> Path:
 
 @cache
 def temporary_folder() -> Path:
-    """Return a folder of this user alone under the system's temporary one. Never raises.
+    """Return a private folder of this user below the system's temporary one. Never raises.
 
-    The same in every process of the user, so that what one keeps there the others find. Where the
-    name is taken by somebody else, it is a new one that only this process knows.
+    It is the same in every process of the user, so that they share what is kept there. Where
+    another user has created a folder of that name, it is a new one for this process alone.
     """
     try:
         folder = temporary_path()
@@ -49,7 +49,7 @@ def temporary_folder() -> Path:
 
 
 def temporary_path() -> Path:
-    """Return what `temporary_folder` is called unless somebody else has taken the name."""
+    """Return the path of `temporary_folder` unless another user has created a folder there."""
     try:
         base = Path(tempfile.gettempdir())
     except OSError:
@@ -59,25 +59,31 @@ def temporary_path() -> Path:
 
 
 def make_private(folder: Path) -> None:
-    """Create a folder that only its owner may enter, unless it is there already.
+    """Create a folder that only its owner may enter, with its parents, unless it exists.
+
+    Every writer to the cache folder creates it by this function: with a umask that lets a group
+    write, a folder made by `Path.mkdir` would not pass `distrust`.
 
     Raises
     ------
     OSError
         If it cannot be created.
     """
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    # `Path.mkdir` applies its mode to the last folder alone.
+    for missing in [p for p in reversed((folder, *folder.parents)) if not p.exists()]:
+        missing.mkdir(mode=0o700, exist_ok=True)
+    folder.mkdir(exist_ok=True)
 
 
 def distrust(path: Path) -> str | None:
     """Return why code at a path must not be loaded, None where it may.
 
-    Trusted is what belongs to this user or to the administrator and nobody else can write to.
+    A path is trusted if it belongs to this user or to root and no other user can write to it.
 
     Raises
     ------
     OSError
-        If the path cannot be looked at.
+        If the path does not exist or its owner cannot be read.
     """
     if not hasattr(os, "geteuid"):
         return None

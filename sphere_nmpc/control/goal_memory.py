@@ -7,6 +7,7 @@ import os
 import time
 from pathlib import Path
 
+from sphere_nmpc.cache import make_private
 from sphere_nmpc.model.state import Vector, as_state
 
 
@@ -44,7 +45,7 @@ class GoalMemory:
         if goal is None:
             self._path.unlink(missing_ok=True)
             return
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        make_private(self._path.parent)
         # A process that is killed while it writes must leave the old file or the new one.
         fresh = self._path.with_suffix(f".{os.getpid()}")
         content = {"goal": goal.tolist(), "stamp": stamp, "simulated": simulated}

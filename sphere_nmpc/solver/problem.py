@@ -85,8 +85,6 @@ class SolveStatus(Enum):
     CAPPED = "iteration cap"
     BUDGET = "time budget"
     NOT_FINITE = "not finite"
-    ABANDONED = "abandoned"
-    """Never begun or given up in a batch, as another start had succeeded or time was out."""
 
 
 @dataclass(frozen=True)

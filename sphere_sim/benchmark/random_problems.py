@@ -76,12 +76,11 @@ def compare(peer: CasadiSolver, number: int, seed: int, comparison: Comparison) 
         parameters = np.concatenate((state, scenario.goal, in_force))
         v, _ = peer.minimise(np.zeros(2 * HORIZON), parameters)
         comparison.ipopt.append(_cost(problem, np.clip(v, -1.0, 1.0)))
-        alone = solver.solve(problem, starts[0])
-        comparison.ours.append(alone.cost)
-        comparison.ours_s.append(alone.solve_time)
-        batch = solver.solve_batch(problem, starts)
-        comparison.ours_many.append(float(np.min(batch.costs)))
-        comparison.ours_many_s.append(float(np.sum(batch.solve_times)))
+        answers = [solver.solve(problem, start) for start in starts]
+        comparison.ours.append(answers[0].cost)
+        comparison.ours_s.append(answers[0].solve_time)
+        comparison.ours_many.append(min(answer.cost for answer in answers))
+        comparison.ours_many_s.append(sum(answer.solve_time for answer in answers))
         yield
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sphere_nmpc.cache import make_private
+
 _log = logging.getLogger("sphere_nmpc")
 
 
@@ -49,7 +51,7 @@ class BestKnownCache:
         if not self._is_usable:
             return
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            make_private(self._path.parent)
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps([key, seconds]) + "\n")
         except OSError as error:

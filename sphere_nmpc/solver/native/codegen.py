@@ -1,15 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The integration step as C source, written from the same CasADi expressions the reference runs.
+"""C code of the integration step, generated from the CasADi expressions of the reference.
 
 CasADi's own code generator knows one number type. Here a nominal value is a ``double`` and a
-derivative a ``tangent``, a handful of vector registers that carry all directions at once, so
+derivative a ``tangent``, a few vector registers that hold the derivatives along all directions, so
 each operation is written once and the nominal value is computed once. That works because the step
-is made of sums, products and quotients alone, and a derivative is linear in its seeds: a
-tangent is only ever added to a tangent or scaled by a number. ``vectors.h`` says how.
+is made of sums, products and quotients alone, and a derivative is linear in its seeds: a tangent
+is only ever added to a tangent or scaled by a number. ``vectors.h`` defines the tangents.
 """
-
-from collections.abc import Callable
 
 import casadi as ca
 
@@ -21,43 +19,39 @@ _NOMINAL_INPUTS = 5
 _SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}
 
+_INPUTS = (
+    "const double *restrict q, const double *restrict u_start, const double *restrict u_end, "
+    "double h, const double *restrict p"
+)
+_SEEDS = (
+    "const tangent *restrict dq, const tangent *restrict du_start, const tangent *restrict du_end"
+)
+_OUTPUTS = "double *restrict dxy, double *restrict q_end"
+_TANGENTS = "tangent *restrict ddxy, tangent *restrict dq_end"
+
+Operands = list[tuple[str, bool]]
+"""Name of each operand, and whether it is a tangent."""
+
 
 def kernel_source() -> str:
-    """Return the C functions ``nominal_step``, ``lane_step`` and ``tangent_step``."""
+    """Return the C functions ``nominal_step`` and ``tangent_step``."""
     value = _without_repetition(tangent_step_function(0))
     both = _without_repetition(tangent_step_function(1))
-    outputs = "{0} *restrict dxy, {0} *restrict q_end"
-    inputs = (
-        "const {0} *restrict q, const {0} *restrict u_start, const {0} *restrict u_end, "
-        "{1} h, const {1} *restrict p"
-    )
-    seeds = (
-        "const tangent *restrict dq, const tangent *restrict du_start, "
-        "const tangent *restrict du_end, "
-    )
-    tangents = ", tangent *restrict ddxy, tangent *restrict dq_end"
-    plain = inputs.format("double", "double") + ", " + outputs.format("double")
-    lanes = inputs.format("vec", "double") + ", " + outputs.format("vec")
-    with_seeds = (
-        inputs.format("double", "double") + ", " + seeds + outputs.format("double") + tangents
-    )
-    return "\n".join(
-        (
-            f"static void nominal_step({plain})\n{{\n{_body(value, 'double')}}}\n",
-            f"static void lane_step({lanes})\n{{\n{_body(value, 'vec')}}}\n",
-            f"static void tangent_step({with_seeds})\n{{\n{_body(both, 'double')}}}\n",
-        )
+    return (
+        f"static void nominal_step({_INPUTS}, {_OUTPUTS})\n{{\n{_body(value)}}}\n\n"
+        f"static void tangent_step({_INPUTS}, {_SEEDS}, {_OUTPUTS}, {_TANGENTS})\n"
+        f"{{\n{_body(both)}}}\n"
     )
 
 
 def _without_repetition(function: ca.Function) -> ca.Function:
-    """Return the function with common subexpressions computed once: differentiating repeats."""
+    """Return the function with common subexpressions, which differentiation repeats, once each."""
     arguments = function.sx_in()
     return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))
 
 
-def _body(function: ca.Function, number: str) -> str:
-    """Translate CasADi's instructions, one statement each; `number` is the C type of a value."""
+def _body(function: ca.Function) -> str:
+    """Translate CasADi's instructions, one statement each."""
     # CasADi reuses its work vector; here every instruction gets a name of its own.
     names: dict[int, str] = {}
     is_tangent: dict[int, bool] = {}
@@ -74,56 +68,44 @@ def _body(function: ca.Function, number: str) -> str:
         name = f"a{k}"
         if operation == ca.OP_INPUT:
             is_tangent[target] = sources[0] >= _NOMINAL_INPUTS
-            lines.append(_read(function, name, number, sources[0], sources[1]))
+            lines.append(_read(name, sources[0], sources[1]))
         elif operation == ca.OP_CONST:
             is_tangent[target] = False
-            lines.append(f"const {number} {name} = {_constant(function, k, number)};")
+            # Hexadecimal, so that C reads exactly the same number.
+            value = float(function.instruction_constant(k)).hex()
+            lines.append(f"const double {name} = {value};")
         else:
             operands = [(names[i], is_tangent[i]) for i in sources]
             is_tangent[target] = any(tangent for _, tangent in operands)
-            write = _tangent_statement if is_tangent[target] else _nominal_statement(number)
+            write = _tangent_statement if is_tangent[target] else _nominal_statement
             lines.append(write(name, operation, operands))
         names[target] = name
     return "".join(f"    {line}\n" for line in lines)
 
 
-def _read(function: ca.Function, name: str, number: str, argument: int, index: int) -> str:
+def _read(name: str, argument: int, index: int) -> str:
     source = ("q", "u_start", "u_end", "h", "p", "dq", "du_start", "du_end")[argument]
     place = source if source == "h" else f"{source}[{index}]"
     if argument >= _NOMINAL_INPUTS:
         return f"TANGENT_COPY({name}, {place})"
-    if number == "vec" and source in ("h", "p"):
-        return f"const vec {name} = broadcast({place});"
-    return f"const {number} {name} = {place};"
+    return f"const double {name} = {place};"
 
 
-def _constant(function: ca.Function, k: int, number: str) -> str:
-    # Hexadecimal, so that C reads the very same number.
-    value = float(function.instruction_constant(k)).hex()
-    return f"broadcast({value})" if number == "vec" else value
-
-
-Operands = list[tuple[str, bool]]
-
-
-def _nominal_statement(number: str) -> Callable[[str, int, Operands], str]:
-    def write(name: str, operation: int, operands: Operands) -> str:
-        left, right = operands[0][0], operands[-1][0]
-        if operation in _SYMBOL:
-            expression = f"{left} {_SYMBOL[operation]} {right}"
-        elif operation == ca.OP_SQ:
-            expression = f"{left} * {left}"
-        elif operation == ca.OP_TWICE:
-            expression = f"{left} + {left}"
-        elif operation == ca.OP_NEG:
-            expression = f"-{left}"
-        elif operation == ca.OP_INV:
-            expression = f"1.0 / {left}"
-        else:
-            raise NotImplementedError(f"operation {operation} has no translation to vector code")
-        return f"const {number} {name} = {expression};"
-
-    return write
+def _nominal_statement(name: str, operation: int, operands: Operands) -> str:
+    left, right = operands[0][0], operands[-1][0]
+    if operation in _SYMBOL:
+        expression = f"{left} {_SYMBOL[operation]} {right}"
+    elif operation == ca.OP_SQ:
+        expression = f"{left} * {left}"
+    elif operation == ca.OP_TWICE:
+        expression = f"{left} + {left}"
+    elif operation == ca.OP_NEG:
+        expression = f"-{left}"
+    elif operation == ca.OP_INV:
+        expression = f"1.0 / {left}"
+    else:
+        raise NotImplementedError(f"operation {operation} has no translation to C")
+    return f"const double {name} = {expression};"
 
 
 def _tangent_statement(name: str, operation: int, operands: Operands) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""C compilers of this machine, and how they build the solver."""
+"""C compilers of this machine, and the build of the solver."""
 
 import logging
 import os
@@ -16,10 +16,12 @@ from pathlib import Path
 from sphere_nmpc.errors import SphereNmpcError
 
 FLAGS = ("-O3", "-std=gnu11", "-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
+PROCESSOR_FILE = Path("/proc/cpuinfo")
 _BUILD_SECONDS = 120.0
-_ROOM = 1 << 20
-"""What a compiler needs on the disk [bytes], with its intermediate files."""
-_LAST_WORDS = 300
+_DISK_SPACE = 1 << 20
+"""Space that a build takes on the disk [bytes], with its intermediate files."""
+_MESSAGE_LENGTH = 300
+"""Characters of a compiler's output that are quoted."""
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -30,9 +32,9 @@ class CompilerError(SphereNmpcError):
     Parameters
     ----------
     cause : str
-        What is wrong.
+        Why not.
     cure : str
-        What helps.
+        Remedy.
     """
 
     def __init__(self, cause: str, cure: str) -> None:
@@ -42,14 +44,14 @@ class CompilerError(SphereNmpcError):
 
 
 def compilers() -> list[list[str]]:
-    """Return the commands of the C compilers that are there, the first to try first.
+    """Return the commands of the C compilers on this machine, in the order to try them.
 
     CC if it is set, otherwise cc, gcc, clang and the one in the Python package ziglang.
 
     Raises
     ------
     CompilerError
-        If there is none, or CC is no command.
+        If there is none, or CC cannot be read as a command.
     """
     text = os.environ.get("CC", "")
     try:
@@ -75,14 +77,16 @@ def compilers() -> list[list[str]]:
 
 
 def processor() -> str:
-    """Return what -march=native depends on."""
+    """Return the instruction sets of the processor, on which ``-march=native`` depends."""
     try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+        for line in PROCESSOR_FILE.read_text(encoding="utf-8").splitlines():
             if line.startswith(("flags", "Features")):
                 return line.partition(":")[2].strip()
     except OSError:
         pass
-    return platform.processor()
+    # Not `platform.processor`, which runs a program: its result would depend on PATH, and with it
+    # the name under which a binary is kept.
+    return ""
 
 
 def target_flags() -> list[str]:
@@ -90,50 +94,50 @@ def target_flags() -> list[str]:
     machine = platform.machine().lower()
     if machine not in ("x86_64", "amd64", "i686"):
         return ["-mcpu=native"] if machine in ("aarch64", "arm64") else []
-    # Early scheduling overlaps the long chains of the step, a quarter faster, but it needs the 32
-    # registers of AVX-512; with 16 it spills and gains nothing.
+    # Scheduling before register allocation overlaps the long dependency chains of the step, which
+    # is a quarter faster with the 32 registers of AVX-512; with 16 it spills and gains nothing.
     early = ["-fschedule-insns", "-fsched-pressure"] if "avx512f" in processor().split() else []
     return ["-march=native", *early]
 
 
 def compile_library(commands: list[list[str]], sources: dict[str, str], folder: Path) -> bytes:
-    """Return a shared library built from C sources by the first compiler that can.
+    """Return a shared library built from C sources by the first compiler that succeeds.
 
     Parameters
     ----------
     commands : list of list of str
         Compilers, see `compilers`.
     sources : dict
-        Texts by file name; ``driver.c`` is compiled and includes the others.
+        Texts by file name; ``solver.c`` is compiled and includes the others.
     folder : Path
-        Where the intermediate files are made and removed again.
+        Folder for intermediate files, which are removed again.
 
     Raises
     ------
     CompilerError
-        If none can; with the last words of the first.
+        If none does; with the end of the first one's output.
     OSError
-        If there is no room in the folder or it cannot be written.
+        If the folder cannot be written or its disk is full.
     """
-    told: list[str] = []
+    failures: list[str] = []
     with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as name:
         work = Path(name)
-        # Before the work, and not from what a compiler says in its own words and language.
-        room = work / "room"
-        room.write_bytes(bytes(_ROOM))
-        room.unlink()
+        # A full disk is found out here, as each compiler reports it in words of its own.
+        trial = work / "space"
+        trial.write_bytes(bytes(_DISK_SPACE))
+        trial.unlink()
         _log.warning("sphere_nmpc: compiling the solver (once, some seconds) ...")
         for source, text in sources.items():
             (work / source).write_text(text, encoding="utf-8")
         made = work / "solver.so"
-        arguments = [str(work / "driver.c"), "-o", str(made), "-lm"]
+        arguments = [str(work / "solver.c"), "-o", str(made), "-lm"]
         for command in commands:
             try:
                 _run([*command, *FLAGS, *target_flags(), *arguments], work)
                 return made.read_bytes()
             except (OSError, subprocess.SubprocessError) as problem:
-                told.append(f"{shlex.join(command)} fails: {_last_words(problem)}")
-    raise CompilerError(told[0], "name another C compiler in CC")
+                failures.append(f"{shlex.join(command)} fails: {_message(problem)}")
+    raise CompilerError(failures[0], "name another C compiler in CC")
 
 
 def _run(command: list[str], work: Path) -> None:
@@ -144,10 +148,10 @@ def _run(command: list[str], work: Path) -> None:
     )
 
 
-def _last_words(problem: Exception) -> str:
-    """Return the end of what a compiler printed, or else how it ended, in one line."""
+def _message(problem: Exception) -> str:
+    """Return the end of a compiler's error output, or its exit status, in one line."""
     printed = " ".join((getattr(problem, "stderr", None) or "").split())
     if printed:
-        return printed[-_LAST_WORDS:]
+        return printed[-_MESSAGE_LENGTH:]
     status = getattr(problem, "returncode", None)
     return str(problem) if status is None else f"it ends with status {status}"

@@ -1,14 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the compiled solver that this machine has kept, and builds it at its first use.
+"""Compiled solver of this machine: loaded from the cache, built at its first use.
 
-A binary is found again by a hash over all that decides what it computes: the sources, CasADi's
-version, flags and processor. The compiler is not part of it: a binary serves on when the compiler
-is removed or renewed, and is built anew once its folder is emptied. CasADi is asked for the
-kernels only when there is none.
+The name of a binary holds a hash over all that decides what it computes: the sources, CasADi's
+version, flags and processor. The compiler is not part of it: a binary stays in use when the
+compiler is removed or renewed. The code generator runs only where there is no binary.
 
-It is kept in the user's cache folder; where that cannot be, in a folder of the user's own under
-the system's temporary one, which all processes of the user share.
+The binary is kept in the user's cache folder or, where that is not possible, in a folder of the
+user's own below the system's temporary one, which all processes of the user share.
 """
 
 import contextlib
@@ -39,15 +38,18 @@ from sphere_nmpc.solver.native.compiler import (
     processor,
     target_flags,
 )
+from sphere_nmpc.solver.native.layout import problem_header
 
-_C_SOURCES = ("driver.c", "vectors.h", "hold.h", "expansion.h", "step.h")
+_C_SOURCES = (
+    "solver.c", "vectors.h", "workspace.h", "shooting.h", "objective.h", "bounded_step.h"
+)
 _GENERATORS = (
     ("sphere_nmpc.model", "dynamics.py"),
     ("sphere_nmpc.model", "integrator.py"),
     ("sphere_nmpc.solver.reference", "shooting.py"),
     ("sphere_nmpc.solver.native", "codegen.py"),
 )
-"""What decides the text of ``kernels.h``."""
+"""Modules that decide the text of ``kernels.h``."""
 
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
@@ -60,38 +62,56 @@ def load_library() -> ctypes.CDLL:
     Raises
     ------
     CompilerError
-        If it is not there and cannot be built or kept.
+        If no binary can be loaded and none can be built or kept.
     """
-    sources = {name: _text("sphere_nmpc.solver.native", name) for name in _C_SOURCES}
+    sources = c_sources()
     name = f"hold_solver-{_content_key(sources)}.so"
+    refusals: list[str] = []
     # Absolute, as a name without a folder is looked for among the system's libraries.
-    for folder in (cache_folder(), temporary_path()):
-        with contextlib.suppress(OSError):
-            return _loaded(folder.absolute() / name)
-    commands = compilers()
-    trouble: list[str] = []
-    # The second is not made unless the first does not do.
+    for folder in (cache_folder().absolute(), temporary_path().absolute()):
+        try:
+            return _loaded(folder / name)
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError as problem:
+            refusals.append(_cause(folder, problem))
+    try:
+        commands = compilers()
+    except CompilerError as problem:
+        if not refusals:
+            raise
+        kept = f"the compiled solver in the cache is not used: {', nor: '.join(refusals)}; "
+        raise CompilerError(kept + problem.cause, f"mend that, or {problem.cure}") from None
+    causes: list[str] = []
+    # The second folder is not created unless the first one cannot be used.
     for find in (cache_folder, temporary_folder):
         folder = find().absolute()
         try:
             library = _built(folder / name, commands, sources)
         except OSError as problem:
-            trouble.append(_cause(folder, problem))
+            causes.append(_cause(folder, problem))
             continue
-        if trouble:
-            _log.warning("sphere_nmpc: the compiled solver is kept in %s: %s", folder, trouble[0])
+        if causes:
+            _log.warning("sphere_nmpc: the compiled solver is kept in %s: %s", folder, causes[0])
         return library
-    cause = "the compiled solver cannot be kept: " + ", nor: ".join(trouble)
-    raise CompilerError(cause, f"name a folder of your own with room in {CACHE_VARIABLE}")
+    cause = "the compiled solver cannot be kept: " + ", nor: ".join(causes)
+    cure = f"name a folder of your own with enough space in {CACHE_VARIABLE}"
+    raise CompilerError(cause, cure)
+
+
+def c_sources() -> dict[str, str]:
+    """Return the C sources by file name, without the generated kernels, which take a while."""
+    texts = {name: _text("sphere_nmpc.solver.native", name) for name in _C_SOURCES}
+    return {**texts, "problem.h": problem_header()}
 
 
 def _loaded(binary: Path) -> ctypes.CDLL:
-    """Return a binary that was kept; OSError where it is not there, not sound or not safe."""
+    """Return a kept binary; OSError where it is missing, damaged or not to be trusted."""
     for place in (binary.parent, binary):
         reason = distrust(place)
         if reason is not None:
             raise PermissionError(reason)
-    # Its end is the digest of the rest: loading a torn one would crash.
+    # Its end is the digest of the rest: loading an incomplete file would crash.
     content = binary.read_bytes()
     body, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
     if not body or hashlib.sha256(body).digest() != digest:
@@ -110,7 +130,7 @@ def _built(binary: Path, commands: list[list[str]], sources: dict[str, str]) -> 
         # Another process may have built it while this one waited.
         with contextlib.suppress(OSError):
             return _loaded(binary)
-        # Here, not above: a process that finds its binary has no use for the code generator.
+        # Imported here, as a process that finds its binary does not need the code generator.
         from sphere_nmpc.solver.native.codegen import kernel_source
 
         body = compile_library(commands, {**sources, "kernels.h": kernel_source()}, folder)
@@ -118,7 +138,7 @@ def _built(binary: Path, commands: list[list[str]], sources: dict[str, str]) -> 
         try:
             made.write_bytes(body + hashlib.sha256(body).digest())
             made.chmod(0o755)
-            # In one go, so that nobody ever sees half a file.
+            # Atomic: no other process ever reads half a file.
             os.replace(made, binary)
         except OSError:
             made.unlink(missing_ok=True)

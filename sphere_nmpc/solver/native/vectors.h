@@ -17,11 +17,6 @@
 
 typedef double vec __attribute__((vector_size(8 * WIDTH)));
 
-static inline vec broadcast(double value)
-{
-    return value - (vec){0.0};
-}
-
 #if WIDTH == 8
 #define FOR_PARTS(DO) DO(a)
 typedef struct { vec a; } tangent;

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv, dptsv
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.numpy_backend.step import diagonal_step
+from sphere_nmpc.solver.numpy_backend.diagonal_step import diagonal_step
 
 Mask = NDArray[np.bool_]
 

@@ -10,9 +10,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sphere_nmpc import cache as places
+from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.solver.native import library as native
 
 SOLVE = """
@@ -42,6 +44,13 @@ os.setresuid(54321, 54321, 54321)
 print(native.cache_folder())
 print(native.load_library()._name)
 """
+KEY_WITHOUT_PROC = """
+from pathlib import Path
+from sphere_nmpc.solver.native import compiler, library
+compiler.PROCESSOR_FILE = Path("/nonexistent")
+print(library._content_key(library.c_sources()))
+"""
+GOAL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 QUICK = Path(__file__).with_name("quick_cc.sh")
 """A compiler that does not optimise."""
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
@@ -131,9 +140,48 @@ def test_sound_file_that_does_not_load_is_built_again(filled, damage, tmp_path):
     assert "compiling" not in answer(solve_elsewhere(target.parent))[1]
 
 
-def test_kept_binary_needs_no_compiler(filled):
-    out, err = answer(solve_elsewhere(filled[0], PATH=""))
+@pytest.mark.parametrize(
+    "environment", [{"PATH": ""}, {"CC": "nonesuch"}, {"PATH": "/nonexistent", "CC": 'gcc "'}]
+)
+def test_kept_binary_needs_no_compiler(filled, environment):
+    hide_ziglang = "import sys; sys.modules['ziglang'] = None\n"
+    out, err = answer(solve_elsewhere(filled[0], hide_ziglang + SOLVE, **environment))
     assert out[0].split()[:2] == filled[1][0][0][0].split()[:2] and err == ""
+
+
+def test_cache_folder_of_other_files_keeps_the_solver_whatever_the_umask(tmp_path):
+    """Goals and best known times are written to the same folder, maybe before the solver."""
+    cache = tmp_path / "cache"
+    before = os.umask(0o002)
+    try:
+        GoalMemory(cache / "goals" / "0.controller.json", 60.0).save(GOAL, 1, False)
+    finally:
+        os.umask(before)
+    assert "is kept in" not in answer(solve_elsewhere(cache))[1]
+    out, err = answer(solve_elsewhere(cache, PATH=""))
+    assert out[0].startswith("compiled") and err == ""
+
+
+def test_without_compiler_the_reason_why_a_kept_binary_is_refused_is_reported(filled, tmp_path):
+    cache = tmp_path / "cache"
+    shutil.copytree(filled[0], cache)
+    cache.chmod(0o775)
+    out, err = answer(solve_elsewhere(cache, PATH=""))
+    assert out[0].startswith("numpy") and len(err.splitlines()) == 1
+    assert f"others can write to {cache} (chmod go-w {cache})" in err
+    assert "no C compiler found" in err
+
+
+def test_name_of_the_binary_does_not_depend_on_programs_in_path(tmp_path):
+    """Where the processor's flags cannot be read, as in a sandbox without /proc."""
+    program = tmp_path / "uname"
+    program.write_text("#!/bin/sh\necho my_processor\n")
+    program.chmod(0o755)
+    keys = [
+        answer(solve_elsewhere(tmp_path / "cache", KEY_WITHOUT_PROC, PATH=path))[0]
+        for path in (str(tmp_path), "")
+    ]
+    assert keys[0] == keys[1]
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,30 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Cost, gradient and Gauss-Newton Hessian: objective.py in C.
+ * Cost, gradient and Gauss-Newton Hessian, as in reference/objective.py.
  *
  * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 6 plus D, tridiagonal
- * per rotor (input weight and slew), and is never formed. With a stage cost it is.
+ * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed.
  */
+static int is_dense(const problem *p)
+{
+    return p->stage_weight > 0.0 || !(p->terminal_weight > 0.0);
+}
+
+static double clip(double x, double low, double high)
+{
+    return x < low ? low : x > high ? high : x; /* a NaN stays one */
+}
+
 /* Signed excess of knot difference i over its limit, scaled; i counts the 2 N components. */
-static double slew_excess(const hold *p, const double *inputs, int64_t i)
+static double slew_excess(const problem *p, const double *inputs, int64_t i)
 {
     const double reach = p->max_acceleration * p->durations[i / 2];
     const double change = inputs[i + 2] - inputs[i];
     return (change - clip(change, -reach, reach)) / p->input_scale;
 }
 
-static double cost_of(const hold *p, const double *v, const double *inputs, const double *states)
+static double cost_of(const problem *p, const double *v, const double *inputs, const double *states)
 {
     const int64_t n = p->intervals;
     double ends = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;
@@ -39,8 +49,8 @@ static double cost_of(const hold *p, const double *v, const double *inputs, cons
            + p->slew_weight * slew;
 }
 
-/* Cost, states and the derivatives of the intervals at v; what `expand` made before stays. */
-static double evaluate(const hold *p, const double *v, double *inputs, double *states,
+/* Cost, states and the derivatives of the intervals at v; the results of `expand` are kept. */
+static double evaluate(const problem *p, const double *v, double *inputs, double *states,
                        double *jacobians)
 {
     memcpy(inputs, p->input_in_force, sizeof p->input_in_force);
@@ -51,15 +61,15 @@ static double evaluate(const hold *p, const double *v, double *inputs, double *s
 }
 
 /* rows_i = d x_N / d v_i, backwards: `lever` is d x_N / d q_m, and d x_N / d xy_m is one. */
-static void terminal_rows(const hold *p, room *r)
+static void terminal_rows(const problem *p, workspace *w)
 {
     const int64_t n = p->intervals;
     double lever[4][ROW] = {{0.0}};
     for (int k = 0; k < 4; k++)
         lever[k][2 + k] = 1.0;
-    memset(r->rows, 0, (size_t)(2 * n * ROW) * sizeof *r->rows);
+    memset(w->rows, 0, (size_t)(2 * n * ROW) * sizeof *w->rows);
     for (int64_t m = n; m-- > 0;) {
-        const double *a = r->interval + m * 6 * DIRECTIONS;
+        const double *a = w->interval + m * 6 * DIRECTIONS;
         double column[DIRECTIONS][ROW];
         for (int d = 0; d < DIRECTIONS; d++) {
             double sum[ROW] = {a[d], a[DIRECTIONS + d]};
@@ -74,17 +84,17 @@ static void terminal_rows(const hold *p, room *r)
             if (i < 0)
                 continue;
             for (int l = 0; l < ROW; l++)
-                r->rows[i * ROW + l] += p->input_scale * column[4 + c][l];
+                w->rows[i * ROW + l] += p->input_scale * column[4 + c][l];
         }
     }
 }
 
 /* chain = d x_{m+1} / d v from d x_m / d v, in place, shape 6 x 2 N. */
-static void advance_chain(const hold *p, room *r, int64_t m)
+static void advance_chain(const problem *p, workspace *w, int64_t m)
 {
     const int64_t size = 2 * p->intervals;
-    const double *a = r->interval + m * 6 * DIRECTIONS;
-    double *s = r->chain;
+    const double *a = w->interval + m * 6 * DIRECTIONS;
+    double *s = w->chain;
     for (int64_t i = 0; i < 2 * m; i++) {
         double before[4], after[6] = {s[i], s[size + i], 0.0, 0.0, 0.0, 0.0};
         for (int k = 0; k < 4; k++)
@@ -101,72 +111,73 @@ static void advance_chain(const hold *p, room *r, int64_t m)
                 s[l * size + 2 * m - 2 + c] += p->input_scale * a[l * DIRECTIONS + 4 + c];
 }
 
-static void dense_states_part(const hold *p, room *r, const double *states)
+static void dense_states_part(const problem *p, workspace *w, const double *states)
 {
     const int64_t n = p->intervals, size = 2 * n;
-    memset(r->chain, 0, (size_t)(6 * size) * sizeof *r->chain);
-    memset(r->hessian, 0, (size_t)(size * size) * sizeof *r->hessian);
+    memset(w->chain, 0, (size_t)(6 * size) * sizeof *w->chain);
+    memset(w->hessian, 0, (size_t)(size * size) * sizeof *w->hessian);
     for (int64_t m = 0; m < n; m++) {
         const double weight = 2.0 * (m == n - 1 ? p->terminal_weight : p->stage_weight);
         const int64_t reach = 2 * m + 2;
-        advance_chain(p, r, m);
+        advance_chain(p, w, m);
         if (!(weight > 0.0))
             continue;
         for (int l = 0; l < 6; l++) {
-            const double *row = r->chain + l * size;
+            const double *row = w->chain + l * size;
             const double miss = weight * (states[6 * m + 6 + l] - p->goal[l]);
             for (int64_t i = 0; i < reach; i++) {
                 const double factor = weight * row[i];
-                double *h = r->hessian + i * size;
-                r->gradient[i] += miss * row[i];
+                double *h = w->hessian + i * size;
+                w->gradient[i] += miss * row[i];
                 for (int64_t j = 0; j <= i; j++)
                     h[j] += factor * row[j];
             }
         }
     }
     for (int64_t i = 0; i < size; i++) {
-        r->hessian[i * size + i] += r->stiff[i];
+        w->hessian[i * size + i] += w->stiff[i];
         if (i >= 2)
-            r->hessian[i * size + i - 2] += r->couple[i];
+            w->hessian[i * size + i - 2] += w->couple[i];
     }
 }
 
-/* Gradient and Gauss-Newton Hessian from the intervals' derivatives, as `is_dense` asks for. */
-static void expand(const hold *p, room *r, const double *v, const double *inputs,
+/* Gradient and Gauss-Newton Hessian from the intervals' derivatives; the form of the Hessian
+ * depends on `is_dense`. */
+static void expand(const problem *p, workspace *w, const double *v, const double *inputs,
                    const double *states)
 {
     const int64_t size = 2 * p->intervals;
     for (int64_t i = 0; i < size; i++) {
-        r->stiff[i] = 2.0 * p->input_weight;
-        r->couple[i] = 0.0;
-        r->extra[i] = 2.0 * p->input_weight * v[i];
+        w->stiff[i] = 2.0 * p->input_weight;
+        w->couple[i] = 0.0;
+        w->extra[i] = 2.0 * p->input_weight * v[i];
     }
     if (p->slew_weight > 0.0)
         for (int64_t i = 0; i < size; i++) {
             const double excess = slew_excess(p, inputs, i);
             if (excess == 0.0)
                 continue;
-            r->extra[i] += 2.0 * p->slew_weight * excess;
-            r->stiff[i] += 2.0 * p->slew_weight;
+            w->extra[i] += 2.0 * p->slew_weight * excess;
+            w->stiff[i] += 2.0 * p->slew_weight;
             if (i < 2)
                 continue;
-            r->extra[i - 2] -= 2.0 * p->slew_weight * excess;
-            r->stiff[i - 2] += 2.0 * p->slew_weight;
-            r->couple[i] = -2.0 * p->slew_weight;
+            w->extra[i - 2] -= 2.0 * p->slew_weight * excess;
+            w->stiff[i - 2] += 2.0 * p->slew_weight;
+            w->couple[i] = -2.0 * p->slew_weight;
         }
-    memcpy(r->gradient, r->extra, (size_t)size * sizeof *r->gradient);
+    memcpy(w->gradient, w->extra, (size_t)size * sizeof *w->gradient);
     if (is_dense(p)) {
-        dense_states_part(p, r, states);
+        dense_states_part(p, w, states);
         return;
     }
-    terminal_rows(p, r);
+    terminal_rows(p, w);
     double miss[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
         miss[l] = 2.0 * p->terminal_weight * (states[6 * p->intervals + l] - p->goal[l]);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;
         for (int l = 0; l < ROW; l++)
-            sum += miss[l] * r->rows[i * ROW + l];
-        r->gradient[i] += sum;
+            sum += miss[l] * w->rows[i * ROW + l];
+        w->gradient[i] += sum;
     }
 }

@@ -1,79 +1,8 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * A problem as the solver sees it, the memory it works in, and the shooting.
+ * Single shooting: the states along a first-order hold and the derivatives of each interval.
  */
-/* native_layout.py mirrors this structure. */
-typedef struct {
-    double state[6], goal[6], input_in_force[2], constants[4];
-    double input_scale, terminal_weight, stage_weight, input_weight, slew_weight;
-    double max_acceleration, max_step;
-    double gradient_tolerance, decrease_tolerance, time_budget, target_cost, decrease_floor;
-    double initial_damping;
-    double cost, kkt_residual, solve_time;
-    int64_t intervals, max_iterations, status, iterations;
-    const double *durations; /* N */
-    const double *lower, *upper, *start; /* N x 2, rad/s */
-    double *inputs; /* (N + 1) x 2, rad/s */
-    double *states; /* (N + 1) x 6 */
-    double *workspace; /* hold_workspace(N) doubles */
-} hold;
-
-typedef struct {
-    double *lower, *upper, *v, *trial, *step, *gradient; /* 2 N, scaled */
-    double *stiff, *couple, *extra; /* D without damping: diagonal, subdiagonal; gradient's part */
-    double *pivot, *ratio, *right; /* 2 N */
-    double *inputs, *states; /* of the trial */
-    double *rows, *solved; /* 2 N x ROW: terminal Jacobian transposed; D^-1 of it */
-    double *interval; /* N x 6 x DIRECTIONS */
-    double *chain; /* 6 x 2 N, only with a stage cost */
-    double *hessian, *factor; /* 2 N x 2 N, only with a stage cost */
-    uint8_t *free; /* 2 N */
-} room;
-
-static int is_dense(const hold *p)
-{
-    return p->stage_weight > 0.0 || !(p->terminal_weight > 0.0);
-}
-
-static double *take(double **from, int64_t count)
-{
-    double *here = *from;
-    *from += (count + 7) / 8 * 8;
-    return here;
-}
-
-static int64_t lay_out(room *r, double *base, int64_t n)
-{
-    double *at = base;
-    const int64_t m = 2 * n;
-    double **vectors[] = {&r->lower, &r->upper, &r->v, &r->trial, &r->step, &r->gradient,
-                          &r->stiff, &r->couple, &r->extra, &r->pivot, &r->ratio, &r->right};
-    for (size_t i = 0; i < sizeof vectors / sizeof vectors[0]; i++)
-        *vectors[i] = take(&at, m);
-    r->inputs = take(&at, m + 2);
-    r->states = take(&at, 6 * (n + 1));
-    r->rows = take(&at, m * ROW);
-    r->solved = take(&at, m * ROW);
-    r->interval = take(&at, n * 6 * DIRECTIONS);
-    r->chain = take(&at, 6 * m);
-    r->hessian = take(&at, m * m);
-    r->factor = take(&at, m * m);
-    r->free = (uint8_t *)take(&at, m);
-    return at - base;
-}
-
-int64_t hold_workspace(int64_t intervals)
-{
-    room r;
-    return lay_out(&r, 0, intervals);
-}
-
-static double clip(double x, double low, double high)
-{
-    return x < low ? low : x > high ? high : x; /* a NaN stays one */
-}
-
 static int64_t steps_for(double duration, double max_step)
 {
     const double steps = ceil(duration / max_step - 1e-6);
@@ -125,7 +54,7 @@ static void input_seeds(const tangent *first, const tangent *second, double b, t
 
 /* Move `x` over interval m and write the 6 x 8 derivative of its end by its quaternion and its two
  * knots [per rad/s]. */
-static void shoot_interval(const hold *p, int64_t m, const double *u, const double *x,
+static void shoot_interval(const problem *p, int64_t m, const double *u, const double *x,
                            double *x_end, double *jacobian)
 {
     const int64_t steps = steps_for(p->durations[m], p->max_step);
@@ -158,9 +87,9 @@ static void shoot_interval(const hold *p, int64_t m, const double *u, const doub
     memcpy(jacobian + 2 * DIRECTIONS, dq, sizeof dq);
 }
 
-/* States at the knots and the derivatives of all intervals: half as much again as the states
- * alone, and as most trial steps are accepted, in the end the cheaper way to try one. */
-static void shoot(const hold *p, const double *inputs, double *states, double *jacobians)
+/* States at the knots and the derivatives of all intervals. That takes half as much time again as
+ * the states alone, but most trial steps are accepted and then need the derivatives. */
+static void shoot(const problem *p, const double *inputs, double *states, double *jacobians)
 {
     memcpy(states, p->state, sizeof p->state);
     for (int64_t m = 0; m < p->intervals; m++)

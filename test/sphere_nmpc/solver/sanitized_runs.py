@@ -1,0 +1,118 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Calls of every function of the compiled solver, ordinary ones and edge cases.
+
+    sanitized_runs.py [FILE TEXT REPLACEMENT]
+
+Run by ``test_sanitizers.py``. With arguments the C source is changed before it is built.
+"""
+
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
+from sphere_nmpc.solver.native import library
+from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.roll_out import roll_out_compiled
+
+HORIZONS = (1, 2, 3, 4, 9, 40)
+WEIGHTS: tuple[dict[str, float], ...] = (
+    {"input_weight": 1e-6},
+    {"stage_weight": 0.3, "input_weight": 1e-4},
+    {"stage_weight": 1.0, "terminal_weight": 0.0},
+    {"input_weight": 1e-8, "slew_weight": 10.0, "max_acceleration": 150.0},
+    {"stage_weight": 0.3, "slew_weight": 1.0, "max_acceleration": 150.0},
+)
+
+
+def make_problem(n: int, **changes: float) -> HoldProblem:
+    """Return a problem of N intervals of unequal length."""
+    rng = np.random.default_rng(n)
+    q = rng.normal(size=(2, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    return HoldProblem(
+        np.concatenate((rng.uniform(-1.0, 1.0, 2), q[0])), np.concatenate(([0.0, 0.0], q[1])),
+        rng.uniform(-50.0, 50.0, 2), rng.uniform(0.05, 0.5, n),
+        RobotParameters().lumped.as_array(), np.full((n, 2), -100.0), np.full((n, 2), 100.0),
+        100.0, **changes,
+    )
+
+
+def random_start(n: int) -> Vector:
+    """Return knots [rad/s], some beyond the bounds."""
+    return np.random.default_rng(n + 1).uniform(-120.0, 120.0, (n, 2))
+
+
+def ordinary_calls(n: int) -> None:
+    """Solve, expand and predict over N intervals with every kind of cost."""
+    for weights in WEIGHTS:
+        problem = make_problem(n, **weights)
+        solution = HoldSolver(SolverSettings(max_iterations=12), "compiled").solve(
+            problem, random_start(n)
+        )
+        expand_compiled(problem, random_start(n))
+        roll_out_compiled(
+            problem.state, solution.inputs, problem.durations, problem.constants, problem.max_step
+        )
+
+
+def edge_cases(n: int) -> None:
+    """Fixed knots, numbers that are not finite, no time, no iterations, intervals of no length."""
+    solver = HoldSolver(SolverSettings(max_iterations=5), "compiled")
+    start = random_start(n)
+    for weights in WEIGHTS:
+        problem = make_problem(n, **weights)
+        fixed = replace(problem, lower=np.zeros((n, 2)), upper=np.zeros((n, 2)))
+        solver.solve(fixed, start)
+        part = replace(problem, lower=problem.lower.copy(), upper=problem.upper.copy())
+        part.lower[-1] = part.upper[-1] = 0.0
+        solver.solve(part, start)
+        unbounded = np.full((n, 2), np.inf)
+        solver.solve(replace(problem, lower=-unbounded, upper=unbounded), start)
+        for name in ("state", "goal", "input_in_force", "durations", "constants", "lower"):
+            for value in (np.nan, np.inf) if name != "durations" else (np.nan, 0.0):
+                odd = {name: np.full_like(getattr(problem, name), value)}
+                solver.solve(replace(problem, **odd), start)
+        for value in (np.nan, np.inf, 1e300):
+            solver.solve(problem, np.full((n, 2), value))
+        solver.solve(problem, start, 0.0)
+        HoldSolver(SolverSettings(max_iterations=0), "compiled").solve(problem, start)
+    state, constants = problem.state, problem.constants
+    inputs = np.vstack((problem.input_in_force, start))
+    roll_out_compiled(state, inputs, np.zeros(n), constants, 0.1)
+    roll_out_compiled(state, inputs * np.nan, problem.durations, constants, 0.1)
+
+
+def change_source(file: str, text: str, replacement: str) -> None:
+    """Build the solver from sources in which a text is replaced."""
+    original = library.c_sources
+
+    def changed() -> dict[str, str]:
+        sources = original()
+        assert text in sources[file]
+        return {**sources, file: sources[file].replace(text, replacement)}
+
+    library.c_sources = changed
+
+
+def main() -> None:
+    if len(sys.argv) > 1:
+        change_source(*sys.argv[1:])
+    for n in HORIZONS:
+        ordinary_calls(n)
+        edge_cases(n)
+    threads = [threading.Thread(target=ordinary_calls, args=(n,)) for n in (3, 4, 4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print("all done")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator and controller, with a recording, RViz and the viewer where they are asked for.
+"""Launch file of simulator and controller, optionally with recording, RViz and viewer.
 
 ros2 launch sphere_nmpc sphere.launch.py record:=true viewer:=true rviz:=true namespace:=second
 
-What is wrong with an argument is told in one line, and nothing is started; so it is where nodes
-of the same topics run already.
+A wrong argument, or nodes on the same topics that run already, are reported in one line, and
+nothing is started.
 """
 
 import os
@@ -38,8 +38,8 @@ RECORDED = (
     "controller/active_goal", "controller/at_goal", "controller/predicted_path",
     "controller/status",
 )
-"""Without goal_pose: `ros2 topic pub --once` sends to whoever listens first and leaves, which has
-to be the controller. What it accepted is its active_goal."""
+"""Without goal_pose: `ros2 topic pub --once` ends after the first matched subscription, which has
+to be the controller's. The accepted goals are in active_goal."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]
@@ -54,30 +54,30 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument(
             "strategy", default_value="", choices=["", *STRATEGIES],
-            description="What the controller solves; empty: as params_file says",
+            description="Strategy of the controller; empty: as in params_file",
         ),
         DeclareLaunchArgument(
             "plant", default_value="", choices=["", *PLANTS],
-            description="What the simulator simulates; empty: as params_file says",
+            description="Plant of the simulator; empty: as in params_file",
         ),
         DeclareLaunchArgument(
             "real_time_factor", default_value="",
-            description="Simulated over wall time, 0 is as fast as possible; empty: as "
-            "params_file says",
+            description="Simulated over wall time, 0 is as fast as possible; empty: as in "
+            "params_file",
         ),
         DeclareLaunchArgument(
             "clock", default_value="simulated", choices=["simulated", "system"],
-            description="What all nodes go by, whatever params_file says: the simulator's clock "
+            description="Clock of all nodes, in place of that in params_file: the simulator's "
             "or the system's",
         ),
         DeclareLaunchArgument(
             "use_sim_time", default_value="", choices=["", *BOOLEAN],
-            description="Whether all nodes but the simulator follow its clock; empty: if there "
-            "is one",
+            description="Whether all nodes but the simulator follow its clock; empty: with "
+            "clock:=simulated",
         ),
         DeclareLaunchArgument(
             "namespace", default_value="",
-            description="Of a whole robot: topics, clock, and frames, which it precedes",
+            description="Namespace of the robot: its topics and clock, and prefix of its frames",
         ),
         DeclareLaunchArgument(
             "params_file", default_value=config, description="Parameters of both nodes"
@@ -98,11 +98,11 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def actions(context: LaunchContext, names: Sequence[str]) -> list:
-    """Return what to start; what is not installed is told and left out."""
+    """Return the actions to start, without those whose packages are not installed."""
     refuse_unknown(context.argv, names)
     value = {name: context.launch_configurations[name] for name in names}
     params = existing(value["params_file"])
-    # A file that includes this one may have pushed a namespace before.
+    # A file that includes this one may have pushed a namespace.
     outer = context.launch_configurations.get("ros_namespace", "")
     place = valid_namespace(outer, value["namespace"])
     prefix = {"frame_prefix": f"{place}/"} if place else {}
@@ -111,31 +111,31 @@ def actions(context: LaunchContext, names: Sequence[str]) -> list:
     if pace := value["real_time_factor"]:
         simulator["real_time_factor"] = real_time_factor(pace, value["clock"])
     controller = {**clock, **unless_empty("strategy", value["strategy"])}
-    refuse_company(place, value["clock"])
+    refuse_other_nodes(place, value["clock"])
     common = {"namespace": f"/{place}", "output": "screen"}
-    # The nodes of this package go by the clock of their namespace; others have to be told.
-    foreign = {**common, "remappings": [("/clock", "clock")]}
-    started = [
-        # The simulator makes the clock: it must not wait for it.
+    # The nodes of this package use the clock of their namespace; those of others are remapped.
+    remapped = {**common, "remappings": [("/clock", "clock")]}
+    nodes = [
+        # The simulator publishes the clock: it must not wait for it.
         Node(package=PACKAGE, executable="simulator", parameters=[params, simulator], **common),
         Node(package=PACKAGE, executable="controller", parameters=[params, controller], **common),
     ]
     share = Path(get_package_share_directory(PACKAGE))
     if is_installed("robot_state_publisher"):
         urdf = share / "urdf" / "sphere.urdf"
-        started.append(state_publisher(urdf, {**clock, **prefix}, foreign))
+        nodes.append(state_publisher(urdf, {**clock, **prefix}, remapped))
     if value["record"] in TRUE:
-        started.append(recording(clock, common, place))
+        nodes.append(recording(clock, common, place))
     if value["viewer"] in TRUE:
-        started.append(Node(package=PACKAGE, executable="viewer", **common))
+        nodes.append(Node(package=PACKAGE, executable="viewer", **common))
     if value["rviz"] in TRUE:
-        started.append(Node(package=PACKAGE, executable="markers", **common))
-        started.append(rviz(share / "rviz" / "sphere.rviz", clock, foreign))
-    return started
+        nodes.append(Node(package=PACKAGE, executable="markers", **common))
+        nodes.append(rviz(share / "rviz" / "sphere.rviz", clock, remapped))
+    return nodes
 
 
 def refuse_unknown(given: Sequence[str], known: Sequence[str]) -> None:
-    """Refuse arguments that nothing reads, of which ros2 launch says nothing."""
+    """Refuse unknown arguments, which ros2 launch ignores without a message."""
     # The command line of a file that includes this one has arguments of its own.
     if not any(is_this_file(*words) for words in pairwise(sys.argv)):
         return
@@ -146,14 +146,14 @@ def refuse_unknown(given: Sequence[str], known: Sequence[str]) -> None:
 
 
 def is_this_file(package: str, file: str) -> bool:
-    """Whether two neighbours on a command line, or the second alone, name this file."""
+    """Return whether two consecutive words, or the second alone, name this file."""
     here = Path(__file__)
     return (package, file) == (PACKAGE, here.name) or (
         Path(file).name == here.name and Path(file).exists() and here.samefile(file)
     )
 
 
-def refuse_company(place: str, clock: str) -> None:
+def refuse_other_nodes(place: str, clock: str) -> None:
     """Refuse to start beside nodes of this namespace that publish the same topics."""
     topics = [topic for topic in TOPICS if topic != "clock" or clock == "simulated"]
     look = ["-m", "sphere_sim.ros.session.domain_guests", f"/{place}", *topics]
@@ -189,8 +189,8 @@ def valid_namespace(outer: str, namespace: str) -> str:
 def follows_clock(clock: str, use_sim_time: str) -> bool:
     if clock == "system" and use_sim_time in TRUE:
         raise RuntimeError(
-            f"use_sim_time: given {use_sim_time}, expected false with clock:=system, where nobody "
-            "publishes a clock"
+            f"use_sim_time: given {use_sim_time}, expected false with clock:=system, where no "
+            "node publishes a clock"
         )
     return use_sim_time in TRUE if use_sim_time else clock == "simulated"
 
@@ -204,18 +204,18 @@ def real_time_factor(text: str, clock: str) -> float:
         raise RuntimeError(f"real_time_factor: given {text}, expected a number") from None
 
 
-def state_publisher(urdf: Path, own: dict[str, object], foreign: dict[str, object]) -> Node:
+def state_publisher(urdf: Path, own: dict[str, object], remapped: dict[str, object]) -> Node:
     # Without a type launch takes the text for YAML, which the colon of a comment breaks.
     text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
     return Node(
         package="robot_state_publisher", executable="robot_state_publisher",
-        parameters=[{"robot_description": text, **own}], **foreign,
+        parameters=[{"robot_description": text, **own}], **remapped,
     )
 
 
 def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Node | ExecuteProcess:
-    """Return rosbag2's recorder, else the package's own; both write the same format."""
-    # rosbag2 knows the clock of no namespace.
+    """Return rosbag2's recorder if installed, else the package's own; the format is the same."""
+    # rosbag2 cannot use the clock of a namespace.
     if place or not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
         return Node(package=PACKAGE, executable="recorder", parameters=[clock], **common)
     topics = [f"/{topic}" for topic in RECORDED] + list(ABSOLUTE)
@@ -227,13 +227,13 @@ def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Nod
     )
 
 
-def rviz(config: Path, clock: dict[str, bool], foreign: dict[str, object]) -> Node | LogInfo:
-    """Return RViz, or the news that it is not installed."""
+def rviz(config: Path, clock: dict[str, bool], remapped: dict[str, object]) -> Node | LogInfo:
+    """Return RViz, or a log message that it is not installed."""
     if not is_installed("rviz2"):
         return LogInfo(msg="rviz:=true given, but rviz2 is not installed: going on without it")
     return Node(
         package="rviz2", executable="rviz2", arguments=["-d", str(config)], parameters=[clock],
-        **foreign,
+        **remapped,
     )
 
 

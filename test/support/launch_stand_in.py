@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the launch file where launch is not installed, with stand-ins that note what it makes."""
+"""Stand-ins for launch that record what the launch file creates, where launch is not installed."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -28,7 +28,7 @@ KNOWN = {
 
 
 class Made:
-    """What the launch file made: positional arguments, and the others by their names."""
+    """Launch action made by the launch file, with its positional and keyword arguments."""
 
     def __init__(self, *values: Any, **named: Any) -> None:
         kind = type(self).__name__
@@ -88,13 +88,13 @@ def started(
     words : str
         The launch arguments, as ``name:=value``.
     installed : iterable of str
-        ROS packages that are there besides this one.
+        ROS packages that are installed besides this one.
     pushed : str
         Namespace that an including file has pushed.
     command : sequence of str
-        What stands before the arguments on the command line.
+        Words before the arguments on the command line.
     looks : bool
-        Whether to look for others in the domain, which takes a second.
+        Whether to look for other nodes in the domain, which takes a second.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def started(
     ):
         file = _loaded()
         if not looks:
-            file.refuse_company = lambda place, clock: None
+            file.refuse_other_nodes = lambda place, clock: None
         *declared, function = file.generate_launch_description()
         given = dict(word.split(":=", 1) for word in words)
         value = {}

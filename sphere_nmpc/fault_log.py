@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults are told once, then now and then with a count, however often they happen."""
+"""Log of faults with a limited rate of lines for each kind of fault."""
 
 import time
 from collections import Counter
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 class FaultLog:
-    """Log each kind of fault at once when it first happens, then at most every `period` seconds.
+    """Log each kind of fault when it first occurs, then at most once every `period` seconds.
 
     Parameters
     ----------
@@ -29,39 +29,39 @@ class FaultLog:
         self._write = write
         self._period = period
         self._clock = clock
-        self._told: dict[str, float] = {}
-        self._untold: Counter[str] = Counter()
+        self._logged_at: dict[str, float] = {}
+        self._suppressed: Counter[str] = Counter()
         self._newest: dict[str, str] = {}
         self.counts: Counter[str] = Counter()
-        """How often each kind of fault has happened."""
+        """How often each kind of fault has occurred."""
 
     def report(self, kind: str, message: str) -> None:
-        """Count a fault and log it, unless one of its kind was logged a moment ago.
+        """Count a fault and log it, unless one of its kind was logged less than `period` ago.
 
         Parameters
         ----------
         kind : str
-            What happened, in a few words that stay the same.
+            What is wrong, in a few words that do not change.
         message : str
-            The thing, what was given and what was expected.
+            What was given and what was expected.
         """
         self.counts[kind] += 1
         now = self._clock()
-        if kind in self._told and now - self._told[kind] < self._period:
-            self._untold[kind] += 1
+        if kind in self._logged_at and now - self._logged_at[kind] < self._period:
+            self._suppressed[kind] += 1
             self._newest[kind] = message
             return
-        self._tell(kind, message, now)
+        self._log(kind, message, now)
 
-    def catch_up(self) -> None:
-        """Log the newest of each kind that was held back, once its time has come."""
+    def flush(self) -> None:
+        """Log the newest suppressed fault of each kind whose `period` is over."""
         now = self._clock()
-        for kind in [k for k in self._untold if now - self._told[k] >= self._period]:
-            self._untold[kind] -= 1  # it is told itself
-            self._tell(kind, self._newest[kind], now)
+        for kind in [k for k in self._suppressed if now - self._logged_at[k] >= self._period]:
+            self._suppressed[kind] -= 1  # the newest one is logged now
+            self._log(kind, self._newest[kind], now)
 
-    def _tell(self, kind: str, message: str, now: float) -> None:
-        repeated = self._untold.pop(kind, 0)
-        again = f" ({repeated} more since last told)" if repeated else ""
-        self._told[kind] = now
+    def _log(self, kind: str, message: str, now: float) -> None:
+        repeated = self._suppressed.pop(kind, 0)
+        again = f" ({repeated} more since the last message)" if repeated else ""
+        self._logged_at[kind] = now
         self._write(f"{kind}: {message}{again}")

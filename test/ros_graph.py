@@ -15,7 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from sphere_nmpc.ros.lifetime import LivingNode
+from sphere_nmpc.ros.lifetime import RunnableNode
 
 PATIENCE = 90.0
 """How long a busy machine may take to deliver a message [s]; nothing waits that long otherwise."""
@@ -47,7 +47,7 @@ class Graph:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.probe)
         self._nodes: list[Node] = [self.probe]
-        self._busy: list[LivingNode] = []
+        self._busy: list[RunnableNode] = []
 
     def close(self) -> None:
         for node in self._nodes:
@@ -55,14 +55,14 @@ class Graph:
         self._executor.shutdown()
         rclpy.try_shutdown()
 
-    def add(self, node: LivingNode) -> None:
+    def add(self, node: RunnableNode) -> None:
         """Spin `node` too; one with work of its own (the simulator) is given its turns."""
         self._executor.add_node(node)
         self._nodes.append(node)
-        if type(node).work is not LivingNode.work:
+        if type(node).work is not RunnableNode.work:
             self._busy.append(node)
 
-    def remove(self, node: LivingNode) -> None:
+    def remove(self, node: RunnableNode) -> None:
         """Take a node away, as when its process ends."""
         self._executor.remove_node(node)
         self._nodes.remove(node)

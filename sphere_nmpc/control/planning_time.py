@@ -1,37 +1,37 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How long a plan may take on the wall clock, and for when it is made, while time runs on."""
+"""Time budget of a plan on the wall clock, and how far ahead a plan is made."""
 
 from collections import deque
 
 PLANNING_SHARE = 0.4
-"""Part of the control period that planning may fill; the rest is for everybody else."""
+"""Share of the control period that planning may take; the rest is for other processes."""
 MOST_LEAD = 0.5
-"""Part of the control period that a plan is made ahead at the most: planning, and the way to the
-drives."""
+"""Largest share of the control period by which a plan is made ahead, for planning and the
+transport of its command."""
 _LEAST_SHARE = 0.1
-"""Part of the control period that even a late tick may plan for."""
+"""Share of the control period that planning may take even at a late tick."""
 _WINDOW, _SPACING, _ENOUGH = 0.5, 5e-3, 1e-2
-"""Wall time over which the pace is measured, between its readings, and needed for it [s]."""
-_LATELY = 8
-"""Ticks that tell how long the next one will take."""
+"""Wall time over which the pace is measured, between two readings, and at least needed [s]."""
+_RECENT = 8
+"""Newest ticks from whose durations that of the next one is predicted."""
 _MARGIN = 1.25
-"""What the next one may take over the longest of these."""
-_AT_ONCE = 0.02
-"""Part of the control period up to which a command counts as sent at its instant."""
+"""Predicted duration over the longest of these."""
+_NEGLIGIBLE = 0.02
+"""Share of the control period up to which a command counts as sent at its instant."""
 _STANDSTILL = 0.1
-"""Wall time without progress that counts as a pause [s]."""
+"""Wall time without progress of control time that counts as a pause [s]."""
 
 
 class PlanningTime:
-    """Measure the pace of control time and share out the control period.
+    """Measure the pace of control time, and derive time budget and lead of the next plan.
 
     Parameters
     ----------
     control_period : float
         Control time between two sample instants [s].
     simulated : bool
-        Whether control time has a pace of its own; otherwise it is that of the wall clock.
+        Whether the pace of control time has to be measured; otherwise it is 1.
     """
 
     def __init__(self, control_period: float, simulated: bool) -> None:
@@ -39,11 +39,11 @@ class PlanningTime:
         self._simulated = simulated
         self._readings: deque[tuple[float, float]] = deque()
         self._last = (float("-inf"), float("-inf"))
-        self._took: deque[float] = deque(maxlen=_LATELY)
+        self._took: deque[float] = deque(maxlen=_RECENT)
 
     @property
     def pace(self) -> float | None:
-        """Control time over wall time; None until enough has been seen of it."""
+        """Control time over wall time; None until it has been measured for long enough."""
         if not self._simulated:
             return 1.0
         if not self._readings:
@@ -52,9 +52,9 @@ class PlanningTime:
         return (now - then) / (wall - wall_then) if wall - wall_then >= _ENOUGH else None
 
     def read(self, now: float, wall: float) -> None:
-        """Take note that control time is `now` [s] when the steady clock shows `wall` [s].
+        """Record that control time is `now` [s] when the steady clock shows `wall` [s].
 
-        Time that stands still or goes back tells nothing about the pace at which it runs.
+        A standstill and a jump back begin the measurement anew.
         """
         last, wall_last = self._last
         if now == last and wall - wall_last < _STANDSTILL:
@@ -81,21 +81,21 @@ class PlanningTime:
         return now + elapsed * (self.pace or 0.0)
 
     def took(self, duration: float) -> None:
-        """Take note of the wall time between a sample instant and its command [s]."""
+        """Record the wall time [s] between the request of a plan and its command."""
         self._took.append(duration * (self.pace or 1.0))
 
     def expect_all(self) -> None:
-        """Expect that the next plan will use all the time it may, as a first one does."""
+        """Predict that the next plan will use its whole time budget, as a first one does."""
         self._took.append(PLANNING_SHARE * self._period)
 
     @property
     def lead(self) -> float:
         """How far beyond a sample instant to plan [s, control time].
 
-        A plan that takes effect when it was made for is followed exactly. One that is late starts
-        from where the rotors are by then, and has missed its arrival before it begins.
+        A plan that takes effect at the instant it was made for is followed exactly. A command
+        that is late has to start from the rotor speeds at that time, and departs from its plan.
         """
         expected = _MARGIN * max(self._took, default=0.0)
-        if expected < _AT_ONCE * self._period:
+        if expected < _NEGLIGIBLE * self._period:
             return 0.0
         return min(expected, MOST_LEAD * self._period)

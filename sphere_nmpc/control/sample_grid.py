@@ -1,21 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sample instants behind the moments at which a timer really fires."""
-
+"""Sample instants reconstructed from the times at which a timer fires late."""
 
 import math
 
 _EARLY = 0.25
-"""How much earlier than its instant a tick may seem, in periods: the first one may have been late.
+"""How much before its instant a tick may appear to be, in periods: the first one may be late.
 
-Later ones are late by up to the rest of a period before they count for the next instant.
+A tick may be late by up to the rest of a period before it counts for the next instant.
 """
 
 
 class SampleGrid:
-    """Instants t_0 + k T of which a timer shows a late picture; times are control times [s].
+    """Instants t_0 + k T estimated from the ticks of a timer; times are control times [s].
 
-    The earliest phase seen counts: a timer fires late by chance, but never early.
+    The earliest phase counts: a timer fires late by chance, but never early.
 
     Parameters
     ----------
@@ -30,13 +29,13 @@ class SampleGrid:
         self.reset()
 
     def reset(self, period: float | None = None) -> None:
-        """Forget the phase, as after a jump of the clock, and take another period if given."""
+        """Begin a new grid at the next tick, with another period [s] if given."""
         self._period = self._period if period is None else period
         self._origin: float | None = None
         self._last = 0
 
     def instant(self, now: float) -> float:
-        """Return the sample instant that a tick at `now` stands for, and count those missed."""
+        """Return the sample instant of a tick at `now` [s], and count those missed before it."""
         if self._origin is None:
             self._origin = now
             return now

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics in the layout of diagnostic_updater, which the wheels of ROS do not have."""
+"""Publisher of diagnostics in the layout of diagnostic_updater, which ROS wheels do not have."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -23,7 +23,7 @@ def status_name(node: Node) -> str:
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
-    """Return a status of a node of that name; numbers are written with six digits."""
+    """Return the status of the node `name`; numbers are written with six digits."""
     return DiagnosticStatus(
         level=level,
         name=name,
@@ -34,18 +34,18 @@ def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> 
 
 
 PERIOD = 0.5
-"""Wall time between two reports, so that a dead node is missed well within two seconds [s]."""
+"""Wall time between two reports [s], so that a killed node is noticed within two seconds."""
 
 
 class Diagnostics:
-    """Publish what a node's tasks report on ``/diagnostics``, every `PERIOD` of wall time.
+    """Publish the reports of a node's tasks on ``/diagnostics``, every `PERIOD` of wall time.
 
     Parameters
     ----------
     node : Node
         The node that reports.
     now : callable
-        Stamp [ns] of the message.
+        Returns the stamp [ns] of the message.
     tasks : dict of str to callable
         Each returns level, message and values.
     """
@@ -60,7 +60,7 @@ class Diagnostics:
         self._now = now
         self._tasks = tasks
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Wall time: a simulated clock that stands still is itself worth reporting.
+        # Wall time: that a simulated clock stands still has to be reported too.
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self.publish, clock=wall)
 

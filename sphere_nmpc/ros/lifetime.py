@@ -1,10 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How a node starts, runs and ends, so that its last commands are sent whatever ends it.
+"""Start, run and end of a node's process, so that final commands are sent whatever ends it.
 
-rclpy's own signal handlers shut the context down before anybody could publish, and under
+rclpy's own signal handlers shut the context down before a node could publish, and under
 ``ros2 launch`` a Ctrl-C arrives twice, from the terminal and from launch. So rclpy installs none;
-a signal only asks the loop to end between two callbacks, and further ones change nothing.
+a signal only requests the loop to end between two callbacks, and further signals are ignored.
 """
 
 import contextlib
@@ -23,38 +23,38 @@ from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.loopback import network_reach
-from sphere_nmpc.ros.scheduling import refusal, schedule
+from sphere_nmpc.ros.scheduling import refused_message, schedule
 from sphere_nmpc.ros.startup import one_line, start_ros
 
-_LOOK_UP = 0.1
+_LONGEST_WAIT = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
-_TURN = 5e-4
-"""Longest turn of a thread beside the control loop [s]; rather than 5 ms."""
+_SWITCH_INTERVAL = 5e-4
+"""Longest time for which another thread keeps the interpreter from the control loop [s]."""
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
 _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
-"""In a namespace a robot has a clock of its own; a remapping that the user gives goes before."""
+"""In a namespace a robot has its own clock; a remapping given by the user takes precedence."""
 
 
-class LivingNode(Node):
-    """A node that has something to do besides callbacks, or to say before it ends."""
+class RunnableNode(Node):
+    """Node with work of its own beside callbacks, or with final messages to send."""
 
-    lean = False
-    """Whether the node is called so often that its executor matters."""
+    uses_events_executor = False
+    """Whether rclpy's events executor is preferred, for callbacks at a high rate."""
 
     @property
     def thread_priority(self) -> int:
-        """Real-time priority that the node's threads ask for; 0 is ordinary scheduling."""
+        """Real-time priority wanted for the node's threads; 0 is ordinary scheduling."""
         return 0
 
     def work(self, executor: Executor) -> None:
-        """Do one piece of work; called over and over until the node is asked to end."""
-        executor.spin_once(timeout_sec=_LOOK_UP)
+        """Do one piece of work; called repeatedly until the node is requested to end."""
+        executor.spin_once(timeout_sec=_LONGEST_WAIT)
 
     def finish(self) -> None:
-        """Say the last words; publishers still work here and signals no longer interrupt."""
+        """Send final messages; publishers still work, and signals no longer interrupt."""
 
 
-def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: str) -> int:
+def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about: str) -> int:
     """Run a node until SIGINT or SIGTERM, then let it finish.
 
     Parameters
@@ -69,8 +69,8 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
     Returns
     -------
     int
-        0 after a signal; 2 for arguments, parameters and an environment that will not do, 1 where
-        the node cannot be made for another reason; either is told in one line.
+        0 after a signal; 2 for wrong arguments, parameters or environment variables, 1 if the node
+        cannot be made for another reason; the reason is printed in one line.
     """
     given = list(sys.argv[1:] if args is None else args)
     try:
@@ -90,12 +90,12 @@ def run(make_node: Callable[[], LivingNode], args: Sequence[str] | None, about: 
         print(f"cannot start: {error}", file=sys.stderr)
         return error.exit_code
     try:
-        return _live(make_node)
+        return _run_until_signal(make_node)
     finally:
         rclpy.try_shutdown()
 
 
-def _live(make_node: Callable[[], LivingNode]) -> int:
+def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
     with StopRequest() as stop:
         try:
             node = make_node()
@@ -104,15 +104,15 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
             # RuntimeError of its own, as for a participant that cannot be made.
             rclpy.logging.get_logger("sphere_nmpc").fatal(one_line(error))
             return error.exit_code if isinstance(error, SphereNmpcError) else 1
-        # What lives as long as the process need not be looked through again and again: a full
+        # Objects that exist as long as the process are excluded from garbage collection: a full
         # collection takes tens of milliseconds, longer than a sample at a high control rate.
         gc.collect()
         gc.freeze()
-        if node.lean:
-            sys.setswitchinterval(_TURN)
-        executor = _make_executor(node.lean)
+        if node.uses_events_executor:
+            sys.setswitchinterval(_SWITCH_INTERVAL)
+        executor = _make_executor(node.uses_events_executor)
         if isinstance(executor, SingleThreadedExecutor):
-            # The other one knows no guard conditions; it looks up often enough.
+            # The events executor has no guard conditions; it returns after `_LONGEST_WAIT`.
             stop.wake = node.create_guard_condition(lambda: None).trigger
         executor.add_node(node)
         node.get_logger().info(network_reach())
@@ -122,10 +122,10 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
                 if node.thread_priority != priority:
                     priority = node.thread_priority
                     if not schedule(priority):
-                        node.get_logger().warning(refusal(priority))
+                        node.get_logger().warning(refused_message(priority))
                 node.work(executor)
         finally:
-            # From here on nothing may interrupt: launch's second SIGINT arrives about now.
+            # Nothing may interrupt the final messages: launch's second SIGINT arrives about now.
             for number in _STOPPING:
                 signal.signal(number, signal.SIG_IGN)
             node.finish()
@@ -135,11 +135,11 @@ def _live(make_node: Callable[[], LivingNode]) -> int:
 
 
 class StopRequest:
-    """Turns SIGINT and SIGTERM into a flag, and wakes a node that waits.
+    """Flag that SIGINT and SIGTERM set, and that wakes a node which waits.
 
-    The interpreter runs its signal handlers only between two of its own instructions, which a
-    main thread that waits inside the middleware does not reach. The number of the signal is
-    however written to a file descriptor at once, and a thread listens there.
+    The interpreter runs signal handlers between two of its own instructions, which a main thread
+    that waits inside the middleware does not reach. The number of the signal is however written
+    to a file descriptor at once, which a thread reads.
     """
 
     def __init__(self) -> None:
@@ -155,17 +155,17 @@ class StopRequest:
         self._earlier_fd = signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
         for number in _STOPPING:
             signal.signal(number, _do_nothing)
-        self._listener = threading.Thread(target=self._listen, daemon=True)
-        self._listener.start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
         signal.set_wakeup_fd(self._earlier_fd)
-        os.close(self._outlet)  # ends the listener
-        self._listener.join()
+        os.close(self._outlet)  # ends the reader
+        self._reader.join()
         os.close(self._inlet)
 
-    def _listen(self) -> None:
+    def _read(self) -> None:
         while number := os.read(self._inlet, 1):
             if number[0] not in _STOPPING:
                 continue
@@ -175,13 +175,13 @@ class StopRequest:
                 return
 
 
-def _make_executor(lean: bool) -> Executor:
-    """Return rclpy's executor that is driven by events where there is one and it is wanted.
+def _make_executor(by_events: bool) -> Executor:
+    """Return rclpy's events executor if it is wanted and exists, else the single-threaded one.
 
-    The common one looks at every entity of the node before each callback, which takes longer than
-    a whole control tick.
+    The latter checks every entity of the node before each callback, which takes longer than a
+    whole control tick.
     """
-    if lean:
+    if by_events:
         with contextlib.suppress(ImportError):
             from rclpy.experimental import EventsExecutor
 
@@ -190,7 +190,7 @@ def _make_executor(lean: bool) -> Executor:
 
 
 def _do_nothing(number: int, frame: FrameType | None) -> None:
-    """Let the signal be noted; the listener acts on it."""
+    """Replace the default handler; the reader acts on the signal."""
 
 
 _HOW_TO = "  --ros-args -p NAME:=VALUE ... --params-file FILE.yaml"

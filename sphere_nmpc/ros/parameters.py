@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings dataclasses as ROS parameters, declared from what each quantity knows of itself."""
+"""Settings dataclasses as ROS parameters, declared from the description of each quantity."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
@@ -26,10 +26,10 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 class DeclaredSettings(Generic[S]):
-    """One settings dataclass behind the parameters of a node.
+    """Settings dataclass whose fields are declared as parameters of a node.
 
     The node must be made with ``automatically_declare_parameters_from_overrides=True``, so that
-    what a file or the command line gave can be read before it is given a type.
+    values from a file or the command line can be read before they are given a type.
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ class DeclaredSettings(Generic[S]):
     default : dataclass instance
         Defaults; its quantities give types, ranges and descriptions.
     prefix : str, optional
-        Put before each name, with a dot: ``robot`` gives ``robot.shell_mass``.
+        Prefix of each name, before a dot: ``robot`` gives ``robot.shell_mass``.
     on_change : callable, optional
         Called with the new settings after a live change.
 
     Raises
     ------
     InvalidParameterError
-        Naming the parameter whose given value will not do.
+        Naming the parameter whose given value is not accepted.
     """
 
     def __init__(
@@ -61,13 +61,13 @@ class DeclaredSettings(Generic[S]):
         self._on_change = on_change
         given = {field: _take(node, self._prefix + field) for field in self._about}
         self.settings: S = self._with(default, {k: v for k, v in given.items() if v is not None})
-        """What is in force."""
+        """The present values."""
         for field, about in self._about.items():
             value = _plain(getattr(self.settings, field))
             node.declare_parameter(
                 self._prefix + field, value, describe(about, value), ignore_override=True
             )
-        self._join(node)
+        self._register_conversion(node)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
@@ -88,11 +88,11 @@ class DeclaredSettings(Generic[S]):
         start = len(self._prefix)
         return {p.name[start:]: p.value for p in parameters if p.name in self.names}
 
-    def _join(self, node: Node) -> None:
-        """Let ``5`` stand for ``5.0``, as everybody types it.
+    def _register_conversion(self, node: Node) -> None:
+        """Convert values given to the node, so that ``5`` is accepted for ``5.0``.
 
-        One callback for all settings of a node: rclpy hands the same list to each callback and
-        strings their answers together.
+        One callback for all settings of a node: rclpy passes the same list to each callback and
+        joins their results.
         """
         siblings = _OF_NODE.setdefault(node, [])
         siblings.append(self)
@@ -130,7 +130,7 @@ class DeclaredSettings(Generic[S]):
 
 
 def warn_of_unknown(node: Node, known: Iterable[str]) -> None:
-    """Say which given parameters the node does not have, and take them off it."""
+    """Warn of given parameters that the node does not have, and undeclare them."""
     declared = set(node.list_parameters([], depth=0).names)
     unknown = sorted(n for n in declared - set(known) if n.split(".")[0] not in _OF_RCLPY)
     for name in unknown:
@@ -143,7 +143,7 @@ def warn_of_unknown(node: Node, known: Iterable[str]) -> None:
 
 
 def describe(about: Quantity, value: Any) -> ParameterDescriptor:
-    """Return what ``ros2 param describe`` tells about a quantity whose value is `value`."""
+    """Return the description of a quantity with present value `value`, with unit and range."""
     unit = "" if about.unit == "-" else f" [{about.unit}]"
     descriptor = ParameterDescriptor(
         description=about.description + unit, read_only=not about.live
@@ -162,7 +162,7 @@ def describe(about: Quantity, value: Any) -> ParameterDescriptor:
 
 
 def _take(node: Node, name: str) -> Any:
-    """Return what was given for a parameter, None where nothing was, and take it off the node."""
+    """Undeclare a parameter and return the value given for it, None if none was given."""
     if not node.has_parameter(name):
         return None
     value = node.get_parameter(name).value
@@ -171,7 +171,7 @@ def _take(node: Node, name: str) -> Any:
 
 
 def _typed(value: Any, default: Any) -> Any:
-    """Return `value` as the type of `default` where nothing is lost by it."""
+    """Return `value` as the type of `default` if that loses no information."""
     if isinstance(default, tuple):
         return tuple(float(item) for item in value) if _is_numbers(value) else (value,)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):

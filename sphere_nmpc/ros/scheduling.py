@@ -10,7 +10,7 @@ from pathlib import Path
 from sphere_nmpc.quantity import quantity, validate
 
 _NICENESS = 5
-"""Of a process that only shows what others do."""
+"""Niceness of a process that only displays."""
 _TASKS = Path("/proc/self/task")
 _OF_SESSION = Path("/proc/self/autogroup")
 
@@ -37,9 +37,9 @@ class SchedulingSettings:
 
 
 def schedule(priority: int) -> bool:
-    """Schedule all threads of this process with a real-time priority, or as usual.
+    """Schedule all threads of this process with a real-time priority, or ordinarily.
 
-    It takes Linux and root, CAP_SYS_NICE or `rtprio` in limits.conf; without, all stays as it is.
+    It needs Linux and root, CAP_SYS_NICE or `rtprio` in limits.conf; otherwise nothing changes.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def schedule(priority: int) -> bool:
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         wanted = os.sched_param(priority)
-        # Each thread has its own, and the middleware has begun some.
+        # Each thread has its own policy, and the middleware has started some.
         for task in _TASKS.iterdir():
             os.sched_setscheduler(int(task.name), policy, wanted)
     except (OSError, AttributeError):
@@ -62,8 +62,8 @@ def schedule(priority: int) -> bool:
     return True
 
 
-def refusal(priority: int) -> str:
-    """Return the one line about a priority that the system does not allow."""
+def refused_message(priority: int) -> str:
+    """Return the warning about a priority that the system does not allow."""
     return (
         f"thread_priority: given {priority}, but this user may not schedule in real time, "
         "expected root, CAP_SYS_NICE or rtprio in /etc/security/limits.conf; going on with "
@@ -71,11 +71,11 @@ def refusal(priority: int) -> str:
     )
 
 
-def stand_back() -> None:
-    """Let this process run behind the nodes that control.
+def lower_priority() -> None:
+    """Give this process a lower priority than the nodes in the control loop.
 
-    Within a session niceness does that; between sessions Linux shares processors out by the
-    niceness of the session.
+    Within a session the niceness of the process decides; between sessions Linux divides processor
+    time by the niceness of the session.
     """
     os.nice(_NICENESS)
     with contextlib.suppress(OSError):

@@ -1,21 +1,21 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""When simulated time may go on: its pace, pauses, single steps and the waits of lockstep."""
+"""Progress of simulated time: real-time factor, pauses, single steps and lockstep."""
 
 import math
 
 NANOSECONDS = 1_000_000_000
-_MAKE_UP = 0.5
-"""Smallest spacing of two instants, over the one that was asked for, while making up lateness."""
-_LATEST = 0.1
-"""Lateness [s] beyond which lost time is given up rather than made up."""
+_CATCH_UP_SPACING = 0.5
+"""Smallest spacing of two instants while catching up, over the nominal one."""
+_LARGEST_DELAY = 0.1
+"""Delay [s, wall] beyond which lost time is given up rather than caught up."""
 
 
-class Timekeeper:
-    """Say how long to wait, on a steady wall clock [s], before simulated time [ns] goes on.
+class SimulatedClock:
+    """Clock that says how long to wait [s, steady clock] before simulated time [ns] goes on.
 
-    A machine that is too slow loses time instead of catching up in a burst, for which no
-    controller is prepared; `achieved` tells the truth about it.
+    On a machine that is too slow time is lost, rather than caught up in a burst that no
+    controller can follow; `achieved` returns the real-time factor that was achieved.
 
     Parameters
     ----------
@@ -24,14 +24,14 @@ class Timekeeper:
     real_time_factor : float
         Simulated over wall time; 0 is as fast as possible.
     lockstep : bool
-        Whether each sample instant waits for its answer.
+        Whether time stands still at each sample instant until its command has arrived.
     lockstep_timeout : float
-        Wall time after which such a wait is given up [s].
+        Longest such wait [s, wall].
     paused : bool
         Whether time stands still at first.
     keeps_up : bool
-        Whether lost time is made up at once: a world on the system clock runs on, whatever
-        becomes of the process that simulates it.
+        Whether lost time is caught up at once: on the system clock time goes on, also while the
+        simulating process is held up.
     """
 
     def __init__(
@@ -52,11 +52,11 @@ class Timekeeper:
         self._timeout = lockstep_timeout
         self.paused = paused
         self.awaited: int | None = None
-        """The instant [ns] whose answer is awaited, None while time runs."""
+        """The instant [ns] whose command is awaited, None while time runs."""
         self.timeouts = 0
-        """Waits that were given up."""
+        """Number of waits in lockstep that timed out."""
         self.lost = 0.0
-        """Wall time that could not be made up [s]."""
+        """Wall time that was given up [s]."""
         self._wait_start: float | None = None
         self._stop_at: int | None = None
         self.restart(0, 0.0)
@@ -73,7 +73,7 @@ class Timekeeper:
     def due(self, now: int, wall: float) -> int:
         """Return the instant to advance to from `now` [ns] when the steady clock shows `wall` [s].
 
-        That is the upcoming one, or the newest that has passed where time is made up.
+        That is the upcoming one, or with `keeps_up` the newest that has passed.
         """
         instant = self.upcoming(now)
         if not self._keeps_up:
@@ -83,22 +83,22 @@ class Timekeeper:
         return max(instant, passed // self._pose_period * self._pose_period)
 
     def restart(self, now: int, wall: float) -> None:
-        """Count time from here on, as after a pause."""
+        """Measure time from `now` [ns] and `wall` [s] on, as after a pause."""
         self._anchor = (now, wall)
         self._last = (now, wall)
 
     def set_pace(self, real_time_factor: float, now: int, wall: float) -> None:
-        """Go on at another pace."""
+        """Go on with another real-time factor."""
         self._factor = real_time_factor
         self.restart(now, wall)
 
     def pause(self) -> None:
-        """Let time stand still; `ran` may still be called for an instant already begun."""
+        """Stop time; `advanced` may still be called for an instant that was already begun."""
         self.paused = True
         self._stop_at = None
 
     def resume(self, now: int, wall: float) -> None:
-        """Let time go on; in lockstep a sample instant waits for an answer given from now on."""
+        """Let time go on; in lockstep a sample instant waits for a command sent from now on."""
         self.paused = False
         self._stop_at = None
         self.restart(now, wall)
@@ -110,13 +110,13 @@ class Timekeeper:
         self._stop_at = self.next_sample(now)
         return self._stop_at
 
-    def answer(self, stamp: int, wall: float) -> None:
-        """Take note of a command for the instant `stamp` [ns]."""
+    def command_received(self, stamp: int, wall: float) -> None:
+        """Record the arrival of a command for the instant `stamp` [ns]."""
         if stamp == self.awaited:
             self.awaited = None
             self.restart(stamp, wall)
 
-    def wait(self, now: int, wall: float, partner: bool = True) -> float:
+    def wait(self, now: int, wall: float, controller_found: bool = True) -> float:
         """Return how long to wait before going on from `now` [ns]; 0 when it is time.
 
         Parameters
@@ -125,13 +125,13 @@ class Timekeeper:
             Simulated time [ns].
         wall : float
             Steady clock [s].
-        partner : bool, optional
-            Whether anybody is there who could answer; without, a wait in lockstep has no end.
+        controller_found : bool, optional
+            Whether there is a node that sends commands; otherwise lockstep waits for ever.
         """
         if self.paused:
             return math.inf
         if self.awaited is not None:
-            if not partner:
+            if not controller_found:
                 self._wait_start = None
                 return math.inf
             if self._wait_start is None:
@@ -144,11 +144,11 @@ class Timekeeper:
             self.awaited = None
         return max(0.0, self._due(self.upcoming(now)) - wall)
 
-    def ran(self, now: int, wall: float) -> None:
-        """Take note that simulated time has reached `now` [ns]."""
+    def advanced(self, now: int, wall: float) -> None:
+        """Record that simulated time has reached `now` [ns]."""
         late = wall - self._ideal(now)
         self._last = (now, wall)
-        if self._factor > 0.0 and late > _LATEST and not self._keeps_up:
+        if self._factor > 0.0 and late > _LARGEST_DELAY and not self._keeps_up:
             self.lost += late
             self.restart(now, wall)
         if self._stop_at is not None and now >= self._stop_at:
@@ -157,7 +157,7 @@ class Timekeeper:
             self._hold_at_sample(now, wall)
 
     def achieved(self, now: int, wall: float) -> float:
-        """Return simulated over wall time since this was last asked; 0 while nothing moves."""
+        """Return simulated over wall time since the last call; 0 while time stands still."""
         then, wall_then = self._measured_from
         self._measured_from = (now, wall)
         return (now - then) / NANOSECONDS / max(wall - wall_then, 1e-9)
@@ -179,5 +179,5 @@ class Timekeeper:
         if self._keeps_up:
             return self._ideal(instant)
         last, wall = self._last
-        soonest = wall + _MAKE_UP * (instant - last) / NANOSECONDS / self._factor
+        soonest = wall + _CATCH_UP_SPACING * (instant - last) / NANOSECONDS / self._factor
         return max(self._ideal(instant), soonest)

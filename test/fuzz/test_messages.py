@@ -115,8 +115,8 @@ def test_any_command_leaves_the_robot_within_its_limits(graph, trajectory, data)
     if node is None:
         node = graph.simulator = SimulatorNode([Parameter("start_paused", value=True)])
         graph.add(node)
-    node._intake._take_trajectory(trajectory)
-    node._intake._take_speeds(Float64MultiArray(data=data))
+    node._receiver._receive_trajectory(trajectory)
+    node._receiver._receive_speeds(Float64MultiArray(data=data))
     before = np.array(node.simulator.speed_reference)
     for _ in range(3):
         node._advance()

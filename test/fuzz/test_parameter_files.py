@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
-from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.settings import ControllerSettings
 
@@ -30,7 +30,7 @@ VALUES = st.one_of(
 )
 
 
-class Passing(LivingNode):
+class Passing(RunnableNode):
     """Declares what the controller declares, and asks to end as soon as it is up."""
 
     def __init__(self) -> None:

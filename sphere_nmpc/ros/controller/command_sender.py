@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The controller's two command outputs: the first-order hold, and its samples at a fixed rate."""
+"""Publishers of the controller's commands: first-order holds, and their samples at a rate."""
 
 import time
 from collections.abc import Callable
@@ -14,23 +14,23 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import hold_to_trajectory
 
-_LONGEST_FAREWELL = 1.0
-"""Wall time that the last ramp may take [s]; launch kills what is not gone after five."""
+_LONGEST_FINAL_RAMP = 1.0
+"""Wall time that the final ramp may take [s]; launch kills a process after five."""
 
 
 class CommandSender:
-    """Send holds, and the speeds they mean while one is in force.
+    """Publish each hold, and while one is in force its speeds at a fixed rate.
 
-    After a hold has ended the sender falls silent, so that somebody else may drive the robot.
+    After a hold has ended nothing is published, so that another node may drive the robot.
 
     Parameters
     ----------
     node : Node
-        Owner of the publishers and of the timer, which runs on the node's clock.
+        Node of the publishers and of the timer, which runs on the node's clock.
     command_rate : float
         Rate of ``rotor_commands`` [Hz].
     now : callable
-        Control time [s], None while it is not known.
+        Returns control time [s], None while it is not known.
     """
 
     def __init__(
@@ -53,21 +53,22 @@ class CommandSender:
         self.repeat()
 
     def repeat(self) -> None:
-        """Send the last hold once more, for a robot that has only now begun to listen."""
+        """Send the last hold again, for a robot that has subscribed only now."""
         if self._trajectory is not None:
             self._trajectories.publish(self._trajectory)
 
-    def farewell(self) -> None:
-        """Play the hold in force to its end on the wall clock and leave zero as the last word.
+    def send_final_ramp(self) -> None:
+        """Publish the speeds of the hold in force up to its end, which is at rest.
 
-        The timer of the node no longer runs, and the node's clock may have stopped.
+        It is timed by the wall clock: the timer no longer runs, and the node's clock may have
+        stopped.
         """
         hold, now = self._hold, self._now()
         if hold is None:
             return
         self._trajectories.wait_for_all_acked(Duration(seconds=0.5))
         moment = hold.end if now is None else now
-        limit = moment + _LONGEST_FAREWELL
+        limit = moment + _LONGEST_FINAL_RAMP
         while moment < min(hold.end, limit):
             self._publish(hold.at(moment))
             time.sleep(self._period)
@@ -79,7 +80,7 @@ class CommandSender:
         hold, now = self._hold, self._now()
         if hold is None or now is None or self._silent:
             return
-        self._silent = now > hold.end  # once its last speeds, which are zero, have been said
+        self._silent = now > hold.end  # after its last speeds, which are zero, were published
         self._publish(hold.at(now))
 
     def _publish(self, speeds: Vector) -> None:

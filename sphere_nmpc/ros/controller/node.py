@@ -32,15 +32,15 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.background import Background
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
+from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
-from sphere_nmpc.ros.controller.watch import ControllerWatch
 from sphere_nmpc.ros.conversions import framed_pose_from_ros, seconds, stamp_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
-from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.ros.watch import NO_EVENTS
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 _CHECK_EVERY = 0.25
@@ -51,16 +51,16 @@ _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
 
-class ControllerNode(LivingNode):
-    """Tell a `Controller` what the graph says and the graph what it decides.
+class ControllerNode(RunnableNode):
+    """Node that passes messages to a `Schedule` and a `Controller`, and publishes commands.
 
     Parameters
     ----------
     parameter_overrides : list of Parameter, optional
-        As given on a command line; for use within a program.
+        Parameters as given on a command line; for use within a program.
     """
 
-    lean = True
+    uses_events_executor = True
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(
@@ -75,26 +75,26 @@ class ControllerNode(LivingNode):
         warn_of_unknown(self, [name for part in parts for name in part.names])
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
-        self._faults = FaultLog(lambda line: self.get_logger().warning(line))
-        self._goals = FaultLog(lambda line: self.get_logger().info(line), _GOALS_EVERY)
+        self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
+        self._goal_log = FaultLog(lambda line: self.get_logger().info(line), _GOALS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped)
         self._schedule: Schedule = (
             LockstepSchedule(settings) if settings.lockstep
             else ClockedSchedule(settings, self._control_clock.simulated)
         )
-        self._background = Background(lambda line: self._faults.report("learning failed", line))
+        self._background = Background(lambda line: self._fault_log.report("learning failed", line))
         self.controller = Controller(
             settings, robot.settings,
             background=self._background.do if self._schedule.is_real_time else None,
         )
-        self._watch = ControllerWatch(self, self._faults)
+        self._monitor = ControllerMonitor(self, self._fault_log)
         self._stored_goal = StoredGoal(
-            self, settings.goal_memory, self._control_clock, self._faults
+            self, settings.goal_memory, self._control_clock, self._fault_log
         )
         self._sender = CommandSender(self, settings.command_rate, self._control_clock.now)
         self._reports = ControllerReports(
-            self, self.controller, self._schedule, self._faults, robot.settings, settings,
-            self._watch,
+            self, self.controller, self._schedule, self._fault_log, robot.settings, settings,
+            self._monitor,
         )
         self._subscribe()
         self._timer: Timer | None = None
@@ -110,7 +110,7 @@ class ControllerNode(LivingNode):
 
     @property
     def thread_priority(self) -> int:
-        """As set, where time does not wait for this node."""
+        """Real-time priority as set, and none in lockstep, where time waits for this node."""
         return self._scheduling.settings.thread_priority if self._schedule.is_real_time else 0
 
     def finish(self) -> None:
@@ -120,7 +120,7 @@ class ControllerNode(LivingNode):
         self.controller.enabled = False
         if now is not None:
             self._plan(self._schedule.final_request(now))
-        self._sender.farewell()
+        self._sender.send_final_ramp()
         self._background.close()
 
     def _subscribe(self) -> None:
@@ -150,9 +150,9 @@ class ControllerNode(LivingNode):
 
     def _check(self) -> None:
         now, simulated = self._control_clock.now(), self._control_clock.simulated
-        self._watch.look(now, simulated, self._settings.pose_timeout)
-        self._reports.look()
-        self._goals.catch_up()
+        self._monitor.check(now, simulated, self._settings.pose_timeout)
+        self._reports.update()
+        self._goal_log.flush()
         restored = self._stored_goal.restore()
         if restored is not None:
             goal, age = restored
@@ -180,7 +180,7 @@ class ControllerNode(LivingNode):
 
     def _carry_out(self, actions: Actions) -> None:
         if actions.refused is not None:
-            self._watch.pose_refused(actions.refused, self._settings.pose_timeout)
+            self._monitor.pose_refused(actions.refused, self._settings.pose_timeout)
         if actions.observe is not None:
             self.controller.observe(actions.observe.time, actions.observe.state)
         if actions.repeat:
@@ -202,11 +202,11 @@ class ControllerNode(LivingNode):
     def _receive_pose(self, message: PoseStamped) -> None:
         stamp, now = stamp_from_ros(message.header.stamp), self._control_clock.now()
         measured = seconds(stamp, self._control_clock.epoch)
-        self._watch.heard(self._schedule.pose_age(measured, now))
+        self._monitor.pose_received(self._schedule.pose_age(measured, now))
         try:
             pose = TimedPose(stamp, measured, framed_pose_from_ros(message))
         except InvalidStateError as error:
-            self._faults.report("pose refused", str(error))
+            self._fault_log.report("pose refused", str(error))
             return
         actions = self._schedule.pose_received(pose, now, time.monotonic())
         self._carry_out(actions)
@@ -217,7 +217,7 @@ class ControllerNode(LivingNode):
         try:
             goal = framed_pose_from_ros(message)
         except InvalidStateError as error:
-            self._faults.report("goal_pose refused", f"{error}; the goal in force stays")
+            self._fault_log.report("goal_pose refused", f"{error}; the goal in force stays")
             return
         self._set_goal(goal)
 
@@ -228,7 +228,7 @@ class ControllerNode(LivingNode):
         self._reports.goal(goal, self._control_clock.stamp())
         if not is_new:
             return
-        self._goals.report("goal", f"{[round(float(value), 4) for value in goal]}")
+        self._goal_log.report("goal", f"{[round(float(value), 4) for value in goal]}")
         self._schedule.goal_changed()
         self._start()
 
@@ -260,7 +260,7 @@ class ControllerNode(LivingNode):
         return SetParametersResult(successful=True)
 
     def _clock_jumped(self, simulated: bool | None) -> None:
-        self._faults.report("clock jumped", "poses and plans are forgotten, the goal stays")
+        self._fault_log.report("clock jumped", "poses and plans are forgotten, the goal stays")
         self.controller.forget()
         self._schedule.clock_jumped(simulated)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller tells people and tools about itself."""
+"""Publishers of the controller's goal, arrival, predicted path, status and diagnostics."""
 
 import math
 from collections import deque
@@ -22,8 +22,8 @@ from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus
-from sphere_nmpc.ros.controller.watch import ControllerWatch
 from sphere_nmpc.ros.conversions import path_to_ros, pose_to_ros
 from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
 from sphere_nmpc.settings import ControllerSettings
@@ -40,9 +40,9 @@ _LEVELS = {
     Mode.FALLBACK: WARN,
 }
 _KEPT = 1000
-"""Ticks behind the percentiles."""
-_TELL_EVERY = 0.0499
-"""Least control time between two statuses of the same mode [s]: 20 Hz."""
+"""Newest plans whose durations the percentiles are taken of."""
+_STATUS_EVERY = 0.0499
+"""Shortest control time between two statuses of the same mode [s]: 20 Hz."""
 _LONGEST_SILENCE = 0.4
 """Wall time after which a status is published also where there was no sample instant [s]."""
 
@@ -53,19 +53,19 @@ class ControllerReports:
     Parameters
     ----------
     node : Node
-        Owner of the publishers.
+        Node of the publishers.
     controller : Controller
-        Who is reported on.
+        The controller that is reported on.
     schedule : Schedule
         Counts missed sample instants.
-    faults : FaultLog
-        Who counts faults.
+    fault_log : FaultLog
+        Logs and counts faults.
     robot : RobotParameters
-        What is believed about the robot.
+        Nominal parameters of the robot.
     settings : ControllerSettings
         Strategy, weights and rates.
-    watch : ControllerWatch
-        Who knows what is wrong around the node.
+    monitor : ControllerMonitor
+        Source of the faults around the node.
     """
 
     def __init__(
@@ -73,88 +73,88 @@ class ControllerReports:
         node: Node,
         controller: Controller,
         schedule: Schedule,
-        faults: FaultLog,
+        fault_log: FaultLog,
         robot: RobotParameters,
         settings: ControllerSettings,
-        watch: ControllerWatch,
+        monitor: ControllerMonitor,
     ) -> None:
         self._controller = controller
-        self._watch = watch
+        self._monitor = monitor
         self._schedule = schedule
-        self._faults = faults
+        self._fault_log = fault_log
         self._radius = robot.shell_radius
         self._period = settings.control_period
         self._strategy = settings.strategy
-        self._told = ControllerStatus(controller, robot, settings)
+        self._status_values = ControllerStatus(controller, robot, settings)
         self._solve_times: deque[float] = deque(maxlen=_KEPT)
         self._tick_times: deque[float] = deque(maxlen=_KEPT)
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
-        self._ticks = self._ticks_told = 0
+        self._ticks = self._ticks_reported = 0
         self._last_tick = float("nan")
-        self._last_told = (float("-inf"), Mode.NO_POSE)
+        self._last_status = (float("-inf"), Mode.NO_POSE)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._goal = node.create_publisher(PoseStamped, "~/active_goal", latched)
         self._at_goal = node.create_publisher(Bool, "~/at_goal", latched)
-        self._arrived: bool | None = None
+        self._at_goal_published: bool | None = None
         self._path = node.create_publisher(Path, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
         self._status_at = perf_counter()
-        self._tell_arrival()
+        self._publish_arrival()
 
     def goal(self, goal: Vector, stamp: int) -> None:
         """Publish the goal, shape (6,), that is now in force."""
         self._goal.publish(pose_to_ros(goal, stamp, self._radius))
-        self._tell_arrival()
+        self._publish_arrival()
 
     @property
     def _mode(self) -> Mode:
-        """What there is to tell between sample instants."""
-        if math.isnan(self._watch.time):
+        """Mode at present, also between sample instants."""
+        if math.isnan(self._monitor.time):
             return Mode.NO_CLOCK
-        if self._watch.stands_still:
+        if self._monitor.stands_still:
             return Mode.STANDSTILL
         return Mode.NO_POSE if self._decision is None else self._decision.mode
 
-    def look(self) -> None:
-        """Publish a status where sample instants leave it silent, after each look of the watch."""
+    def update(self) -> None:
+        """Publish a status if there was none for a while; call it after each check."""
         if perf_counter() - self._status_at < _LONGEST_SILENCE:
             return
         mode = self._mode
-        # Nothing was solved since, and so it must not be counted once more.
-        values = {"time_s": f"{self._watch.time:.9g}", "strategy": self._strategy}
+        # Nothing was solved since: the last solve time must not be counted again.
+        values = {"time_s": f"{self._monitor.time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
         self._publish_status(mode, mode.value, values)
 
     def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
-        """Publish a status; what is wrong around the node goes before its own message."""
-        level, found = _LEVELS[mode], self._watch.complaints
+        """Publish a status; a fault around the node takes precedence over `message`."""
+        level, found = _LEVELS[mode], self._monitor.faults
         if found:
             message = f"{found[0].kind}: {found[0].message}"
             level = ERROR if found[0].severe else max(level, WARN)
         self._status_at = perf_counter()
         self._status.publish(status(self._name, level, message, values))
 
-    def _tell_arrival(self) -> None:
-        if self._controller.at_goal is not self._arrived:
-            self._arrived = self._controller.at_goal
-            self._at_goal.publish(Bool(data=self._arrived))
+    def _publish_arrival(self) -> None:
+        if self._controller.at_goal is not self._at_goal_published:
+            self._at_goal_published = self._controller.at_goal
+            self._at_goal.publish(Bool(data=self._at_goal_published))
 
     def change(self, settings: ControllerSettings) -> None:
-        """Take over settings that may change while running."""
+        """Apply settings that may change while running."""
         if settings.strategy != self._strategy:
             for times in (self._solve_times, self._tick_times, self._gaps):
                 times.clear()
         self._period, self._strategy = settings.control_period, settings.strategy
-        self._told.change(settings)
+        self._status_values.change(settings)
 
     def tick(self, decision: Decision, time: float, duration: float, epoch: int) -> None:
-        """Take note of what was decided for the sample instant `time` [s] within `duration` [s].
+        """Record the decision for the instant `time` [s], which took `duration` [s, wall].
 
-        At a high control rate not every instant is published: people and plots have enough of
-        some, and the control loop has better things to do.
+        At a high control rate not every instant is published, to save time for the control loop.
+        `epoch` is the stamp of control time 0 [ns].
         """
         self._ticks += 1
         self._decision = decision
@@ -166,20 +166,20 @@ class ControllerReports:
         if decision.solved:
             self._solve_times.append(plan.solve_time)
         if decision.mode is Mode.FALLBACK:
-            self._faults.report("solve failed", plan.message)
-        self._told.judge(decision, time)
-        self._tell_arrival()
-        last, mode = self._last_told
-        if decision.mode is mode and 0.0 <= time - last < _TELL_EVERY:
+            self._fault_log.report("solve failed", plan.message)
+        self._status_values.judge(decision, time)
+        self._publish_arrival()
+        last, mode = self._last_status
+        if decision.mode is mode and 0.0 <= time - last < _STATUS_EVERY:
             return
-        self._last_told = (time, decision.mode)
-        self._values = self._told.values(decision, time, duration, self._schedule.missed)
+        self._last_status = (time, decision.mode)
+        self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
         if len(plan.states):
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
 
     def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report solve times and failures."""
+        """Return level, message and values of the diagnostics about solve times and failures."""
         median, p99, most = _percentiles(self._solve_times)
         values = {
             "strategy": self._strategy,
@@ -195,8 +195,9 @@ class ControllerReports:
         return OK, "solving" if self._solve_times else "nothing solved yet", values
 
     def loop(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report the rate of ticks, missed ones and the age of the pose."""
-        ticks, self._ticks_told = self._ticks - self._ticks_told, self._ticks
+        """Return level, message and values of the diagnostics about ticks and the pose's age."""
+        ticks = self._ticks - self._ticks_reported
+        self._ticks_reported = self._ticks
         decision = self._decision
         tick_ms, gap_ms = _percentiles(self._tick_times), _percentiles(self._gaps)
         values = {
@@ -209,13 +210,13 @@ class ControllerReports:
             "missed ticks": self._schedule.missed,
             "late poses": self._controller.late_poses,
             "pose age s": float("inf") if decision is None else decision.pose_age,
-            **self._faults.counts,
+            **self._fault_log.counts,
         }
-        mode, found = self._mode, self._watch.complaints
+        mode, found = self._mode, self._monitor.faults
         if found:
             return ERROR if found[0].severe else WARN, found[0].kind, values
         if mode is Mode.STANDSTILL:
-            return WARN, f"{mode.value} at {self._watch.time:.3f} s", values
+            return WARN, f"{mode.value} at {self._monitor.time:.3f} s", values
         return _LEVELS[mode], mode.value, values
 
 

@@ -26,9 +26,9 @@ from rosbags.interfaces import Qos
 from std_srvs.srv import Trigger
 
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.graph_monitor import GraphMonitor
+from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.watch import Watch
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.recording.session import RecordingSession
@@ -57,7 +57,7 @@ class TopicSubscription(NamedTuple):
     msgtype: str
 
 
-class RecorderNode(LivingNode):
+class RecorderNode(RunnableNode):
     """Recorder of topics; see the module for its interface.
 
     Raises
@@ -74,7 +74,8 @@ class RecorderNode(LivingNode):
         self._clock_topic = self.resolve_topic_name("/clock")
         self._patterns = self._declare_topics()
         warn_of_unknown(self, [*declared.names, "topics"])
-        self._watch = Watch(self, FaultLog(lambda line: self.get_logger().warning(line)))
+        fault_log = FaultLog(lambda line: self.get_logger().warning(line))
+        self._monitor = GraphMonitor(self, fault_log)
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._subscriptions_by_topic: dict[str, TopicSubscription] = {}
         self._inbox: list[tuple[int, str, bytes]] = []
@@ -140,7 +141,7 @@ class RecorderNode(LivingNode):
         """Subscribe to new topics, and adapt subscriptions to what the publishers offer."""
         own = self.get_fully_qualified_name()
         # A recording with a second clock or pose publisher has no meaningful metrics.
-        self._watch.update(self._watch.rivals(clocked=self._uses_sim_time))
+        self._monitor.update(self._monitor.further_publishers(clocked=self._uses_sim_time))
         for topic, msgtypes in self.get_topic_names_and_types():
             if not matches_any(topic, self._patterns):
                 continue

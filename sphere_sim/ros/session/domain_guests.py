@@ -18,9 +18,9 @@ from rclpy.node import Node
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import DOMAIN
+from sphere_nmpc.ros.graph_monitor import UNKNOWN, full_name
 from sphere_nmpc.ros.loopback import apply_localhost_only
 from sphere_nmpc.ros.startup import start_ros
-from sphere_nmpc.ros.watch import UNKNOWN, full_name
 
 TOPICS = ("clock", "pose", "rotor_trajectory", "rotor_commands")
 """What only one robot of a namespace may publish."""

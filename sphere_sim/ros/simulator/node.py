@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator node: a sphere with two rotors, its drives and its clock.
+"""The simulator node: a sphere with two rotors, its drives, its sensor and its clock.
 
 publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics
 subscribes  rotor_trajectory, rotor_commands
@@ -20,13 +20,13 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
-from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.graph_monitor import GraphMonitor
+from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.ros.watch import Watch
-from sphere_sim.ros.simulator.command_intake import CommandIntake
-from sphere_sim.ros.simulator.world_publisher import WorldPublisher
-from sphere_sim.world.clock import Timekeeper
+from sphere_sim.ros.simulator.command_receiver import CommandReceiver
+from sphere_sim.ros.simulator.state_publisher import StatePublisher
+from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -35,31 +35,31 @@ from sphere_sim.world.simulator import NANOSECONDS, Simulator
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
-_SERVE_EVERY = 2e-3
-"""Wall time between two looks at the middleware [s]; each look costs some 0.2 ms."""
-_WORTH_WAITING = 5e-4
-"""Time to the next instant that is waited for in the middleware rather than asleep [s]."""
+_SPIN_EVERY = 2e-3
+"""Wall time between two calls of the executor [s]; each takes some 0.2 ms."""
+_SHORTEST_SPIN = 5e-4
+"""Time to the next instant above which the executor waits for it, rather than a sleep [s]."""
 _SLOW = 0.95
-"""Share of the wanted pace below which the machine counts as too slow."""
+"""Share of the wanted real-time factor below which the machine counts as too slow."""
 
-_LISTENERS_BEHIND = 1.0
-"""Longest wait of a pause for those who listen [s, wall]."""
-_LIFELIKE = 2.0
-"""Real-time factor up to which the node may run before others."""
+_FLUSH_TIMEOUT = 1.0
+"""Longest wait of a pause until subscribers have received all messages [s, wall]."""
+_LARGEST_PRIORITY_FACTOR = 2.0
+"""Real-time factor up to which the node may have a real-time priority."""
 _CLOCK_JUMP = 1_000_000_000
-"""How far somebody has to set the system clock for the stamps to follow [ns]."""
+"""Jump of the system clock that the stamps follow [ns]; a smaller one counts as drift."""
 
 
-class SimulatorNode(LivingNode):
-    """Advance a `Simulator` in step with the wall clock or with the controller.
+class SimulatorNode(RunnableNode):
+    """Node that advances a `Simulator` with the wall clock or in lockstep with the controller.
 
     Parameters
     ----------
     parameter_overrides : list of Parameter, optional
-        As given on a command line; for use within a program.
+        Parameters as given on a command line; for use within a program.
     """
 
-    lean = True
+    uses_events_executor = True
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(
@@ -70,16 +70,15 @@ class SimulatorNode(LivingNode):
         declared = DeclaredSettings(self, SimulatorSettings(), on_change=self._change)
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
         body = DeclaredSettings(self, RigidBodySettings(), prefix="rigid_body")
-        pushing = DeclaredSettings(self, PushSettings())
+        self._push_settings = DeclaredSettings(self, PushSettings())
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        parts = (declared, robot, body, pushing, self._scheduling)
+        parts = (declared, robot, body, self._push_settings, self._scheduling)
         warn_of_unknown(self, [name for part in parts for name in part.names])
         settings = self._settings = declared.settings
         start = as_state(settings.initial_state)
         plant = make_plant(settings.plant, robot.settings, start, body.settings)
         self.simulator = Simulator(settings, robot.settings, plant)
-        self._pushing = pushing
-        self._time = Timekeeper(
+        self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / self._settings.pose_rate),
             round(NANOSECONDS * self._settings.sample_period),
             self._settings.real_time_factor,
@@ -89,111 +88,114 @@ class SimulatorNode(LivingNode):
             keeps_up=settings.is_on_system_clock,
         )
         self._epoch = self._set_at = 0
-        self._faults = FaultLog(lambda line: self.get_logger().warning(line))
-        self._watch = Watch(self, self._faults)
+        self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
+        self._monitor = GraphMonitor(self, self._fault_log)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
-        self._world = WorldPublisher(
+        self._state_publisher = StatePublisher(
             self, robot.settings.shell_radius, prefix + BODY_FRAME,
             clocked=not settings.is_on_system_clock,
         )
-        self._intake = CommandIntake(
+        self._receiver = CommandReceiver(
             self, self.simulator, robot.settings.max_rotor_speed,
-            self._settings.command_timeout, self._faults, self._settings.lockstep,
-            lambda stamp: self._time.answer(stamp, time.monotonic()), lambda: self._epoch,
+            self._settings.command_timeout, self._fault_log, self._settings.lockstep,
+            lambda stamp: self._simulated_clock.command_received(stamp, time.monotonic()),
+            lambda: self._epoch,
         )
-        self._offers = [
+        self._command_services = [
             self.create_service(Trigger, "~/reset", self._reset),
             self.create_service(SetBool, "~/pause", self._pause),
             self.create_service(Trigger, "~/step", self._step),
         ]
         if isinstance(plant, RigidBodyPlant):
-            self._offers.append(self.create_service(Trigger, "~/push", self._push))
+            self._command_services.append(self.create_service(Trigger, "~/push", self._push))
         self._diagnostics = Diagnostics(
             self, lambda: self._epoch + self.simulator.now,
             {"clock": self._report_clock, "commands": self._report_commands},
         )
-        self._partner = False
-        self._served = self._told = time.monotonic()
+        self._controller_found = False
+        self._spun_at = self._published_at = time.monotonic()
         self._begin()
 
     @property
     def thread_priority(self) -> int:
-        """As set, while time passes as on the wall; faster, one processor would not suffice."""
-        settings = self._settings
-        lifelike = not settings.lockstep and 0.0 < settings.real_time_factor <= _LIFELIKE
-        return self._scheduling.settings.thread_priority if lifelike else 0
+        """Real-time priority as set, up to twice real time; beyond, it would fill a processor."""
+        if self._settings.lockstep:
+            return 0
+        is_slow = 0.0 < self._settings.real_time_factor <= _LARGEST_PRIORITY_FACTOR
+        return self._scheduling.settings.thread_priority if is_slow else 0
 
     def work(self, executor: Executor) -> None:
-        """Advance to the next instant if it is due, and serve the graph now and then."""
+        """Advance to the next instant if it is due, and call the executor now and then."""
         wall = time.monotonic()
-        timeouts = self._time.timeouts
-        wait = self._time.wait(self.simulator.now, wall, self._partner)
-        if self._time.timeouts > timeouts:
-            self._tell_timeout()
+        timeouts = self._simulated_clock.timeouts
+        wait = self._simulated_clock.wait(self.simulator.now, wall, self._controller_found)
+        if self._simulated_clock.timeouts > timeouts:
+            self._report_timeout()
         if wait <= 0.0:
             self._advance()
-            wait = 0.0 if self._time.awaited is None else _REPEAT_EVERY
-        self._serve(executor, min(wait, _REPEAT_EVERY))
-        if wait >= _REPEAT_EVERY and time.monotonic() > self._told + _REPEAT_EVERY:
-            self._look_for_partner()
-            self._world.repeat()
-            self._told = time.monotonic()
+            wait = 0.0 if self._simulated_clock.awaited is None else _REPEAT_EVERY
+        self._spin(executor, min(wait, _REPEAT_EVERY))
+        if wait >= _REPEAT_EVERY and time.monotonic() > self._published_at + _REPEAT_EVERY:
+            self._look_for_controller()
+            self._state_publisher.repeat()
+            self._published_at = time.monotonic()
 
     def _begin(self) -> None:
         wall = time.monotonic()
-        self._time.achieved(0, wall)
+        self._simulated_clock.achieved(0, wall)
         if self._settings.is_on_system_clock:
             self._set_epoch(time.time_ns() - self.simulator.now)
-        self._world.publish(self.simulator)
-        if not self._time.paused:
-            self._time.resume(0, wall)
+        self._state_publisher.publish(self.simulator)
+        if not self._simulated_clock.paused:
+            self._simulated_clock.resume(0, wall)
 
     def _set_epoch(self, epoch: int) -> None:
-        self._epoch = self._world.epoch = epoch
+        self._epoch = self._state_publisher.epoch = epoch
         self._set_at = time.time_ns() - time.monotonic_ns()
 
     def _follow_system_clock(self) -> None:
-        """Move the stamps along when somebody sets the system clock."""
+        """Shift the stamps when the system clock is set."""
         jump = time.time_ns() - time.monotonic_ns() - self._set_at
         if self._settings.is_on_system_clock and abs(jump) > _CLOCK_JUMP:
             self._set_epoch(self._epoch + jump)
-            self._faults.report(
+            self._fault_log.report(
                 "system clock jumped", f"given a jump of {jump * 1e-9:.3f} s, expected a clock "
                 "that is slewed; stamps jump with it",
             )
 
     def _advance(self) -> None:
-        instant = self._time.due(self.simulator.now, time.monotonic())
+        instant = self._simulated_clock.due(self.simulator.now, time.monotonic())
         self.simulator.advance_to(instant)
         self._follow_system_clock()
-        self._time.ran(instant, time.monotonic())
-        self._world.publish(self.simulator)
-        self._told = time.monotonic()
+        self._simulated_clock.advanced(instant, time.monotonic())
+        self._state_publisher.publish(self.simulator)
+        self._published_at = time.monotonic()
 
-    def _serve(self, executor: Executor, wait: float) -> None:
-        if wait > _WORTH_WAITING:
+    def _spin(self, executor: Executor, wait: float) -> None:
+        if wait > _SHORTEST_SPIN:
             executor.spin_once(timeout_sec=wait)
-            heard = -1  # there may be more
-        elif time.monotonic() > self._served + _SERVE_EVERY:
-            heard = -1
+            received = -1  # further messages may be waiting
+        elif time.monotonic() > self._spun_at + _SPIN_EVERY:
+            received = -1
         else:
             time.sleep(max(0.0, wait))
             return
-        # At a high control rate several commands come between two instants: the newest counts.
-        while self._intake.heard != heard:
-            heard = self._intake.heard
+        # At a high control rate several commands arrive between two instants: the newest counts.
+        while self._receiver.received != received:
+            received = self._receiver.received
             executor.spin_once(timeout_sec=0.0)
-        self._served = time.monotonic()
+        self._spun_at = time.monotonic()
 
-    def _look_for_partner(self) -> None:
-        self._partner = self._partner or self.count_publishers("rotor_trajectory") > 0
-        if self._time.awaited is not None and not self._partner:
-            self._faults.report(
+    def _look_for_controller(self) -> None:
+        if not self._controller_found:
+            self._controller_found = self.count_publishers("rotor_trajectory") > 0
+        if self._simulated_clock.awaited is not None and not self._controller_found:
+            self._fault_log.report(
                 "lockstep", "given no publisher of rotor_trajectory, expected one; time waits"
             )
 
-    def _tell_timeout(self) -> None:
-        self._faults.report(
+    def _report_timeout(self) -> None:
+        self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
             f"{self._settings.lockstep_timeout:g} s; time goes on without it",
@@ -202,13 +204,13 @@ class SimulatorNode(LivingNode):
     def _change(self, settings: SimulatorSettings) -> None:
         if settings.real_time_factor != self._settings.real_time_factor:
             now = self.simulator.now
-            self._time.set_pace(settings.real_time_factor, now, time.monotonic())
+            self._simulated_clock.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
         self.simulator.change(settings)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.simulator.reset()
-        self._world.publish(self.simulator)
+        self._state_publisher.publish(self.simulator)
         response.success = True
         response.message = f"at the start again, at t = {self.simulator.time:.3f} s"
         return response
@@ -218,28 +220,28 @@ class SimulatorNode(LivingNode):
             response.message = "given clock: system, which nobody can stop, expected simulated"
             return response
         if request.data:
-            self._time.pause()
-            self._world.flush(_LISTENERS_BEHIND)
-        elif self._time.paused:
-            self._time.resume(self.simulator.now, time.monotonic())
-            self._world.repeat()
+            self._simulated_clock.pause()
+            self._state_publisher.flush(_FLUSH_TIMEOUT)
+        elif self._simulated_clock.paused:
+            self._simulated_clock.resume(self.simulator.now, time.monotonic())
+            self._state_publisher.repeat()
         response.success = True
         state = "paused" if request.data else "running"
         response.message = f"{state} at t = {self.simulator.time:.3f} s"
         return response
 
     def _step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._time.paused
-        if not self._time.paused:
+        response.success = self._simulated_clock.paused
+        if not self._simulated_clock.paused:
             response.message = "given a running simulator, expected a paused one"
             return response
-        until = self._time.step(self.simulator.now, time.monotonic())
-        self._world.repeat()
+        until = self._simulated_clock.step(self.simulator.now, time.monotonic())
+        self._state_publisher.repeat()
         response.message = f"running as far as t = {until / NANOSECONDS:.3f} s"
         return response
 
     def _push(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        impulse = self._pushing.settings.push_impulse
+        impulse = self._push_settings.settings.push_impulse
         plant = self.simulator.plant
         response.success = isinstance(plant, RigidBodyPlant)
         if isinstance(plant, RigidBodyPlant):
@@ -248,31 +250,31 @@ class SimulatorNode(LivingNode):
         return response
 
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        rivals = self._watch.rivals(clocked=not self._settings.is_on_system_clock)
-        self._watch.update(self._watch.incompatible() + rivals)
-        keeper, wanted = self._time, self._settings.real_time_factor
-        achieved = keeper.achieved(self.simulator.now, time.monotonic())
+        others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
+        self._monitor.update(self._monitor.incompatible() + others)
+        clock, wanted = self._simulated_clock, self._settings.real_time_factor
+        achieved = clock.achieved(self.simulator.now, time.monotonic())
         values = {
             "time": self.simulator.time,
             "real time factor": achieved,
             "real time factor wanted": wanted,
-            "wall time lost": keeper.lost,
-            "paused": keeper.paused,
-            "lockstep": keeper.lockstep,
-            "lockstep time-outs": keeper.timeouts,
+            "wall time lost": clock.lost,
+            "paused": clock.paused,
+            "lockstep": clock.lockstep,
+            "lockstep time-outs": clock.timeouts,
         }
-        if self._watch.complaints:
-            return WARN, self._watch.complaints[0].kind, values
-        if keeper.paused:
+        if self._monitor.faults:
+            return WARN, self._monitor.faults[0].kind, values
+        if clock.paused:
             return OK, "paused", values
-        if keeper.awaited is not None and achieved == 0.0:
+        if clock.awaited is not None and achieved == 0.0:
             return WARN, "waiting for rotor_trajectory", values
-        if not keeper.lockstep and achieved < _SLOW * wanted:
+        if not clock.lockstep and achieved < _SLOW * wanted:
             return WARN, f"slower than asked for: {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
 
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        counts = dict(self._faults.counts)
+        counts = dict(self._fault_log.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 
 

@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import WORLD_FRAME
-from sphere_nmpc.ros.lifetime import LivingNode, run
+from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.frame import DEFAULT_RADIUS
@@ -35,7 +35,7 @@ _SPACING = 0.02
 """Distance of two of them [m]."""
 
 
-class MarkerNode(LivingNode):
+class MarkerNode(RunnableNode):
     """Publish markers, while somebody listens to them."""
 
     def __init__(self) -> None:

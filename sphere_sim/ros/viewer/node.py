@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 from rclpy.executors import Executor
 
-from sphere_nmpc.ros.lifetime import LivingNode, run
-from sphere_nmpc.ros.scheduling import stand_back
+from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.scheduling import lower_priority
 from sphere_sim.ros.viewer.topic_source import TopicSource
 from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
@@ -23,7 +23,7 @@ _MOST_CALLBACKS = 40
 """Of one frame; what is left waits for the next."""
 
 
-class ViewerNode(LivingNode):
+class ViewerNode(RunnableNode):
     """Show frames from topics at a steady rate.
 
     Parameters
@@ -64,5 +64,5 @@ class ViewerNode(LivingNode):
 
 def main(args: Sequence[str] | None, port: int) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    stand_back()
+    lower_priority()
     return run(lambda: ViewerNode(port), args, __doc__ or "")

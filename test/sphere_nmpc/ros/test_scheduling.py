@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Who goes first is arranged where the system allows it, and nothing fails where it does not."""
+"""Priorities are set where the system allows it, and nothing fails where it does not."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ if not hasattr(os, "sched_getscheduler"):
 
 CODE = """
 import os, threading
-from sphere_nmpc.ros.scheduling import refusal, schedule, stand_back
+from sphere_nmpc.ros.scheduling import refused_message, schedule, lower_priority
 {first}
 idle = threading.Event()
 threading.Thread(target=idle.wait, daemon=True).start()
@@ -25,9 +25,9 @@ assert policies() == {{os.SCHED_FIFO if allowed else usual}}, policies()
 schedule(0)
 assert policies() == {{os.SCHED_OTHER if allowed else usual}}, policies()
 before = os.nice(0)
-stand_back()
+lower_priority()
 assert os.nice(0) == min(19, before + 5)
-assert "given 7" in refusal(7)
+assert "given 7" in refused_message(7)
 print(allowed)
 """
 
@@ -39,10 +39,10 @@ def outcome(first: str = "") -> str:
     return done.stdout.strip()
 
 
-def test_all_threads_go_first_or_none() -> None:
+def test_priority_is_that_of_all_threads_or_of_none() -> None:
     assert outcome() in ("True", "False")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="somebody without privileges has none to drop")
-def test_without_permission_all_stays_as_it_is() -> None:
+def test_without_permission_nothing_changes() -> None:
     assert outcome("os.setgid(65534); os.setuid(65534)") == "False"

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Each mistake of a beginner is told once, with cause and cure, as the document prints it."""
+"""Each mistake of a beginner is logged once, with cause and remedy, as documented."""
 
 import re
 import time
@@ -16,7 +16,7 @@ from rosgraph_msgs.msg import Clock
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros import surroundings
+from sphere_nmpc.ros import graph_faults
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
@@ -33,7 +33,7 @@ CASE = PAPER_CASES[1]
 
 
 def pattern(row: str) -> re.Pattern[str]:
-    """Return what a log line has to be where the document prints a row."""
+    """Return the pattern of a log line documented by a row."""
     return re.compile(".*".join(map(re.escape, row.split("…"))))
 
 
@@ -79,7 +79,7 @@ def silent(_: float) -> None:
     """Stamp of a topic that nobody publishes."""
 
 
-def hushed(_: float) -> None:
+def published_but_silent(_: float) -> None:
     """Stamp of a topic with a publisher that sends nothing."""
 
 
@@ -110,7 +110,7 @@ def clock_of_another(graph) -> None:
 
 
 def silent_clock(graph) -> None:
-    robot(graph, silent, hushed)
+    robot(graph, silent, published_but_silent)
     controller(graph, use_sim_time=True)
 
 
@@ -144,7 +144,7 @@ def no_pose(graph) -> None:
 
 
 def silent_pose(graph) -> None:
-    robot(graph, hushed, silent)
+    robot(graph, published_but_silent, silent)
     controller(graph)
 
 
@@ -200,12 +200,12 @@ MISTAKES: dict[Callable[..., None], str] = {
     clock_of_another: "follows the clock that is there",
     silent_clock: "that has sent nothing",
     stopped_simulator: "expected a running simulator",
-    clock_held_back: "poses that go on",
+    clock_held_back: "poses but no message",
     needless_use_sim_time: "on the system clock",
     clocks_apart: "synchronise the clocks of the machines",
     clock_ahead: "are the clocks synchronised",
     no_pose: "no publisher of … for",
-    silent_pose: "nothing that arrives",
+    silent_pose: "but none of its messages",
     two_simulators: "/clock: given …",
     two_poses: "/pose: given …",
     two_controllers: "/rotor_trajectory: given …",
@@ -215,7 +215,7 @@ MISTAKES: dict[Callable[..., None], str] = {
     lockstep_without_controller: "time waits",
     commands_on_another_clock: "rotor_trajectory refused",
 }
-"""What a beginner does wrong, and words of the row that tells it."""
+"""What a beginner does wrong, and words of the row that documents its warning."""
 OF_THE_SIMULATOR = (lockstep_without_controller, commands_on_another_clock)
 
 
@@ -228,40 +228,40 @@ def test_every_row_of_the_document_is_a_mistake_that_is_made_here() -> None:
     assert sorted(map(row_of, MISTAKES.values())) == sorted(ROWS)
 
 
-def test_two_seconds_are_kept() -> None:
-    slack = 2.0 - surroundings.PATIENCE - 2.0 * controller_node._CHECK_EVERY
+def test_faults_are_logged_within_two_seconds() -> None:
+    slack = 2.0 - graph_faults.SILENCE_LIMIT - 2.0 * controller_node._CHECK_EVERY
     assert slack > 0.2
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.__name__)
-def test_mistake_is_told_once_as_documented(graph, capfd, mistake) -> None:
+def test_mistake_is_logged_once_as_documented(graph, capfd, mistake) -> None:
     row = row_of(MISTAKES[mistake])
     statuses = graph.hear(DiagnosticStatus, "controller/status")
     mistake(graph)
-    said: list[str] = []
+    printed: list[str] = []
 
-    def told() -> list[str]:
-        said.append(capfd.readouterr().err)
-        lines = [line for line in "".join(said).splitlines() if "[WARN]" in line]
-        return [line for line in lines if f"[{teller}]" in line and pattern(row).search(line)]
+    def warnings() -> list[str]:
+        printed.append(capfd.readouterr().err)
+        lines = [line for line in "".join(printed).splitlines() if "[WARN]" in line]
+        return [line for line in lines if f"[{source}]" in line and pattern(row).search(line)]
 
-    teller = "simulator" if mistake in OF_THE_SIMULATOR else "controller"
-    graph.until(told)
+    source = "simulator" if mistake in OF_THE_SIMULATOR else "controller"
+    graph.until(warnings)
     graph.spin_for(0.6)
-    assert len(told()) == 1, "told once"
-    if teller == "controller" and "refused" not in row:
+    assert len(warnings()) == 1, "logged once"
+    if source == "controller" and "refused" not in row:
         graph.until(lambda: pattern(row).search(statuses[-1].message))
         assert statuses[-1].level != DiagnosticStatus.OK
 
 
-def test_what_is_over_is_told_too(graph, capfd) -> None:
+def test_end_of_a_fault_is_logged(graph, capfd) -> None:
     robot(graph, lambda elapsed: time.time() if elapsed > 2.5 else None, silent)
     controller(graph)
-    said: list[str] = []
+    printed: list[str] = []
 
     def heard(words: str) -> bool:
-        said.append(capfd.readouterr().err)
-        return words in "".join(said)
+        printed.append(capfd.readouterr().err)
+        return words in "".join(printed)
 
     graph.until(lambda: heard("no pose: given a publisher"))
     graph.until(lambda: heard("no pose: over"))

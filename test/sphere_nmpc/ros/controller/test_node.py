@@ -247,7 +247,7 @@ def test_flood_of_goals_is_told_in_few_lines_with_the_last_of_them(robot, capfd)
     robot.graph.until(is_told)
     lines = [line for line in told.splitlines() if "goal: [" in line]
     assert len(lines) < 20
-    counted = sum(int(n) for n in re.findall(r"[(](\d+) more since last told", told))
+    counted = sum(int(n) for n in re.findall(r"[(](\d+) more since the last message", told))
     assert len(lines) + counted == 100
 
 

@@ -65,7 +65,7 @@ def test_wrong_trajectory_moves_nothing_and_is_told_once(graph, capfd, message) 
     sender = graph.speaker(JointTrajectory, "rotor_trajectory")
     for _ in range(5):
         sender.publish(message)
-    graph.until(lambda: node._faults.counts["rotor_trajectory refused"] == 5)
+    graph.until(lambda: node._fault_log.counts["rotor_trajectory refused"] == 5)
     heard = len(joints)
     graph.until(lambda: len(joints) > heard + 20)
     assert not speeds(joints).any()
@@ -81,7 +81,7 @@ def test_wrong_speeds_move_nothing_and_are_told_once(graph, capfd, data) -> None
     sender = graph.speaker(Float64MultiArray, "rotor_commands")
     for _ in range(3):
         sender.publish(Float64MultiArray(data=data))
-    graph.until(lambda: node._faults.counts["rotor_commands refused"] == 3)
+    graph.until(lambda: node._fault_log.counts["rotor_commands refused"] == 3)
     heard = len(joints)
     graph.until(lambda: len(joints) > heard + 20)
     assert not speeds(joints).any()
@@ -143,7 +143,7 @@ def test_ramp_to_rest_that_comes_after_its_end_still_stops_the_rotors(graph, cap
     graph.until(lambda: joints[-1].velocity[0] == 0.0)
     # What is older than that cannot set them going again.
     sender.publish(trajectory((0.0, (40.0, 40.0)), (0.1, (40.0, 40.0)), stamp=start + 500 * MS))
-    graph.until(lambda: node._faults.counts["rotor_trajectory refused"] == 1)
+    graph.until(lambda: node._fault_log.counts["rotor_trajectory refused"] == 1)
     assert "rotor_trajectory late: given an end" in capfd.readouterr().err
 
 
@@ -219,12 +219,12 @@ def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_told(graph, c
     node = simulator(graph)
     sender = graph.speaker(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: node.simulator.now > 500 * MS)
-    heard = node._intake.heard
+    heard = node._receiver.received
     sender.publish(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
-    graph.until(lambda: node._intake.heard > heard)
+    graph.until(lambda: node._receiver.received > heard)
     graph.spin_for(0.1)
     assert "rotor_trajectory" not in capfd.readouterr().err
-    assert not node._faults.counts
+    assert not node._fault_log.counts
 
 
 def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
@@ -294,5 +294,5 @@ def test_several_commands_between_two_looks_are_all_taken(graph) -> None:
     sender = graph.speaker(JointTrajectory, "rotor_trajectory")
     for speed in range(1, 6):
         sender.publish(trajectory((0.0, (speed, 0.0)), (5.0, (speed, 0.0))))
-    graph.until(lambda: node._intake.heard == 5)
+    graph.until(lambda: node._receiver.received == 5)
     graph.until(lambda: node.simulator.plant.rotor_speeds[0] == 5.0)

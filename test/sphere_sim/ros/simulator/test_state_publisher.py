@@ -5,8 +5,8 @@
 from geometry_msgs.msg import TransformStamped
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.ros.simulator import world_publisher
-from sphere_sim.ros.simulator.world_publisher import WorldPublisher
+from sphere_sim.ros.simulator import state_publisher
+from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -19,8 +19,8 @@ def test_transform_is_published_to_who_listens(graph, monkeypatch) -> None:
             if transforms:
                 self.header, self.child_frame_id = transforms[0].header, "base_link"
 
-    monkeypatch.setattr(world_publisher, "TFMessage", StandIn)
-    world = WorldPublisher(graph.probe, 0.3)
+    monkeypatch.setattr(state_publisher, "TFMessage", StandIn)
+    world = StatePublisher(graph.probe, 0.3)
     heard = graph.hear(TransformStamped, "/tf")
     graph.until(lambda: world._transforms.get_subscription_count() > 0)
     world.publish(Simulator(SimulatorSettings(), RobotParameters()))

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Looking at a node's surroundings, and telling once what is wrong there."""
+"""Monitor of the ROS graph around a node, which logs each fault when it begins and ends."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -11,68 +11,68 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.surroundings import Complaint, incompatible, rivals
+from sphere_nmpc.ros.graph_faults import GraphFault, further_publishers, incompatible_qos
 
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""For subscriptions whose incompatible publishers a `Watch` tells, rather than rclpy too."""
+"""For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
 UNKNOWN = "a node that was just found"
-"""Stands for the name of a node of which the graph knows only a topic yet."""
+"""Stands for the name of a node of which only a topic has been discovered yet."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
-class Watch:
-    """Keep what is wrong, log each thing once when it begins, and say when it is over.
+class GraphMonitor:
+    """Keep the present faults, log each once when it begins, and log its end.
 
     Parameters
     ----------
     node : Node
-        The node whose surroundings these are.
-    faults : FaultLog
-        Who writes and counts.
+        The node whose surroundings are monitored.
+    fault_log : FaultLog
+        Where faults are logged and counted.
     """
 
-    def __init__(self, node: Node, faults: FaultLog) -> None:
+    def __init__(self, node: Node, fault_log: FaultLog) -> None:
         self._node = node
-        self._faults = faults
-        self.complaints: list[Complaint] = []
-        """What is wrong now, the gravest first."""
+        self._fault_log = fault_log
+        self.faults: list[GraphFault] = []
+        """The present faults, the most severe first."""
 
-    def update(self, found: Sequence[Complaint]) -> None:
-        """Take note of what is wrong now, and log what is new."""
-        before = {complaint.kind for complaint in self.complaints}
-        self.complaints = list(found)
-        for complaint in found:
-            if complaint.kind not in before:
-                self._faults.report(complaint.kind, complaint.message)
-        for kind in before - {complaint.kind for complaint in found}:
+    def update(self, found: Sequence[GraphFault]) -> None:
+        """Take `found` as the present faults, and log which are new and which have ended."""
+        before = {fault.kind for fault in self.faults}
+        self.faults = list(found)
+        for fault in found:
+            if fault.kind not in before:
+                self._fault_log.report(fault.kind, fault.message)
+        for kind in before - {fault.kind for fault in found}:
             self._node.get_logger().info(f"{kind}: over")
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the full names of the nodes that publish a topic, one an endpoint."""
+        """Return the full names of the nodes that publish a topic, one for each endpoint."""
         return [full_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
 
-    def rivals(self, clocked: bool) -> list[Complaint]:
-        """Return the complaints about further publishers of the pose, and if asked the clock."""
+    def further_publishers(self, clocked: bool) -> list[GraphFault]:
+        """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
         pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))
         clocks = self.publishers(clock) if clocked else []
-        return rivals(pose, self.publishers(pose), clock, clocks)
+        return further_publishers(pose, self.publishers(pose), clock, clocks)
 
     def clock_topics(self) -> list[str]:
-        """Return the topics on which somebody publishes a clock."""
+        """Return the topics on which a clock is published."""
         return [
             topic for topic, kinds in self._node.get_topic_names_and_types()
             if _CLOCK_TYPE in kinds and self._node.count_publishers(topic) > 0
         ]
 
-    def incompatible(self) -> list[Complaint]:
-        """Return the complaints about publishers and subscriptions whose messages cannot pass."""
+    def incompatible(self) -> list[GraphFault]:
+        """Return the faults of publishers and subscriptions between which nothing is delivered."""
         node, own = self._node, self._node.get_fully_qualified_name()
         topics = {end.topic_name for end in node.subscriptions}
         topics |= {end.topic_name for end in node.publishers}
         found = {}
         for topic in sorted(topics - _OF_EVERY_NODE):
-            # As the graph knows them: a node's own profiles leave open what the middleware fills.
+            # From the graph: a node's own profiles leave open what the middleware decides.
             publishers = node.get_publishers_info_by_topic(topic)
             subscribers = node.get_subscriptions_info_by_topic(topic) if publishers else []
             for publisher, subscriber in product(publishers, subscribers):
@@ -82,12 +82,12 @@ class Watch:
                 fit, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
                 if fit == QoSCompatibility.ERROR:
                     other = ", ".join(ends - {own}) or own
-                    found[topic] = incompatible(topic, other, reason)
+                    found[topic] = incompatible_qos(topic, other, reason)
         return list(found.values())
 
 
 def full_name(info: TopicEndpointInfo) -> str:
-    """Return the full name of an endpoint's node, of which the graph may not know it yet."""
+    """Return the full name of the node of an endpoint, or `UNKNOWN` until it is discovered."""
     if "UNKNOWN" in info.node_name:
         return UNKNOWN
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

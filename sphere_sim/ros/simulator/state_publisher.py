@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated robot and its clock tell the graph."""
+"""Publisher of the simulated robot's state and of the simulated clock."""
 
 import time
 from typing import Any
@@ -17,21 +17,21 @@ from sphere_sim.world.simulator import Simulator
 
 try:
     from tf2_msgs.msg import TFMessage
-except ImportError:  # not among the wheels of ROS; RViz, which needs it, is neither
+except ImportError:  # there are no wheels of tf2_msgs, nor of RViz, which needs it
     TFMessage = None
 
 
 _DEPTH = 1000
-"""Messages kept for a reader that is behind: at full speed a sample takes milliseconds."""
+"""Messages kept for a subscriber that is slow: at full speed a sample takes milliseconds."""
 
 
-class WorldPublisher:
+class StatePublisher:
     """Publish pose, odometry, joint states and, last of all, the clock.
 
     Parameters
     ----------
     node : Node
-        Owner of the publishers.
+        Node of the publishers.
     shell_radius : float
         Height of the centre [m].
     body_frame : str
@@ -56,16 +56,16 @@ class WorldPublisher:
         self._last: list[tuple[Any, Any]] = []
 
     def publish(self, simulator: Simulator) -> None:
-        """Publish the present instant; the noise of the pose is drawn once for it."""
+        """Publish the present instant; the measurement noise is drawn once for it."""
         now, plant = self.epoch + simulator.now, simulator.plant
         poses = simulator.poses()
-        # A sensor that is late or slow is not what tools should draw: they get the truth then.
+        # Tools should not draw the poses of a late or slow sensor: they get the true state then.
         measured = poses[-1][1] if simulator.settings.is_sensor_plain else plant.state
         self._last = [
             (self._pose, conversions.pose_to_ros(seen, self.epoch + stamp, self._radius))
             for stamp, seen in poses
         ]
-        # At 2000 instants a second, what nobody listens to costs too much to make.
+        # At 2000 instants a second, messages without a subscriber would take too much time.
         if self._odometry.get_subscription_count() > 0:
             odometry = conversions.odometry_to_ros(
                 measured, plant.velocity, plant.body_rate, now, self._radius, self._frame
@@ -80,15 +80,16 @@ class WorldPublisher:
             pose = conversions.pose_to_ros(measured, now, self._radius)
             transform = conversions.transform_from_pose(pose, self._frame)
             self._last.append((self._transforms, TFMessage(transforms=[transform])))
-        # The clock comes last, so that who acts on it has the pose of that instant.
+        # The clock comes last, so that a node that acts on it has the pose of that instant.
         if self._clock is not None:
             self._last.append((self._clock, Clock(clock=conversions.stamp_to_ros(now))))
         self.repeat()
 
     def flush(self, timeout: float) -> None:
-        """Wait until every reliable listener has what was published, or `timeout` [s] has passed.
+        """Wait until each reliable subscriber has received all messages, at most `timeout` [s].
 
-        At full speed a listener is behind; what ends it then must not cost the end of the run.
+        At full speed a subscriber is late; if it is ended then, the end of the run must not be
+        missing.
         """
         end = time.monotonic() + timeout
         for publisher in {publisher for publisher, _ in self._last}:
@@ -96,6 +97,6 @@ class WorldPublisher:
             publisher.wait_for_all_acked(Duration(seconds=left))
 
     def repeat(self) -> None:
-        """Publish the last instant once more, for those who came late while time stood still."""
+        """Publish the last instant again, for nodes that subscribed while time stood still."""
         for publisher, message in self._last:
             publisher.publish(message)

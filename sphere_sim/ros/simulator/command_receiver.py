@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's two command inputs: what is refused, and what is passed on to the drives."""
+"""Subscriptions of the simulator's commands: checks, refusals, and what the drives follow."""
 
 from collections.abc import Callable
 
@@ -14,27 +14,27 @@ from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.conversions import hold_from_trajectory, stamp_from_ros
 from sphere_sim.world.simulator import Simulator
 
-_AT_REST = 0.1
+_NEGLIGIBLE_SPEED = 0.1
 """Rotor speed that moves the sphere by less than a millimetre in a second [rad/s]."""
 
 
-class CommandIntake:
-    """Subscribe to both command topics; a message that is wrong changes nothing.
+class CommandReceiver:
+    """Subscriber of both command topics; a message that is not valid has no effect.
 
     Parameters
     ----------
     node : Node
-        Owner of the subscriptions.
+        Node of the subscriptions.
     simulator : Simulator
-        Who follows the commands.
+        Simulator that follows the commands.
     max_speed : float
-        What the drives limit a command to [rad/s].
+        Largest rotor speed of the drives [rad/s].
     horizon : float
         How far ahead of simulated time a trajectory may start [s].
-    faults : FaultLog
-        Who is told of refused commands.
-    literal : bool
-        Whether stamp 0 means the first instant, as it does in lockstep, rather than at once.
+    fault_log : FaultLog
+        Log of refused commands.
+    zero_is_time : bool
+        Whether stamp 0 means the first instant, as in lockstep, rather than "now".
     on_trajectory : callable
         Called with the stamp [ns] of each trajectory that was accepted.
     epoch : callable
@@ -47,40 +47,40 @@ class CommandIntake:
         simulator: Simulator,
         max_speed: float,
         horizon: float,
-        faults: FaultLog,
-        literal: bool,
+        fault_log: FaultLog,
+        zero_is_time: bool,
         on_trajectory: Callable[[int], object],
         epoch: Callable[[], int],
     ) -> None:
         self._simulator = simulator
         self._max_speed = max_speed
         self._horizon = horizon
-        self._faults = faults
-        self._literal = literal
+        self._fault_log = fault_log
+        self._zero_is_time = zero_is_time
         self._on_trajectory = on_trajectory
         self._epoch = epoch
-        self.heard = 0
-        """Messages that came, accepted or not."""
+        self.received = 0
+        """Number of messages received, accepted or not."""
         self._trajectories = node.create_subscription(
-            JointTrajectory, "rotor_trajectory", self._take_trajectory, 10
+            JointTrajectory, "rotor_trajectory", self._receive_trajectory, 10
         )
         self._speeds = node.create_subscription(
-            Float64MultiArray, "rotor_commands", self._take_speeds, 10
+            Float64MultiArray, "rotor_commands", self._receive_speeds, 10
         )
 
-    def _take_trajectory(self, message: JointTrajectory) -> None:
-        self.heard += 1
+    def _receive_trajectory(self, message: JointTrajectory) -> None:
+        self.received += 1
         simulator = self._simulator
         try:
             epoch = self._epoch()
-            at_once = 0 if self._literal else epoch + simulator.now
+            at_once = 0 if self._zero_is_time else epoch + simulator.now
             hold = hold_from_trajectory(message, at_once, epoch)
         except InvalidInputError as error:
-            self._faults.report("rotor_trajectory refused", str(error))
+            self._fault_log.report("rotor_trajectory refused", str(error))
             return
         ahead = hold.start - simulator.time
         if ahead > self._horizon:
-            self._faults.report(
+            self._fault_log.report(
                 "rotor_trajectory refused",
                 f"given a start {ahead:.6g} s ahead of the simulator's time, expected at most "
                 f"{self._horizon:g} s; its sender needs the simulator's clock: "
@@ -88,37 +88,37 @@ class CommandIntake:
             )
             return
         if hold.end < simulator.time - 1e-9 and not simulator.follower.is_newer(hold):
-            self._faults.report(
+            self._fault_log.report(
                 "rotor_trajectory refused",
                 f"given an end {simulator.time - hold.end:.6g} s ago and a start before that of "
                 "the one in force, expected a newer one",
             )
             return
         fastest = max(np.abs(hold.speeds).max(), np.abs(simulator.speed_reference).max())
-        if hold.end < simulator.time - 1e-9 and fastest > _AT_REST:
-            # It may be a ramp to rest that was held up: what it replaces must not go on.
-            self._faults.report(
+        if hold.end < simulator.time - 1e-9 and fastest > _NEGLIGIBLE_SPEED:
+            # It may be a delayed ramp to rest: the command that it replaces must not go on.
+            self._fault_log.report(
                 "rotor_trajectory late",
                 f"given an end {simulator.time - hold.end:.6g} s ago; the rotors ramp to rest",
             )
         self._count_clamped(lambda: simulator.follower.follow_trajectory(hold))
         self._on_trajectory(stamp_from_ros(message.header.stamp))
 
-    def _take_speeds(self, message: Float64MultiArray) -> None:
-        self.heard += 1
+    def _receive_speeds(self, message: Float64MultiArray) -> None:
+        self.received += 1
         simulator = self._simulator
         speeds = np.array(message.data, dtype=float)
         try:
             self._count_clamped(lambda: simulator.follower.follow_speeds(speeds, simulator.time))
         except InvalidInputError as error:
-            self._faults.report("rotor_commands refused", str(error))
+            self._fault_log.report("rotor_commands refused", str(error))
 
     def _count_clamped(self, follow: Callable[[], None]) -> None:
         follower = self._simulator.follower
         before = follower.clamped
         follow()
         if follower.clamped > before:
-            self._faults.report(
+            self._fault_log.report(
                 "command limited",
                 f"given more than the largest rotor speed, expected at most "
                 f"{self._max_speed:g} rad/s",

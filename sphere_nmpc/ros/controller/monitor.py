@@ -1,0 +1,106 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Monitor of what a controller depends on: clock, poses and the topic of its commands."""
+
+import math
+import time
+
+from rclpy.node import Node
+
+from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.ros.graph_faults import (
+    NO_POSE,
+    OTHER_CLOCK_AGE,
+    GraphFault,
+    GraphState,
+    find_faults,
+    several_publishers,
+)
+from sphere_nmpc.ros.graph_monitor import GraphMonitor
+
+
+class ControllerMonitor:
+    """Measure how long clock and poses have been silent, and log the faults around a controller.
+
+    Parameters
+    ----------
+    node : Node
+        The controller node.
+    fault_log : FaultLog
+        Where faults are logged and counted.
+    """
+
+    def __init__(self, node: Node, fault_log: FaultLog) -> None:
+        self._fault_log = fault_log
+        self._graph = GraphMonitor(node, fault_log)
+        self._pose_topic = node.resolve_topic_name("pose")
+        self._clock_topic = node.resolve_topic_name("/clock")
+        self._command_topic = node.resolve_topic_name("rotor_trajectory")
+        self.time = math.nan
+        """Control time at the last check [s]; nan before the first message on /clock."""
+        self.stands_still = False
+        """Whether control time was the same at the check before."""
+        self._time_changed_at = self._pose_seen_at = time.monotonic()
+        self._pose_age = math.nan
+        self._pose_received = False
+
+    @property
+    def faults(self) -> list[GraphFault]:
+        """The present faults, the most severe first."""
+        return self._graph.faults
+
+    def pose_received(self, age: float) -> None:
+        """Record a pose whose stamp is `age` [s] behind the node's clock, nan if unknown."""
+        self._pose_received, self._pose_age = True, age
+
+    def pose_refused(self, ahead: float, pose_timeout: float) -> None:
+        """Log a pose that is refused as its stamp is `ahead` [s] of the node's clock.
+
+        A stamp of another kind of clock is logged as such by `check`.
+        """
+        if ahead < OTHER_CLOCK_AGE:
+            self._fault_log.report(
+                "pose refused",
+                f"given a stamp {ahead:.6g} s ahead of this node's clock, expected at "
+                f"most {pose_timeout:g} s; are the clocks synchronised?",
+            )
+
+    def check(self, now: float | None, follows_clock: bool, pose_timeout: float) -> None:
+        """Update the faults at control time `now` [s], None before the first message on /clock.
+
+        Parameters
+        ----------
+        now : float or None
+            Control time [s].
+        follows_clock : bool
+            Whether the node runs with ``use_sim_time``.
+        pose_timeout : float
+            Largest accepted age of a pose [s].
+        """
+        wall, graph = time.monotonic(), self._graph
+        before, self.time = self.time, math.nan if now is None else now
+        self.stands_still = self.time == before
+        if now is not None and not self.stands_still:
+            self._time_changed_at = wall
+        # Measured at the same checks, clock and poses of a simulator that ends are silent for the
+        # same time.
+        if self._pose_received:
+            self._pose_received, self._pose_seen_at = False, wall
+        # All topics are searched only where the clock that is followed has no publisher.
+        clocks = graph.publishers(self._clock_topic)
+        others = graph.clock_topics() if follows_clock and not clocks else []
+        found = find_faults(
+            GraphState(
+                follows_clock, self.time, wall - self._time_changed_at, wall - self._pose_seen_at,
+                self._pose_age, pose_timeout, clocks,
+                graph.publishers(self._pose_topic), self._clock_topic, self._pose_topic, others,
+            )
+        )
+        senders = graph.publishers(self._command_topic)
+        found += several_publishers(
+            self._command_topic, senders, "the rotors then do not follow one plan"
+        )
+        incompatible = graph.incompatible()
+        if any(fault.kind.endswith(f" {self._pose_topic}") for fault in incompatible):
+            found = [fault for fault in found if fault.kind != NO_POSE]
+        graph.update(incompatible + found)

@@ -79,7 +79,7 @@ def digest(copy) -> str:
         ("sphere_sim/study/tables.py", False),
         ("sphere_nmpc/strategy/plan_keeping.py", False),
         ("sphere_nmpc/strategy/paper.py", True),
-        ("sphere_nmpc/solver/native/driver.c", True),
+        ("sphere_nmpc/solver/native/solver.c", True),
         ("sphere_nmpc/solver/native/__init__.py", True),
         ("sphere_sim/world/plant/rolling_plant.py", True),
         ("sphere_sim/scenario/perturbation.py", True),

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The solver beside its peers: the same problem, the same plant, the same run."""
+"""Benchmark of the solver against other solvers in the same closed loops."""

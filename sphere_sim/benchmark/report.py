@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of the benchmark as numbers, as a table and as a picture."""
+"""Results of the benchmark as JSON content, as a table and as a figure."""
 
 import os
 import platform
@@ -12,15 +12,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sphere_sim.benchmark.race import Record
+from sphere_sim.benchmark.closed_loops import SolverRecord
 
 OURS = "sphere_nmpc"
 _COMPARED = ("median", "p99", "cpu_median", "cpu_p99")
 _SHOWN_TIMES = ("median_ms", "p99_ms", "max_ms", "cpu_median_ms", "cpu_p99_ms")
 
 
-def as_numbers(records: dict[str, Record], missing: dict[str, str]) -> dict[str, Any]:
-    """Return what goes into the JSON file."""
+def as_numbers(records: dict[str, SolverRecord], missing: dict[str, str]) -> dict[str, Any]:
+    """Return the content of the JSON file."""
     solvers = {name: _solver_numbers(record) for name, record in records.items() if record.wall}
     report: dict[str, Any] = {"solvers": solvers, "missing": missing, "machine": _machine()}
     ours = solvers.get(OURS)
@@ -34,7 +34,7 @@ def as_numbers(records: dict[str, Record], missing: dict[str, str]) -> dict[str,
     return report
 
 
-def _solver_numbers(record: Record) -> dict[str, Any]:
+def _solver_numbers(record: SolverRecord) -> dict[str, Any]:
     wall, cpu = 1e3 * np.array(record.wall), 1e3 * np.array(record.cpu)
     return {
         "median_ms": float(np.median(wall)),
@@ -69,7 +69,7 @@ def _machine() -> dict[str, Any]:
 
 
 def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None:
-    """Print the table and what follows from it."""
+    """Print the table of all solvers and the other figures of the report."""
     table = Table(title="Closed loops on the paper's problem, time of a solve [ms]")
     table.add_column("solver")
     for name in ("median", "p99", "max", "CPU median", "CPU p99", "failures", "solves"):
@@ -115,7 +115,7 @@ def _show_random(summary: dict[str, float], console: Console) -> None:
         )
 
 
-def draw(records: dict[str, Record], path: Path) -> None:
+def draw(records: dict[str, SolverRecord], path: Path) -> None:
     """Draw the distribution of solve times as a PNG."""
     from matplotlib.figure import Figure
 

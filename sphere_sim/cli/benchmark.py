@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``sphere_nmpc benchmark``: the solver beside its peers, on this machine."""
+"""``sphere_nmpc benchmark``: the solver against other solvers, on this machine."""
 
 import argparse
 import json
@@ -21,14 +21,15 @@ from sphere_sim.error_text import in_words
 from sphere_sim.optional_figure import draw_or_warn
 from sphere_sim.result_folder import prepare_folder
 
-_WIDE = 160
+_FILE_WIDTH = 160
+"""Columns of a table that is not printed on a terminal."""
 
 _LONGEST = 1e5
-"""Of a run [s], as in studies."""
+"""Longest run [s], as in studies."""
 
 _FIRST_SOLVE = (
     "import numpy as np\n"
-    "from sphere_sim.benchmark.ours import BothSigns\n"
+    "from sphere_sim.benchmark.own_solvers import BothSigns\n"
     "from sphere_sim.scenario.scenarios import PAPER_CASES\n"
     "ours = BothSigns()\n"
     "ours.start(PAPER_CASES[1].goal)\n"
@@ -39,7 +40,8 @@ _FIRST_SOLVE = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; return the exit code.
 
-    Numbers are written before what only adds to them; what of that fails is told and left out.
+    Numbers are written first. If the first use cannot be measured or the figure cannot be drawn,
+    a warning says so.
 
     Raises
     ------
@@ -56,17 +58,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     console = Console()
     if not console.is_terminal:
-        # In a file the table has the room it needs.
-        console = Console(width=_WIDE)
+        console = Console(width=_FILE_WIDTH)
     records, missing, report = _run(options, console)
     _write(options.json, report)
     if not options.quick and (took := _first_use()) is not None:
         report["first_use_s"] = took
         _write(options.json, report)
     show(report, options.cases, console)
-    written, picture = str(options.json), options.json.with_suffix(".png")
-    if draw_or_warn("benchmark", str(picture), lambda: draw(records, picture)):
-        written += f" and {picture}"
+    written, figure = str(options.json), options.json.with_suffix(".png")
+    if draw_or_warn("benchmark", str(figure), lambda: draw(records, figure)):
+        written += f" and {figure}"
     console.print(f"Written: {written}", markup=False)
     return 1 if OURS in missing else 0
 
@@ -76,7 +77,10 @@ def _write(path: Path, report: dict[str, Any]) -> None:
 
 
 def _keep(path: Path, report: dict[str, Any]) -> str:
-    """Write the numbers so far beside `path`, which may hold those of a whole run; tell where."""
+    """Write the numbers so far and return a message that says where.
+
+    The file lies beside `path`, which may hold the numbers of a complete benchmark.
+    """
     kept = path.with_name(f"{path.stem}_interrupted.json")
     try:
         _write(kept, report)
@@ -86,7 +90,7 @@ def _keep(path: Path, report: dict[str, Any]) -> str:
 
 
 def _first_use() -> float | None:
-    """Return how long the first solve takes on a clean cache [s]; None where it fails."""
+    """Return the time of the first solve with an empty cache [s]; None where it fails."""
     from sphere_nmpc.cache import CACHE_VARIABLE
 
     try:
@@ -103,8 +107,8 @@ def _first_use() -> float | None:
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="sphere_nmpc benchmark", description=__doc__)
-    parser.add_argument("--json", type=Path, required=True, help="where the numbers go")
-    parser.add_argument("--quick", action="store_true", help="fewer peers, one round, no extras")
+    parser.add_argument("--json", type=Path, required=True, help="file of the numbers")
+    parser.add_argument("--quick", action="store_true", help="fewer solvers, one round, no extras")
     parser.add_argument(
         "--rounds", type=whole(1), default=3, help="how often the cases are run (default: 3)"
     )
@@ -112,7 +116,8 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
         "--budget",
         type=not_negative,
         default=60.0,
-        help="seconds a peer may spend in its solves before it is taken out (default: 60)",
+        help="seconds that a solver may spend in all its solves, then its other runs are left out "
+        "(default: 60)",
     )
     parser.add_argument(
         "--random",
@@ -135,7 +140,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--acados-python",
         metavar="PATH",
-        help="Python of an environment with acados, which then takes part too",
+        help="Python of an environment with acados, which is then benchmarked too",
     )
     options = parser.parse_args(argv)
     if options.quick:
@@ -143,7 +148,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     if not 1.0 <= options.duration <= _LONGEST:
         parser.error(f"--duration: given {options.duration:g}, expected 1 to {_LONGEST:g} s")
     if options.json.suffix == ".png" or options.json.is_dir():
-        # The picture lies beside it.
+        # The figure has the same name with the suffix .png.
         parser.error(f"--json: given {options.json}, expected the name of a file, not a .png")
     return options
 
@@ -151,14 +156,14 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str], dict[str, Any]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from sphere_sim.benchmark.acados_peer import acados_makers
-    from sphere_sim.benchmark.contender import SAMPLE_PERIOD
-    from sphere_sim.benchmark.contenders import ALL, IPOPT, QUICK
-    from sphere_sim.benchmark.floor import measure_floor
-    from sphere_sim.benchmark.nlp_peers import ipopt
-    from sphere_sim.benchmark.race import race, set_up
+    from sphere_sim.benchmark.acados_solver import acados_makers
+    from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
+    from sphere_sim.benchmark.nlp_solvers import ipopt
+    from sphere_sim.benchmark.problem import SAMPLE_PERIOD
     from sphere_sim.benchmark.random_problems import Comparison, compare
     from sphere_sim.benchmark.report import as_numbers
+    from sphere_sim.benchmark.solve_parts import measure_parts
+    from sphere_sim.benchmark.solvers import ALL, IPOPT, QUICK
     from sphere_sim.scenario.scenarios import PAPER_CASES
 
     extra: dict[str, Any] = {}
@@ -169,12 +174,12 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
             makers = {**makers, **acados_makers(options.acados_python)}
         task = progress.add_task("setting up", total=len(makers))
 
-        def told(name: str) -> None:
+        def show_set_up(name: str) -> None:
             progress.update(task, description=f"setting up {name}", advance=1)
 
-        contenders, records, missing = set_up(makers, told)
+        solvers, records, missing = set_up(makers, show_set_up)
         samples = round(options.duration / SAMPLE_PERIOD)
-        total = options.rounds * len(options.cases) * samples * len(contenders)
+        total = options.rounds * len(options.cases) * samples * len(solvers)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
 
@@ -182,9 +187,12 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
             return {**as_numbers(records, missing), **extra}
 
         with if_interrupted(lambda: _keep(options.json, report())):
-            for _ in race(contenders, records, scenarios, samples, options.rounds, options.budget):
+            loops = run_closed_loops(
+                solvers, records, scenarios, samples, options.rounds, options.budget
+            )
+            for _ in loops:
                 progress.advance(task)
-            extra["floor_us"] = measure_floor()
+            extra["floor_us"] = measure_parts()
             if options.random:
                 comparison = Comparison()
                 task = progress.add_task(f"random problems ({IPOPT})", total=options.random)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Solvers of general nonlinear programs on the same single-shooting problem, scaled alike."""
+"""Solvers of general nonlinear programs on the same scaled single-shooting problem."""
 
 import contextlib
 import os
@@ -17,14 +17,8 @@ import numpy as np
 import scipy.optimize
 
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
-from sphere_sim.benchmark.contender import (
-    HORIZON,
-    INPUT_WEIGHT,
-    LIMIT,
-    TERMINAL_WEIGHT,
-    Answer,
-    predicted,
-)
+from sphere_sim.benchmark.benchmarked_solver import Answer
+from sphere_sim.benchmark.problem import HORIZON, INPUT_WEIGHT, LIMIT, TERMINAL_WEIGHT, predicted
 
 SIZE = HORIZON * INPUT_SIZE
 _QUIET: dict[str, Any] = {"print_time": False}
@@ -54,15 +48,15 @@ def nonlinear_program() -> dict[str, Any]:
 
 
 class WarmStarted:
-    """The part all of them share: parameters, warm start, scaling."""
+    """Receding horizon around a solver: parameters, warm start, scaling."""
 
     def start(self, goal: Vector) -> None:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         self._goal = goal
         self._warm: Vector = np.zeros(SIZE)
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         p = np.concatenate((state, self._goal, input_in_force))
         v, solved = self.minimise(self._warm, p)
         finite = bool(np.all(np.isfinite(v)))
@@ -76,7 +70,7 @@ class WarmStarted:
 
 
 class Slsqp(WarmStarted):
-    """scipy's SLSQP; the gradient by scipy's finite differences or exactly by CasADi."""
+    """SLSQP of SciPy; its gradient by finite differences or, exact, by CasADi."""
 
     def __init__(self, exact_gradient: bool) -> None:
         program = nonlinear_program()
@@ -106,10 +100,10 @@ class Slsqp(WarmStarted):
 
 
 class CasadiSolver(WarmStarted):
-    """A solver behind CasADi's `nlpsol`."""
+    """Solver called through CasADi's `nlpsol`."""
 
     def __init__(self, plugin: str, options: dict[str, Any]) -> None:
-        with _scratch_folder():
+        with _temporary_folder():
             self._solver = ca.nlpsol("solver", plugin, nonlinear_program(), {**_QUIET, **options})
 
     def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
@@ -119,11 +113,11 @@ class CasadiSolver(WarmStarted):
 
 
 class GeneratedSqp(WarmStarted):
-    """CasADi's sqpmethod with qrqp and BFGS, the whole of it generated to C and compiled."""
+    """CasADi's sqpmethod with qrqp and BFGS, generated as C code and compiled."""
 
     def __init__(self) -> None:
         solver = ca.nlpsol("solver", "sqpmethod", nonlinear_program(), {**_QUIET, **_SQP})
-        with _scratch_folder() as folder:
+        with _temporary_folder() as folder:
             solver.generate("solver.c")
             library = folder / "solver.so"
             command = [c_compiler(), "-O2", "-march=native", "-shared", "-fPIC", "solver.c"]
@@ -133,7 +127,7 @@ class GeneratedSqp(WarmStarted):
     def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
         """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
         found = self._solver(x0=start, p=p, lbx=-1.0, ubx=1.0)
-        # Generated code does not tell; a cost that is a number has to do.
+        # Generated code reports no status: a finite cost counts as success.
         return np.array(found["x"]).ravel(), bool(np.isfinite(float(found["f"])))
 
 
@@ -144,7 +138,7 @@ def ipopt() -> CasadiSolver:
 
 def ipopt_compiled() -> CasadiSolver:
     """Return IPOPT with its functions compiled."""
-    # The files are left to the scratch folder, which is gone when CasADi would remove them.
+    # CasADi would remove the files too late, when the temporary folder is gone.
     options: dict[str, Any] = {
         "flags": ["-O2"],
         "verbose": False,
@@ -169,8 +163,8 @@ def c_compiler() -> str:
 
 
 @contextlib.contextmanager
-def _scratch_folder() -> Iterator[Path]:
-    """Work in a folder that goes away: CasADi writes what it compiles into the current one."""
+def _temporary_folder() -> Iterator[Path]:
+    """Change to a temporary folder: CasADi writes what it compiles into the current one."""
     before = Path.cwd()
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)

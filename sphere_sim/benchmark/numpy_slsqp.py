@@ -1,13 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""scipy's SLSQP on a cost written in numpy, as a first prototype would be."""
+"""SLSQP of SciPy on a cost written in NumPy, as in a first prototype."""
 
 import numpy as np
 import scipy.optimize
 
 from sphere_nmpc.model.integrator import steps_for
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_sim.benchmark.contender import (
+from sphere_sim.benchmark.nlp_solvers import SIZE, WarmStarted
+from sphere_sim.benchmark.problem import (
     CONSTANTS,
     HORIZON,
     INPUT_WEIGHT,
@@ -16,14 +17,13 @@ from sphere_sim.benchmark.contender import (
     SAMPLE_PERIOD,
     TERMINAL_WEIGHT,
 )
-from sphere_sim.benchmark.nlp_peers import SIZE, WarmStarted
 
 _DIFFERENCE = 1.5e-8
-"""Step of the forward differences, about the root of the rounding error."""
+"""Step of the forward differences: about the square root of the rounding error [-]."""
 
 
 class NumpySlsqp(WarmStarted):
-    """The same integrator, step and cost as everybody; forward differences, all at once."""
+    """SLSQP with forward differences that are evaluated in one vectorised call."""
 
     def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
         """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
@@ -46,7 +46,19 @@ class NumpySlsqp(WarmStarted):
 
 
 def costs_at(v: Vector, x: Vector, goal: Vector, u: Vector) -> Vector:
-    """Return the costs of many candidates, shape (K,), for scaled knots `v`, shape (K, SIZE)."""
+    """Return the costs of several input sequences, shape (K,).
+
+    Integrator, step and cost are those of all benchmarked solvers.
+
+    Parameters
+    ----------
+    v : ndarray, shape (K, SIZE)
+        Knots of each sequence over `LIMIT` [-].
+    x, goal : ndarray, shape (6,)
+        Current and desired state.
+    u : ndarray, shape (2,)
+        Current rotor speeds [rad/s].
+    """
     knots = LIMIT * v.reshape(-1, HORIZON, INPUT_SIZE)
     cost: Vector = INPUT_WEIGHT / TERMINAL_WEIGHT * np.sum(knots**2, axis=(1, 2))
     steps = steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)

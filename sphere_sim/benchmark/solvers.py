@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Who takes part, by the names under which they are reported."""
+"""Benchmarked solvers by the names under which they are reported."""
 
-from sphere_sim.benchmark.contender import Maker
-from sphere_sim.benchmark.do_mpc_peer import DoMpc
-from sphere_sim.benchmark.nlp_peers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
-from sphere_sim.benchmark.numpy_peer import NumpySlsqp
-from sphere_sim.benchmark.ours import AlgorithmOne, BothSigns
+from sphere_sim.benchmark.benchmarked_solver import Maker
+from sphere_sim.benchmark.do_mpc_solver import DoMpc
+from sphere_sim.benchmark.nlp_solvers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
+from sphere_sim.benchmark.numpy_slsqp import NumpySlsqp
+from sphere_sim.benchmark.own_solvers import AlgorithmOne, BothSigns
 from sphere_sim.benchmark.report import OURS
 
 IPOPT = "casadi ipopt"
@@ -17,7 +17,7 @@ QUICK: dict[str, Maker] = {
     "scipy slsqp (casadi cost)": lambda: Slsqp(exact_gradient=False),
     IPOPT: ipopt,
 }
-"""Those that are set up at once."""
+"""Solvers whose set-up takes no compilation."""
 
 ALL: dict[str, Maker] = {
     **QUICK,

@@ -1,12 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops of all contenders in turn, case by case and round by round.
+"""Closed loops of all benchmarked solvers, case by case and round by round.
 
-A contender runs a case from end to end, as it would in a controller of its own; taking turns at
-every sample instead would have each pay for the caches that the one before it has filled. The
-order rotates, so that whatever else the machine does meanwhile hits all of them alike. Each has a
-world of its own, the plant of `sphere_sim.world.plant`, which integrates by another method than
-any solver predicts with.
+A solver runs a case from start to end, as it would in a controller; if the solvers alternated at
+each sampling instant, each would find the processor's caches filled by another one. Their order
+rotates, so that other load of the machine affects all of them alike. Each run has its own plant
+(`sphere_sim.world.plant`), which integrates by another method than any solver predicts with.
 """
 
 import contextlib
@@ -18,7 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_sim.benchmark.contender import ROBOT, SAMPLE_PERIOD, Contender, Maker
+from sphere_sim.benchmark.benchmarked_solver import BenchmarkedSolver, Maker
+from sphere_sim.benchmark.problem import ROBOT, SAMPLE_PERIOD
 from sphere_sim.evaluation.metrics import settling_index, state_errors
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -26,25 +26,25 @@ from sphere_sim.world.plant.rolling_plant import RollingPlant
 _SOLVE_ERRORS = (RuntimeError, ArithmeticError, ValueError)
 WARM_UP_SOLVES, WARM_UP_SECONDS = 3, 0.5
 OUTPUTS_PER_SAMPLE = 5
-"""The error is looked at every 0.1 s, as it may rise again between two samples."""
+"""Evaluations of the error in a sample period, as it may rise between two sampling instants."""
 
 
 @dataclass(eq=False)
-class Record:
-    """What one contender has done.
+class SolverRecord:
+    """Times, settling times and failures of one solver.
 
     Attributes
     ----------
     wall, cpu : list of float
-        Time of every solve as its caller saw it, and the thread's processor time [s].
+        Wall and processor time of each solve [s].
     settle : list of (float or None)
-        Settling time of each case [s]; None where it never settled or was stopped.
+        Settling time of each case [s]; None where the run did not settle or was stopped.
     failures : int
-        Solves that raised or did not succeed by the contender's own account.
+        Solves that raised an exception or of which the solver itself reports no success.
     setup_s : float
-        How long it took to set up, compilation included [s].
+        Time of the set-up, compilation included [s].
     stopped : bool
-        Whether it was taken out as its time was up.
+        Whether its remaining runs were cancelled as its time budget was spent.
     spent : float
         Wall time of all solves [s].
     """
@@ -59,25 +59,27 @@ class Record:
 
 
 class _Runner:
-    """One contender in one run."""
+    """One solver in one run."""
 
-    def __init__(self, contender: Contender, record: Record, scenario: Scenario) -> None:
-        self.contender, self.record = contender, record
+    def __init__(
+        self, solver: BenchmarkedSolver, record: SolverRecord, scenario: Scenario
+    ) -> None:
+        self.solver, self.record = solver, record
         self._goal = scenario.goal
-        contender.start(scenario.goal)
-        # What fails here fails again when it counts.
+        solver.start(scenario.goal)
+        # An error here occurs again in the run, where it is counted.
         with contextlib.suppress(*_SOLVE_ERRORS):
             began = time.perf_counter()
             for _ in range(WARM_UP_SOLVES):
-                contender.solve(scenario.start, np.zeros(INPUT_SIZE))
+                solver.solve(scenario.start, np.zeros(INPUT_SIZE))
                 if time.perf_counter() - began > WARM_UP_SECONDS:
                     break
-        contender.start(scenario.goal)
+        solver.start(scenario.goal)
         self._plant = RollingPlant(ROBOT, scenario.start)
         self._states = [self._plant.state]
 
     def samples(self, number: int, budget: float) -> Iterator[None]:
-        # The collector would charge one contender for what another has left behind.
+        # Else the solve in which the collector starts would last longer.
         gc.collect()
         gc.disable()
         try:
@@ -95,7 +97,7 @@ class _Runner:
         speeds, took = in_force * 0.0, None
         wall, cpu = time.perf_counter(), time.thread_time()
         try:
-            answer = self.contender.solve(state, in_force)
+            answer = self.solver.solve(state, in_force)
             solved, speeds, took = answer.solved, answer.speeds, answer.took
         except _SOLVE_ERRORS:
             solved = False
@@ -107,8 +109,8 @@ class _Runner:
         self.record.failures += not solved
         for k in range(1, OUTPUTS_PER_SAMPLE + 1):
             share = k / OUTPUTS_PER_SAMPLE
-            there = in_force + share * (speeds - in_force)
-            self._plant.advance(there, SAMPLE_PERIOD / OUTPUTS_PER_SAMPLE)
+            reference = in_force + share * (speeds - in_force)
+            self._plant.advance(reference, SAMPLE_PERIOD / OUTPUTS_PER_SAMPLE)
             self._states.append(self._plant.state)
 
     def settling_time(self) -> float | None:
@@ -118,30 +120,47 @@ class _Runner:
 
 
 def set_up(
-    makers: dict[str, Maker], told: Callable[[str], None]
-) -> tuple[dict[str, Contender], dict[str, Record], dict[str, str]]:
-    """Return the contenders that can be had, their empty records, and why the others cannot."""
-    contenders: dict[str, Contender] = {}
-    records: dict[str, Record] = {}
+    makers: dict[str, Maker], report: Callable[[str], None]
+) -> tuple[dict[str, BenchmarkedSolver], dict[str, SolverRecord], dict[str, str]]:
+    """Set solvers up.
+
+    Parameters
+    ----------
+    makers : dict of str to callable
+        For each name a function that sets the solver up.
+    report : callable
+        Is called with each name before the set-up.
+
+    Returns
+    -------
+    solvers : dict of str to BenchmarkedSolver
+        Those that could be set up.
+    records : dict of str to SolverRecord
+        Their empty records.
+    missing : dict of str to str
+        The reason for each of the others.
+    """
+    solvers: dict[str, BenchmarkedSolver] = {}
+    records: dict[str, SolverRecord] = {}
     missing: dict[str, str] = {}
     for name, make in makers.items():
-        told(name)
+        report(name)
         began = time.perf_counter()
         try:
-            contenders[name] = make()
+            solvers[name] = make()
         except ModuleNotFoundError as error:
             missing[name] = f"not installed ({error.name or error})"
         except Exception as error:
-            # A peer that breaks must not take the others with it; its reason is reported.
+            # The others are benchmarked all the same.
             missing[name] = f"could not be set up: {str(error).splitlines()[0][:120]}"
         else:
-            records[name] = Record(setup_s=time.perf_counter() - began)
-    return contenders, records, missing
+            records[name] = SolverRecord(setup_s=time.perf_counter() - began)
+    return solvers, records, missing
 
 
-def race(
-    contenders: dict[str, Contender],
-    records: dict[str, Record],
+def run_closed_loops(
+    solvers: dict[str, BenchmarkedSolver],
+    records: dict[str, SolverRecord],
     scenarios: Sequence[Scenario],
     samples: int,
     rounds: int,
@@ -151,16 +170,16 @@ def race(
 
     Parameters
     ----------
-    contenders, records
+    solvers, records
         From `set_up`; the records are filled.
     scenarios : sequence of Scenario
         The cases.
     samples : int
-        Sample instants of a run.
+        Sampling instants of a run.
     rounds : int
-        How often all cases are run; settling times are those of the first.
+        How often all cases are run; settling times are those of the first round.
     budget : float
-        Wall time a contender may spend in its solves, all in all [s].
+        Wall time that a solver may spend in all its solves [s].
 
     Yields
     ------
@@ -169,12 +188,12 @@ def race(
     """
     for turn in range(rounds):
         for place, scenario in enumerate(scenarios):
-            names = list(contenders)
+            names = list(solvers)
             shift = (turn + place) % len(names)
             for name in names[shift:] + names[:shift]:
                 settled = None
                 if not records[name].stopped:
-                    runner = _Runner(contenders[name], records[name], scenario)
+                    runner = _Runner(solvers[name], records[name], scenario)
                     for _ in runner.samples(samples, budget):
                         yield
                     settled = None if records[name].stopped else runner.settling_time()

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""acados as a contender; it solves in a process of another Python, see `acados_child`."""
+"""acados as a benchmarked solver; it runs in another Python, see `acados_process`."""
 
 import os
 import subprocess
@@ -12,27 +12,28 @@ import numpy as np
 
 import sphere_sim
 from sphere_nmpc.model.state import Vector
-from sphere_sim.benchmark.acados_child import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
-from sphere_sim.benchmark.contender import LIMIT, Answer, Maker
+from sphere_sim.benchmark.acados_process import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
+from sphere_sim.benchmark.benchmarked_solver import Answer, Maker
+from sphere_sim.benchmark.problem import LIMIT
 
 HOW_TO_GET_IT = (
     "--acados-python takes the Python of an environment of its own with "
     "`pip install comma-deps-acados`"
 )
-# Behind what that Python has itself: this one's libraries may lie in the same folder.
+# Last on the path: other packages in this folder must not hide those of that Python.
 IMPORT_PATH = "import sys; sys.path.append(sys.argv[1]); "
-_CHILD = f"{IMPORT_PATH}from sphere_sim.benchmark.acados_child import main; main(sys.argv[2])"
+_CHILD = f"{IMPORT_PATH}from sphere_sim.benchmark.acados_process import main; main(sys.argv[2])"
 PACKAGES = str(Path(sphere_sim.__file__).parents[1])
 
 
 def clean_environment() -> dict[str, str]:
-    """Return the environment without what would have another Python load this one's libraries."""
+    """Return the environment without variables by which another Python loads wrong libraries."""
     leftovers = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
     return {name: value for name, value in os.environ.items() if name not in leftovers}
 
 
 class Acados:
-    """acados in one of the settings of `acados_child`; `took` is what its process measured.
+    """acados with one of the settings of `acados_process`; times are measured in its process.
 
     Parameters
     ----------
@@ -64,18 +65,18 @@ class Acados:
             raise RuntimeError(f"{python} does not start: {error.strerror}") from error
         assert child.stdin is not None and child.stdout is not None
         self._requests, self._answers = child.stdin, child.stdout
-        # It ends with its input, which ends with this process in any case.
+        # The process ends with its standard input, hence also when this process ends.
         self.close = weakref.finalize(self, child.communicate)
-        word = self._answers.readline().decode(errors="replace")
-        if word != "\n":
-            raise RuntimeError(f"{python} says: {word.strip() or 'nothing, it has ended'}")
+        message = self._answers.readline().decode(errors="replace")
+        if message != "\n":
+            raise RuntimeError(f"{python} says: {message.strip() or 'nothing, it has ended'}")
 
     def start(self, goal: Vector) -> None:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         self._goal, self._start = goal, 1.0
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         request = np.concatenate(([self._start], state, self._goal, input_in_force))
         assert request.size == REQUEST_SIZE
         self._start = 0.0
@@ -92,5 +93,5 @@ class Acados:
 
 
 def acados_makers(python: str | None) -> dict[str, Maker]:
-    """Return both settings by the names under which they are reported; `python` as above."""
+    """Return both settings by the names under which they are reported; see `Acados`."""
     return {f"acados {kind}": partial(Acados, kind, python) for kind in (SQP, RTI)}

@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""acados in a process of its own: its wheels bring a `casadi` that no other peer could use.
+"""Process that runs acados: its wheels contain a `casadi` that the other solvers cannot use.
 
 Messages are arrays of float64. A request is ``[start, state (6), goal (6), input in force (2)]``
-in m, quaternion and rad/s, `start` being 1 where a run begins; an answer is ``[status, wall [s],
-processor time [s], v (2)]``. Before the first one there is a line of text, empty or saying why
-acados cannot be had.
+in m, quaternion and rad/s, where `start` is 1 at the start of a run; an answer is ``[status, wall
+[s], processor time [s], v (2)]``. Before the first answer comes a line of text: empty, or the
+reason why acados cannot be set up.
 """
 
 import ctypes
@@ -22,13 +22,7 @@ import casadi as ca
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
-from sphere_sim.benchmark.contender import (
-    HORIZON,
-    INPUT_WEIGHT,
-    LIMIT,
-    TERMINAL_WEIGHT,
-    predicted,
-)
+from sphere_sim.benchmark.problem import HORIZON, INPUT_WEIGHT, LIMIT, TERMINAL_WEIGHT, predicted
 
 REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * STATE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
 SQP, RTI = "sqp", "rti"
@@ -79,20 +73,20 @@ def build(kind: str, folder: Path) -> Any:
         setattr(ocp.solver_options, name, value)
     ocp.code_export_directory = str(folder / "code")
     solver = template.AcadosOcpSolver(ocp, json_file=str(folder / "ocp.json"))
-    # Where the horizon begins is not to be chosen and in nobody's cost.
+    # The first state of the horizon is given and, as in the other problems, has no cost.
     solver.cost_set(0, "W", np.diag([0.0] * STATE_SIZE + effort))
     return solver
 
 
 def _template(folder: Path) -> Any:
-    """Return acados' Python interface, of the wheel or of a build of the user's own."""
+    """Return acados' Python interface, from the wheel or from the user's own build."""
     tree = Path(os.environ.get("ACADOS_SOURCE_DIR", folder / "acados"))
     try:
         import acados
     except ModuleNotFoundError:
         template = importlib.import_module("acados_template")
     else:
-        # The wheel is laid out otherwise than the source tree that its own code looks for.
+        # The interface expects the layout of the source tree, which the wheel does not have.
         wheel, tree = Path(acados.__file__).parent, folder / "acados"
         interface = tree / "interfaces" / "acados_template"
         interface.mkdir(parents=True)
@@ -101,7 +95,7 @@ def _template(folder: Path) -> Any:
             (tree / part).symlink_to(wheel / "install" / part)
         os.environ["ACADOS_SOURCE_DIR"] = str(tree)
         template = importlib.import_module("acados.acados_template")
-    # libacados finds these beside itself only if the path of libraries says so or they are there.
+    # libacados finds its libraries only on the library path or if they are loaded already.
     libraries = set((tree / "lib").glob("lib*.so")) - {tree / "lib" / "libacados.so"}
     for library in sorted(libraries):  # libblasfeo, which others need, comes first
         ctypes.CDLL(str(library))
@@ -109,13 +103,13 @@ def _template(folder: Path) -> Any:
 
 
 class Loop:
-    """A receding horizon, warm started by the previous solution shifted by one knot."""
+    """Receding horizon whose initial guess is the previous solution, shifted by one knot."""
 
     def __init__(self, solver: Any) -> None:
         self._solver = solver
 
     def start(self, state: Vector, goal: Vector) -> None:
-        """Begin a run towards `goal`, (6,), at `state`, (6,), with nothing remembered."""
+        """Start a run towards `goal`, (6,), at `state`, (6,), without a warm start."""
         self._solver.reset()
         target, rest = np.concatenate((goal, np.zeros(INPUT_SIZE))), np.zeros(INPUT_SIZE)
         for k in range(HORIZON):
@@ -126,10 +120,10 @@ class Loop:
 
     def solve(self, state: Vector, input_in_force: Vector) -> tuple[int, Vector]:
         """Return acados' status and the next inputs, shape (2,) [LIMIT]."""
-        solver, here = self._solver, np.concatenate((state, input_in_force / LIMIT))
-        solver.set(0, "lbx", here)
-        solver.set(0, "ubx", here)
-        self._states[0] = here
+        solver, x0 = self._solver, np.concatenate((state, input_in_force / LIMIT))
+        solver.set(0, "lbx", x0)
+        solver.set(0, "ubx", x0)
+        self._states[0] = x0
         for k in range(HORIZON):
             solver.set(k, "x", self._states[k])
             solver.set(k, "u", self._inputs[k])
@@ -139,7 +133,7 @@ class Loop:
         states = np.array([solver.get(k, "x") for k in range(HORIZON + 1)])
         if not (np.isfinite(inputs).all() and np.isfinite(states).all()):
             solver.reset()
-            inputs, states = np.zeros_like(inputs), np.tile(here, (HORIZON + 1, 1))
+            inputs, states = np.zeros_like(inputs), np.tile(x0, (HORIZON + 1, 1))
         self._inputs[:-1], self._inputs[-1] = inputs[1:], 0.0
         self._states[:-1], self._states[-1] = states[1:], states[-1]
         self._states[-1, STATE_SIZE:] = 0.0
@@ -148,21 +142,21 @@ class Loop:
 
 def main(kind: str) -> None:
     """Answer requests on the standard input until it ends."""
-    # What acados prints, or asks the user, must not get in between.
+    # What acados prints must not mix with the answers, nor its questions read the requests.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb", buffering=0)
-    nothing = os.open(os.devnull, os.O_RDWR)
+    null = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):
-        os.dup2(nothing, stream)
+        os.dup2(null, stream)
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
             loop = Loop(build(kind, Path(folder)))
         except BaseException as error:
-            # acados leaves by SystemExit where a program of its own is missing.
+            # acados raises SystemExit where one of its programs is missing.
             answers.write(" ".join(f"{type(error).__name__}: {error}".split()).encode() + b"\n")
             sys.exit(1)
         answers.write(b"\n")
-        gc.disable()  # as the race does in its own process
+        gc.disable()  # as in `sphere_sim.benchmark.closed_loops`
         while len(data := requests.read(8 * REQUEST_SIZE)) == 8 * REQUEST_SIZE:
             start, state, goal, in_force = np.split(np.frombuffer(data), (1, 7, 13))
             if start[0]:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a solve is made of: roll-out, expansion, one iteration, in the compiled code itself."""
+"""Times of the parts of a solve: roll-out, expansion and iteration of the compiled code."""
 
 import time
 from dataclasses import replace
@@ -11,18 +11,18 @@ from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.numpy_backend.levenberg_marquardt import rest_start
 from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_sim.benchmark.contender import paper_problem
+from sphere_sim.benchmark.problem import paper_problem
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 REPETITIONS = 400
 _ITERATIONS = 8
 
 
-def measure_floor() -> dict[str, float]:
+def measure_parts() -> dict[str, float]:
     """Return the median times of the parts of a solve of the paper's problem [us].
 
-    ``roll_out`` and ``expansion`` are a roll-out and one with derivatives, gradient and Hessian,
-    ``iteration`` a whole iteration in the far phase, ``call`` what the Python caller adds.
+    ``roll_out`` is a roll-out, ``expansion`` what derivatives, gradient and Hessian add to it,
+    ``iteration`` one iteration far from the goal, ``call`` what the call from Python adds.
     """
     case = PAPER_CASES[1]
     problem = paper_problem(case.start, case.goal, np.zeros(2))

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""do-mpc as its users would write the problem: multiple shooting, its own warm start."""
+"""do-mpc, used as in its examples: multiple shooting, its own warm start."""
 
 from typing import Any
 
@@ -8,19 +8,19 @@ import casadi as ca
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.benchmark.contender import (
+from sphere_sim.benchmark.benchmarked_solver import Answer
+from sphere_sim.benchmark.problem import (
     HORIZON,
     INPUT_WEIGHT,
     LIMIT,
     SAMPLE_PERIOD,
     TERMINAL_WEIGHT,
-    Answer,
     predicted,
 )
 
 
 class DoMpc:
-    """The first-order hold makes the last input a part of the state."""
+    """do-mpc; because of the first-order hold the last input is a part of the state."""
 
     def __init__(self) -> None:
         import do_mpc
@@ -28,7 +28,7 @@ class DoMpc:
         self._do_mpc: Any = do_mpc
 
     def start(self, goal: Vector) -> None:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         model = self._do_mpc.model.Model("discrete", "SX")
         state = model.set_variable("_x", "state", (6, 1))
         last = model.set_variable("_x", "last", (2, 1))
@@ -49,14 +49,14 @@ class DoMpc:
         controller.bounds["upper", "_u", "v"] = 1.0
         controller.setup()
         self._controller = controller
-        self._begun = False
+        self._has_guess = False
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         x = np.concatenate((state, input_in_force)).reshape(-1, 1)
-        if not self._begun:
+        if not self._has_guess:
             self._controller.x0 = x
             self._controller.set_initial_guess()
-            self._begun = True
+            self._has_guess = True
         v = np.asarray(self._controller.make_step(x)).ravel()
         return Answer(LIMIT * v, bool(self._controller.solver_stats["success"]))

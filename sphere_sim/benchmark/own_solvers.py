@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The solver of `sphere_nmpc` in the two ways it is used."""
+"""Solver of `sphere_nmpc` as the strategies ``plan_keeping`` and ``paper`` use it."""
 
 import numpy as np
 
@@ -8,24 +8,25 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
 from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
-from sphere_sim.benchmark.contender import HORIZON, Answer, paper_problem, shifted
+from sphere_sim.benchmark.benchmarked_solver import Answer
+from sphere_sim.benchmark.problem import HORIZON, paper_problem, shifted
 
 
 class BothSigns:
-    """The recommended way: plan-keeping settings, a warm start for each sign of the goal."""
+    """Plan-keeping settings, with a warm start for each sign of the goal's quaternion."""
 
     def __init__(self) -> None:
         self._solvers = plan_keeping_solvers()
 
     def start(self, goal: Vector) -> None:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         self._goal = goal
         rest: Vector = np.zeros((HORIZON, INPUT_SIZE))
         self._starts = (rest, rest)
         self._followed = 0
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         problem = paper_problem(state, self._goal, input_in_force)
         answer = solve_both_signs(self._solvers, problem, self._starts, self._followed)
         self._starts = (shifted(answer.inputs_for(0)), shifted(answer.inputs_for(1)))
@@ -35,18 +36,18 @@ class BothSigns:
 
 
 class AlgorithmOne:
-    """Algorithm 1 of the paper to the letter: one sign, solved to convergence."""
+    """Algorithm 1 of the paper: one sign of the goal's quaternion, solved to convergence."""
 
     def __init__(self) -> None:
         self._solver = HoldSolver(SolverSettings(max_iterations=100))
 
     def start(self, goal: Vector) -> None:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         self._goal = goal
         self._start: Vector = np.zeros((HORIZON, INPUT_SIZE))
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `Contender`."""
+        """See `BenchmarkedSolver`."""
         problem = paper_problem(state, self._goal, input_in_force)
         solution = self._solver.solve(problem, self._start)
         self._start = shifted(solution.inputs)

@@ -1,5 +1,7 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
+"""acados in a process of another Python."""
+
 import os
 import subprocess
 import sys
@@ -12,18 +14,18 @@ pytest.importorskip("rich")
 
 from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.solver.reference.objective import cost
-from sphere_sim.benchmark import acados_peer
-from sphere_sim.benchmark.acados_peer import Acados, acados_makers, clean_environment
-from sphere_sim.benchmark.contender import (
+from sphere_sim.benchmark import acados_solver
+from sphere_sim.benchmark.acados_solver import Acados, acados_makers, clean_environment
+from sphere_sim.benchmark.benchmarked_solver import Answer
+from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
+from sphere_sim.benchmark.problem import (
     CONSTANTS,
     HORIZON,
     INTEGRATION_STEP,
     LIMIT,
     SAMPLE_PERIOD,
-    Answer,
     paper_problem,
 )
-from sphere_sim.benchmark.race import race, set_up
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 PYTHON = os.environ.get("SPHERE_TEST_ACADOS_PYTHON")
@@ -37,7 +39,7 @@ EVALUATE = """
 import os, sys, tempfile
 from pathlib import Path
 import numpy as np
-from sphere_sim.benchmark.acados_child import Loop, build
+from sphere_sim.benchmark.acados_process import Loop, build
 
 def put(solver, x, v):
     for k in range(5):
@@ -73,28 +75,28 @@ def script(tmp_path, text):
     return str(path)
 
 
-def test_without_an_interpreter_it_says_how_to_get_one():
+def test_without_an_interpreter_the_reason_says_how_to_get_one():
     _, _, missing = set_up(acados_makers(None), lambda name: None)
     assert list(missing) == ["acados sqp", "acados rti"]
     assert all("pip install comma-deps-acados" in reason for reason in missing.values())
 
 
-def test_an_interpreter_that_is_not_there_is_named():
+def test_missing_interpreter_is_named():
     with pytest.raises(RuntimeError, match=r"/no/such/python does not start: No such file"):
         Acados("sqp", "/no/such/python")
 
 
-def test_an_interpreter_without_acados_says_so():
+def test_interpreter_without_acados_is_reported():
     with pytest.raises(RuntimeError, match="No module named 'acados"):
         Acados("sqp", sys.executable)
 
 
-def test_an_interpreter_that_is_none_says_so(tmp_path):
+def test_program_that_is_no_interpreter_is_reported(tmp_path):
     with pytest.raises(RuntimeError, match="says: nothing, it has ended"):
         Acados("sqp", script(tmp_path, "pass"))
 
 
-def test_what_comes_over_the_pipe_is_what_was_measured_there(tmp_path):
+def test_answers_of_the_process_are_returned(tmp_path):
     stand_in = (
         "import sys, numpy as np\n"
         "sys.stdout.buffer.write(b'\\n'); sys.stdout.flush()\n"
@@ -103,20 +105,20 @@ def test_what_comes_over_the_pipe_is_what_was_measured_there(tmp_path):
         "    answer = np.array([status, 7.0, asked[0], 2.0, asked[13] / 100.0])\n"
         "    sys.stdout.buffer.write(answer.tobytes()); sys.stdout.flush()\n"
     )
-    peer = Acados("sqp", script(tmp_path, stand_in))
+    acados = Acados("sqp", script(tmp_path, stand_in))
     case = PAPER_CASES[1]
-    peer.start(case.goal)
-    first = peer.solve(case.start, np.array([30.0, 0.0]))
+    acados.start(case.goal)
+    first = acados.solve(case.start, np.array([30.0, 0.0]))
     assert first.speeds.tolist() == [LIMIT, 30.0]
     assert first.solved is True and first.took == (7.0, 1.0)
-    second = peer.solve(case.start, np.zeros(2))
+    second = acados.solve(case.start, np.zeros(2))
     assert second.solved is False and second.took == (7.0, 0.0)
     for _ in range(2):
         with pytest.raises(RuntimeError, match="process has ended"):
-            peer.solve(case.start, np.zeros(2))
+            acados.solve(case.start, np.zeros(2))
 
 
-def test_the_race_counts_the_time_that_was_measured_elsewhere():
+def test_times_measured_in_another_process_are_counted():
     class Elsewhere:
         def start(self, goal):
             pass
@@ -124,8 +126,8 @@ def test_the_race_counts_the_time_that_was_measured_elsewhere():
         def solve(self, state, input_in_force):
             return Answer(np.zeros(2), True, (2.0, 1.0))
 
-    contenders, records, _ = set_up({"one": Elsewhere}, lambda name: None)
-    for _ in race(contenders, records, [PAPER_CASES[1]], 2, 1, 60.0):
+    solvers, records, _ = set_up({"one": Elsewhere}, lambda name: None)
+    for _ in run_closed_loops(solvers, records, [PAPER_CASES[1]], 2, 1, 60.0):
         pass
     assert records["one"].wall == [2.0, 2.0] and records["one"].cpu == [1.0, 1.0]
     assert records["one"].spent == 4.0
@@ -133,7 +135,7 @@ def test_the_race_counts_the_time_that_was_measured_elsewhere():
 
 @needs_acados
 @pytest.mark.slow
-def test_acados_is_given_the_same_cost_and_dynamics():
+def test_acados_has_the_same_cost_and_dynamics():
     rng = np.random.default_rng(0)
     rows, expected = [], []
     for scenario in draw_scenarios(5, 0):
@@ -146,7 +148,7 @@ def test_acados_is_given_the_same_cost_and_dynamics():
         rows.append(np.concatenate((np.hstack((states, knots / LIMIT)).ravel(), v, scenario.goal)))
         expected.append(cost(paper_problem(scenario.start, scenario.goal, in_force), v)[0])
     done = subprocess.run(
-        [PYTHON, "-c", acados_peer.IMPORT_PATH + EVALUATE, acados_peer.PACKAGES],
+        [PYTHON, "-c", acados_solver.IMPORT_PATH + EVALUATE, acados_solver.PACKAGES],
         input=np.array(rows).tobytes(),
         env=clean_environment(),
         capture_output=True,
@@ -161,14 +163,14 @@ def test_acados_is_given_the_same_cost_and_dynamics():
 @needs_acados
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ("sqp", "rti"))
-def test_acados_answers_and_cleans_up(kind, tmp_path, monkeypatch):
+def test_acados_solves_and_removes_its_files(kind, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    peer = Acados(kind, PYTHON)
+    acados = Acados(kind, PYTHON)
     case = PAPER_CASES[3]
-    peer.start(case.goal)
-    answer = peer.solve(case.start, np.zeros(2))
+    acados.start(case.goal)
+    answer = acados.solve(case.start, np.zeros(2))
     assert np.all(np.abs(answer.speeds) <= LIMIT) and np.any(answer.speeds != 0.0)
-    assert answer.took is not None and 0.0 < answer.took[0] < 1.0
+    assert answer.took is not None and answer.took[0] > 0.0
     assert list(tmp_path.iterdir())
-    peer.close()
+    acados.close()
     assert not list(tmp_path.iterdir())

@@ -1,0 +1,83 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Optimal control problem of the paper (Eq. 34), which all benchmarked solvers solve."""
+
+import numpy as np
+
+from sphere_nmpc.model.dynamics import Expression
+from sphere_nmpc.model.integrator import step_function, steps_for
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.solver.problem import HoldProblem
+
+HORIZON = 4
+SAMPLE_PERIOD = 0.5  # s
+INTEGRATION_STEP = SAMPLE_PERIOD / 3.0
+"""Longest integration step of all solvers [s]: as accurate as ten classical Runge-Kutta steps a
+sample period."""
+TERMINAL_WEIGHT = 1e8  # beta [-]
+INPUT_WEIGHT = 0.5  # alpha [s^2/rad^2]
+ROBOT = RobotParameters()
+CONSTANTS = ROBOT.lumped.as_array()
+LIMIT = ROBOT.max_rotor_speed
+
+
+_BOUND = np.full((HORIZON, INPUT_SIZE), LIMIT)
+_MINUS_BOUND = -_BOUND
+_DURATIONS = np.full(HORIZON, SAMPLE_PERIOD)
+
+
+def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> HoldProblem:
+    """Return OCP_N of the paper (Eq. 34) with its cost divided by beta.
+
+    Parameters
+    ----------
+    state, goal : ndarray, shape (6,)
+        Current and desired state.
+    input_in_force : ndarray, shape (2,)
+        Current rotor speeds [rad/s].
+    """
+    return HoldProblem(
+        state=state,
+        goal=goal,
+        input_in_force=input_in_force,
+        durations=_DURATIONS,
+        constants=CONSTANTS,
+        lower=_MINUS_BOUND,
+        upper=_BOUND,
+        input_scale=LIMIT,
+        terminal_weight=1.0,
+        stage_weight=1.0 / TERMINAL_WEIGHT,
+        input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT,
+        max_step=INTEGRATION_STEP,
+    )
+
+
+def predicted(state: Expression, start: Expression, end: Expression) -> Expression:
+    """Return the state, (6,), a sample period later; inputs ramp from `start` to `end` [rad/s]."""
+    steps = steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
+    for i in range(steps):
+        step_start = start + (end - start) * (i / steps)
+        step_end = start + (end - start) * ((i + 1) / steps)
+        state = step_function()(state, step_start, step_end, SAMPLE_PERIOD / steps, CONSTANTS)
+    return state
+
+
+def shifted(knots: Vector) -> Vector:
+    """Return the warm start at the next sampling instant: the plan shifted, zero appended.
+
+    Step 6 of Algorithm 1.
+
+    Parameters
+    ----------
+    knots : ndarray, shape (N + 1, 2)
+        Rotor speeds u_0 ... u_N of the plan [rad/s].
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Initial guess of u_1 ... u_N [rad/s].
+    """
+    start = np.zeros((knots.shape[0] - 1, INPUT_SIZE))
+    start[:-1] = knots[2:]
+    return start

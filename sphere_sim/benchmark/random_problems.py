@@ -43,7 +43,7 @@ class Comparison:
     ours_many_s: list[float] = field(default_factory=list)
 
     def summary(self) -> dict[str, float]:
-        """Return the shares of not higher and lower costs than IPOPT's, and the excess of others."""
+        """Return the shares of not worse and of better costs, and the excess of the others."""
         result: dict[str, float] = {"problems": float(len(self.ipopt))}
         reference = np.array(self.ipopt)
         for name, costs, times in (

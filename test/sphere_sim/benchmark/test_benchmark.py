@@ -180,7 +180,7 @@ def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(tmp_pat
         raise KeyboardInterrupt
 
     (tmp_path / "x.json").write_text("{}")
-    monkeypatch.setattr("sphere_sim.benchmark.solve_parts.measure_floor", interrupt)
+    monkeypatch.setattr("sphere_sim.benchmark.solve_parts.measure_parts", interrupt)
     with pytest.raises(KeyboardInterrupt) as stopped:
         main(["--json", str(tmp_path / "x.json"), *QUICK])
     kept = tmp_path / "x_interrupted.json"

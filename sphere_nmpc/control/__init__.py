@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The control loop around a strategy: what is known, what is sent, what happens on bad days."""
+"""The control loop around strategy and estimator, its schedule, and what monitors it."""

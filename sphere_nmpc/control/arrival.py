@@ -1,13 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the sphere has arrived: the error has stayed small for a while, not just passed by."""
+"""Detection of the arrival: the error has stayed below the tolerance for some time."""
 
 _LEAVING = 2.0
-"""Error over the tolerance at which the goal is left again; noise at the edge does not flicker."""
+"""Ratio of error and tolerance above which the goal counts as left: hysteresis against noise."""
 
 
 class Arrival:
-    """Tell from the error over time whether the sphere is at the goal."""
+    """Detect from the error over time whether the sphere is at the goal."""
 
     def __init__(self) -> None:
         self._inside_since: float | None = None
@@ -15,23 +15,23 @@ class Arrival:
         """Whether the sphere is at the goal."""
 
     def reset(self) -> None:
-        """Forget what was seen, as with a new goal."""
+        """Discard past errors, as with a new goal."""
         self._inside_since = None
         self.reached = False
 
     def update(self, time: float, error: float, tolerance: float, dwell: float) -> bool:
-        """Take note of the error at a sample instant and return whether the goal is reached.
+        """Record the error at a sampling instant and return whether the goal is reached.
 
         Parameters
         ----------
         time : float
-            Sample instant [s].
+            Sampling instant [s].
         error : float
-            Distance to the goal [mixed units]; nan counts as far away.
+            Distance to the goal [mixed units]; nan counts as not within the tolerance.
         tolerance : float
-            Error below which the sphere is inside [mixed units].
+            Error below which the sphere is at the goal [mixed units].
         dwell : float
-            For how long it has to stay inside [s].
+            Time for which the error has to stay below the tolerance [s].
         """
         if not error < (_LEAVING * tolerance if self.reached else tolerance):
             self.reset()

@@ -202,7 +202,8 @@ class Controller:
                 self._estimator.forget()
             self._reset_strategy()
             self._arrival.reset()
-            return self._decision(Mode.BLIND, self._ramp_to_rest(time, Mode.BLIND), age=age)
+            mode = Mode.NO_FRESH_POSE
+            return self._decision(mode, self._ramp_to_rest(time, mode), age=age)
         estimate, failure = self._estimate(time)
         if estimate is not None:
             state = estimate.state

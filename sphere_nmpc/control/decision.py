@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a sample instant led to: the mode of the controller, its plan, and how far it is to go."""
+"""Result of a sampling instant: mode of the controller, plan, and distance to the goal."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -12,14 +12,14 @@ from sphere_nmpc.strategy.plan import Plan
 
 
 class Mode(Enum):
-    """What the controller is doing, and why it does nothing where it does nothing."""
+    """Operating mode of the controller; where it does not move the robot, the reason."""
 
     NO_CLOCK = "no clock yet"
-    STANDSTILL = "the clock stands still"
+    CLOCK_STOPPED = "the clock stands still"
     NO_POSE = "no pose yet"
     NO_GOAL = "no goal yet"
     DISABLED = "disabled"
-    BLIND = "no fresh pose, ramping to rest"
+    NO_FRESH_POSE = "no fresh pose, ramping to rest"
     TRACKING = "on the way to the goal"
     AT_GOAL = "at the goal"
     FALLBACK = "solve failed, following the previous plan"
@@ -27,23 +27,23 @@ class Mode(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What a sample instant led to.
+    """Result of a sampling instant.
 
     Attributes
     ----------
     mode : Mode
-        What the controller is doing.
+        Operating mode.
     plan : Plan
         The plan, before it is joined to the speeds in force by `Controller.commit`.
     state : ndarray of shape (6,), or None
-        State predicted to the sample instant; None while blind.
+        State estimated for the sampling instant; None without a fresh pose.
     error, position_error, angle_error : float
         Distance to the goal: in R^6, in the plane [m], and of orientation [rad]; nan if unknown.
     pose_age : float
-        How old the newest pose was [s], negative for one from the future; inf without one.
+        Age of the newest pose [s], negative for one from the future; inf without one.
     covariance : ndarray of shape (5, 5), or None
-        Of the deviation of the true state from `state`: position [m; world frame], rotation
-        vector [rad; body frame]. None where poses are trusted exactly.
+        Covariance of the error state: position [m; world frame], rotation vector [rad; body
+        frame]. None where poses are trusted exactly.
     """
 
     mode: Mode
@@ -57,7 +57,7 @@ class Decision:
 
     @property
     def solved(self) -> bool:
-        """Whether the plan is what the strategy found for this instant."""
+        """Whether the plan is the solution of the strategy for this instant."""
         return self.mode in (Mode.TRACKING, Mode.AT_GOAL)
 
     @property

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The goal in force, kept in a file for a controller that is started again on the way."""
+"""File with the goal in force, from which a restarted controller resumes."""
 
 import json
 import os
@@ -12,18 +12,17 @@ from sphere_nmpc.model.state import Vector, as_state
 
 
 class GoalMemory:
-    """Keep the goal in a small file, with the time at which it was last in force.
+    """Store the goal in a file, with the time at which it was last in force.
 
-    The goal is taken up again only by a controller that starts soon after the end of the last
-    one, on the same clock, which has gone on since: a simulation that begins anew begins without
-    a goal.
+    A controller resumes the goal only if it starts soon after the end of the last one and on the
+    same clock, which must not have been set back: a simulation that starts again has no goal.
 
     Parameters
     ----------
     path : Path
         The file; its folder is made when it is first written.
     keep : float
-        For how long after the end of a controller its goal is taken up [s, wall].
+        Time after the end of a controller within which its goal is resumed [s, wall].
     """
 
     def __init__(self, path: Path, keep: float) -> None:
@@ -31,9 +30,9 @@ class GoalMemory:
         self._keep = keep
 
     def save(self, goal: Vector | None, stamp: int, simulated: bool) -> None:
-        """Write the goal, shape (6,), in force at `stamp` [ns]; without one forget the last.
+        """Write the goal, shape (6,), in force at `stamp` [ns]; without one delete the last.
 
-        `simulated` tells the clock of the stamp: simulated time, or that of the system.
+        `simulated` says whether the stamp is of simulated time or of the system clock.
 
         Raises
         ------
@@ -46,17 +45,17 @@ class GoalMemory:
             self._path.unlink(missing_ok=True)
             return
         make_private(self._path.parent)
-        # A process that is killed while it writes must leave the old file or the new one.
+        # A process that is killed while it writes must leave the old file or the new one intact.
         fresh = self._path.with_suffix(f".{os.getpid()}")
         content = {"goal": goal.tolist(), "stamp": stamp, "simulated": simulated}
         fresh.write_text(json.dumps(content), encoding="ascii")
         fresh.replace(self._path)
 
     def recall(self, stamp: int, simulated: bool) -> tuple[Vector, float] | None:
-        """Return the goal of a controller that has just ended, and how long ago [s, wall].
+        """Return the goal of a controller that ended recently, and the time since [s, wall].
 
-        None where there is none, it ended too long ago, or the clock is another one or, now that
-        it shows `stamp` [ns], has begun anew since.
+        None if there is none, if it ended too long ago, or if the clock, which now shows `stamp`
+        [ns], is another one or has been set back.
         """
         try:
             age = max(0.0, time.time() - self._path.stat().st_mtime)

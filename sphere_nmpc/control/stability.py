@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Monitor of Theorem 3: whether the value function falls, sample by sample, as the proof needs.
+"""Monitor of Theorem 3: whether the value function decreases as the proof requires.
 
 For each transition from sample k to k + 1 under the input u(k+1) it reports
 
@@ -8,7 +8,7 @@ For each transition from sample k to k + 1 under the input u(k+1) it reports
     Delta = |x(k+1) - x_d|^2 - |x(k) - x_d|^2 < 0                          (Assumption 3)
     beta >= (|x(k) - x_d|^2 + 2 alpha u_max^2) / |Delta|                        (Eq. 36)
 
-As Delta can never be below -|x - x_d|^2, no step whatever satisfies Eq. (36) where
+As Delta is never below -|x - x_d|^2, no step satisfies Eq. (36) where
 |x - x_d|^2 < 2 alpha u_max^2 / (beta - 1): that ball is taken as the neighbourhood D of Remark 5.
 With the paper's numbers its radius is 1e-2.
 """
@@ -23,7 +23,7 @@ from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What is known at a sample instant.
+    """Quantities of the monitor at a sampling instant.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class Sample:
     state : ndarray, shape (6,)
         x(k).
     goal : ndarray, shape (6,)
-        x_d with the quaternion sign that the plan aims at.
+        x_d with the quaternion sign that the plan tracks.
     value : float
         V*(k), the optimal cost in the units of Eq. (24); nan where the solve failed.
     next_input : ndarray, shape (2,)
-        u(k+1), the rotor speeds at the next sample instant [rad/s].
+        u(k+1), the rotor speeds at the next sampling instant [rad/s].
     input_weight : float
         alpha [s^2/rad^2].
     terminal_weight : float
@@ -66,7 +66,7 @@ class Sample:
 
     @property
     def bound_numerator(self) -> float:
-        """|x - x_d|^2 + 2 alpha u_max^2, what beta |Delta| must exceed (Eq. 36)."""
+        """|x - x_d|^2 + 2 alpha u_max^2, the lower bound of beta |Delta| (Eq. 36)."""
         return self.square_error + 2.0 * self.input_weight * self.max_speed**2
 
     @property
@@ -89,7 +89,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class StabilityReport:
-    """What the newest sample says about the transition that led to it.
+    """Assessment of the transition that led to the newest sample.
 
     Attributes
     ----------
@@ -108,13 +108,13 @@ class StabilityReport:
     inside : bool
         Whether the newest state is in the neighbourhood D of Remark 5.
     decreases : bool or None
-        Whether Eq. (42) held; None where it cannot be said.
+        Whether Eq. (42) held; None if undefined.
     approaches : bool or None
-        Whether Delta < 0; None where it cannot be said.
+        Whether Delta < 0; None if undefined.
     judged : int
-        Transitions since the start that began outside D and could be judged.
+        Transitions assessed since the start: those that began outside D.
     decrease_violations, approach_violations, beta_violations : int
-        How many of these broke Eq. (42), had Delta >= 0, broke Eq. (36).
+        Numbers of these that violated Eq. (42), had Delta >= 0, violated Eq. (36).
     """
 
     time: float
@@ -142,16 +142,16 @@ def neighbourhood_radius(
 
 
 class StabilityMonitor:
-    """Watch a closed loop with one call a sample period; never raises while running.
+    """Monitor a closed loop with one call per sample period; never raises while running.
 
-    A new goal or new weights make another value function: the transition across is not judged.
+    A new goal or new weights make another value function: that transition is not assessed.
     """
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last sample and all counts."""
+        """Discard the last sample and all counts."""
         self._last: Sample | None = None
         self._judged = 0
         self._decrease_violations = 0

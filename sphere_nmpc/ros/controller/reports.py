@@ -33,10 +33,10 @@ _LEVELS = {
     Mode.AT_GOAL: OK,
     Mode.NO_GOAL: OK,
     Mode.NO_CLOCK: STALE,
-    Mode.STANDSTILL: WARN,
+    Mode.CLOCK_STOPPED: WARN,
     Mode.DISABLED: OK,
     Mode.NO_POSE: STALE,
-    Mode.BLIND: ERROR,
+    Mode.NO_FRESH_POSE: ERROR,
     Mode.FALLBACK: WARN,
 }
 _KEPT = 1000
@@ -115,7 +115,7 @@ class ControllerReports:
         if math.isnan(self._monitor.time):
             return Mode.NO_CLOCK
         if self._monitor.stands_still:
-            return Mode.STANDSTILL
+            return Mode.CLOCK_STOPPED
         return Mode.NO_POSE if self._decision is None else self._decision.mode
 
     def update(self) -> None:
@@ -167,7 +167,7 @@ class ControllerReports:
             self._solve_times.append(plan.solve_time)
         if decision.mode is Mode.FALLBACK:
             self._fault_log.report("solve failed", plan.message)
-        self._status_values.judge(decision, time)
+        self._status_values.update(decision, time)
         self._publish_arrival()
         last, mode = self._last_status
         if decision.mode is mode and 0.0 <= time - last < _STATUS_EVERY:
@@ -215,7 +215,7 @@ class ControllerReports:
         mode, found = self._mode, self._monitor.faults
         if found:
             return ERROR if found[0].severe else WARN, found[0].kind, values
-        if mode is Mode.STANDSTILL:
+        if mode is Mode.CLOCK_STOPPED:
             return WARN, f"{mode.value} at {self._monitor.time:.3f} s", values
         return _LEVELS[mode], mode.value, values
 

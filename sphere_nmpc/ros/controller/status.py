@@ -39,7 +39,7 @@ class ControllerStatus:
         self._settings = settings
         self._monitor = StabilityMonitor()
         self._stability: StabilityReport | None = None
-        self._judged_at = float("-inf")
+        self._stability_at = float("-inf")
         self._evaluated_at = float("-inf")
         # The first call builds the brackets, which takes longer than a sample.
         start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -52,15 +52,15 @@ class ControllerStatus:
             self._monitor, self._stability = StabilityMonitor(), None
         self._settings = settings
 
-    def judge(self, decision: Decision, time: float) -> None:
+    def update(self, decision: Decision, time: float) -> None:
         """Update the monitors with the decision for `time` [s]; to be called at every tick."""
         period = self._settings.period
-        if time < self._judged_at:
-            self._judged_at = self._evaluated_at = float("-inf")
+        if time < self._stability_at:
+            self._stability_at = self._evaluated_at = float("-inf")
         # The value function falls from one knot to the next, not within an interval.
-        if decision.solved and time >= self._judged_at + 0.99 * period:
-            self._judged_at = time
-            self._judge(decision, time)
+        if decision.solved and time >= self._stability_at + 0.99 * period:
+            self._stability_at = time
+            self._update_stability(decision, time)
         if decision.state is not None and time >= self._evaluated_at + _CONTROLLABILITY_EVERY:
             self._evaluated_at = time
             constants = self._controller.estimator.plant.constants
@@ -119,7 +119,7 @@ class ControllerStatus:
             "stability_violations": report.decrease_violations,
         }
 
-    def _judge(self, decision: Decision, time: float) -> None:
+    def _update_stability(self, decision: Decision, time: float) -> None:
         """Update the monitor of Theorem 3, which holds for the paper's strategy only."""
         goal, settings, state = self._controller.goal, self._settings, decision.state
         if settings.strategy != "paper" or goal is None or state is None:

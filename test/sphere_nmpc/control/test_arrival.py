@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""An arrival is an error that stays small, not one that passes through zero."""
+"""The arrival is detected when the error stays small, not when it passes through zero."""
 
 import math
 
@@ -20,7 +20,7 @@ TOLERANCE, DWELL = 0.01, 0.25
 
 
 def reached(*samples: tuple[float, float]) -> list[bool]:
-    """Return what is said at each (time, error)."""
+    """Return whether the goal counts as reached at each (time, error)."""
     arrival = Arrival()
     return [arrival.update(time, error, TOLERANCE, DWELL) for time, error in samples]
 
@@ -35,15 +35,15 @@ def reached(*samples: tuple[float, float]) -> list[bool]:
         ([(0.0, math.nan), (0.3, math.nan)], [False, False]),
         ([(5.0, 0.0), (0.0, 0.0), (0.1, 0.0), (0.3, 0.0)], [False, False, False, True]),
     ],
-    ids=["stays", "passes by", "noise at the edge", "pushed out", "unknown", "clock goes back"],
+    ids=["stays", "passes", "noise at the limit", "pushed away", "unknown", "clock set back"],
 )
-def test_goal_is_reached_by_staying(samples, expected) -> None:
+def test_goal_is_reached_when_the_error_stays_within_the_tolerance(samples, expected) -> None:
     assert reached(*samples) == expected
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", PAPER_CASES)
-def test_paper_case_ends_at_the_goal_and_says_so_when_it_has_settled(case: int) -> None:
+def test_paper_case_ends_in_the_mode_at_goal_once_it_has_settled(case: int) -> None:
     scenario, settings, robot = PAPER_CASES[case], ControllerSettings(), RobotParameters()
     world = SimulatorSettings(
         initial_state=tuple(scenario.start), sample_period=settings.control_period

@@ -37,11 +37,11 @@ class Scripted:
         self.error: Exception | None = None
         self.states: Vector | None = None
         self.resets = 0
-        self.asked: list[Situation] = []
+        self.situations: list[Situation] = []
         self.changes: list[ControllerSettings] = []
 
     def plan(self, situation: Situation) -> Plan:
-        self.asked.append(situation)
+        self.situations.append(situation)
         if self.error is not None:
             raise self.error
         times = situation.time + PERIOD * np.arange(len(self.knots) + 1)
@@ -75,7 +75,7 @@ def sample(controller: Controller, time: float, delay: float = 0.0) -> Mode:
 
 
 def track(controller: Controller, time: float = 0.0) -> None:
-    """Bring the controller to the middle of an interval with the rotors turning."""
+    """Let the controller plan and command its first motion at `time` [s]."""
     controller.observe(time, START)
     assert sample(controller, time) is Mode.TRACKING
 
@@ -94,7 +94,7 @@ def test_without_pose_nothing_is_sent(controller: Controller) -> None:
     assert np.isnan(decision.error)
 
 
-def test_without_goal_nothing_is_sent_but_the_state_is_known() -> None:
+def test_without_goal_nothing_is_sent_but_the_state_is_estimated() -> None:
     controller = Controller(SETTINGS, ROBOT, Scripted())
     controller.observe(0.0, START)
     decision = controller.decide(0.1)
@@ -120,7 +120,7 @@ def test_state_is_predicted_to_the_sample_instant_with_what_was_sent(
 ) -> None:
     track(controller)
     controller.decide(PERIOD - 0.1)
-    moved = strategy.asked[-1]
+    moved = strategy.situations[-1]
     assert np.linalg.norm(moved.state - START) > 1e-2
     np.testing.assert_allclose(moved.input_in_force, 0.8 * np.array([60.0, -40.0]))
 
@@ -130,20 +130,20 @@ def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit(controller: Controller
     late = SETTINGS.pose_timeout + 0.01
     in_force = controller.speeds_at(late)
     decision = controller.decide(late)
-    assert decision.mode is Mode.BLIND
+    assert decision.mode is Mode.NO_FRESH_POSE
     assert decision.state is None
     assert decision.pose_age == pytest.approx(late)
     hold = controller.commit(decision, late)
     assert hold is not None
     ramp_is_safe(hold)
     assert hold.end - late == pytest.approx(np.max(np.abs(in_force)) / 400.0)
-    # At rest and still blind, there is nothing more to say.
+    # At rest and still without a pose, nothing more is sent.
     assert controller.commit(controller.decide(late + 1.0), late + 1.0) is None
 
 
-def test_pose_back_after_blindness_goes_on_from_there(controller: Controller) -> None:
+def test_pose_after_an_interruption_resumes_tracking(controller: Controller) -> None:
     track(controller)
-    assert sample(controller, 2.0) is Mode.BLIND
+    assert sample(controller, 2.0) is Mode.NO_FRESH_POSE
     assert controller.observe(2.4, START)
     assert sample(controller, 2.5) is Mode.TRACKING
 
@@ -159,7 +159,7 @@ def test_pose_back_after_blindness_goes_on_from_there(controller: Controller) ->
         np.zeros(3),
     ],
 )
-def test_pose_that_is_none_is_refused_and_the_last_one_stays(
+def test_invalid_pose_is_refused_and_the_last_one_stays(
     controller: Controller, bad: Vector
 ) -> None:
     controller.observe(0.0, START)
@@ -176,7 +176,7 @@ def test_pose_without_a_time_is_refused(controller: Controller, time: float) -> 
 
 
 @pytest.mark.parametrize("bad", [np.full(6, np.nan), np.zeros(6), np.zeros(7)])
-def test_goal_that_is_none_is_refused_and_the_old_one_stays(
+def test_invalid_goal_is_refused_and_the_old_one_stays(
     controller: Controller, bad: Vector
 ) -> None:
     with pytest.raises(InvalidStateError):
@@ -192,11 +192,11 @@ def test_pose_out_of_order_is_dropped_and_counted(controller: Controller) -> Non
     np.testing.assert_array_equal(controller.decide(1.0).state, START)
 
 
-def test_pose_from_the_future_is_dropped_and_does_not_shut_out_true_ones(
+def test_pose_from_the_future_is_dropped_and_later_valid_ones_are_used(
     controller: Controller,
 ) -> None:
     controller.observe(1e6, START)
-    assert sample(controller, 0.0) is Mode.BLIND
+    assert sample(controller, 0.0) is Mode.NO_FRESH_POSE
     assert controller.observe(0.4, START)
     assert sample(controller, 0.5) is Mode.TRACKING
 
@@ -209,7 +209,7 @@ def test_pose_a_little_ahead_of_the_sample_is_used_as_it_is(controller: Controll
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no"), ArithmeticError("nan"), KeyError("k")])
-def test_strategy_that_raises_leaves_the_plan_in_force_which_ends_at_rest(
+def test_strategy_that_raises_leaves_the_hold_in_force_which_ends_at_rest(
     controller: Controller, strategy: Scripted, error: Exception
 ) -> None:
     track(controller)
@@ -230,7 +230,7 @@ def test_strategy_that_raises_leaves_the_plan_in_force_which_ends_at_rest(
         time += PERIOD
     found = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
     np.testing.assert_array_equal(found[-1], [0.0, 0.0])
-    # What was sent five times over is what is left of the plan in force; rounding of 60 rad/s.
+    # The rest of the hold in force was sent five times; rounding of 60 rad/s.
     np.testing.assert_allclose(found, expected, atol=1e-11)
     assert controller.failures == 5
 
@@ -256,7 +256,7 @@ def test_strategy_that_predicts_nan_counts_as_failed(
     decision = controller.decide(PERIOD)
     assert decision.mode is Mode.FALLBACK
     assert "finite" in decision.plan.message
-    assert strategy.resets >= 2  # at the goal and now: nothing bad is kept as a warm start
+    assert strategy.resets >= 2  # for the goal and now: no invalid warm start is kept
 
 
 @pytest.mark.parametrize("enabled", [True, False])
@@ -289,7 +289,7 @@ def test_strategy_that_returns_nothing_counts_as_failed(controller: Controller) 
     assert sample(silent, 0.0) is Mode.FALLBACK
 
 
-def test_failure_is_over_when_the_strategy_answers_again(
+def test_tracking_resumes_when_the_strategy_returns_a_plan_again(
     controller: Controller, strategy: Scripted
 ) -> None:
     track(controller)
@@ -302,7 +302,7 @@ def test_failure_is_over_when_the_strategy_answers_again(
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.3, 0.49, 0.7, 5.0])
-def test_late_answer_never_bends_the_past_and_keeps_the_limits(
+def test_late_plan_never_changes_the_past_and_keeps_the_limits(
     controller: Controller, strategy: Scripted, delay: float
 ) -> None:
     track(controller)
@@ -323,17 +323,17 @@ def test_late_answer_never_bends_the_past_and_keeps_the_limits(
     ))
 
 
-def test_clock_that_is_late_gives_no_command_from_before_the_last(controller: Controller) -> None:
+def test_command_of_a_late_clock_is_not_dated_before_the_last_one(controller: Controller) -> None:
     track(controller)
     newest = controller.commit(controller.decide(0.25), 0.27)
     controller.enabled = False
     stop = controller.commit(controller.decide(0.26), 0.26)
     assert newest is not None and stop is not None
-    assert stop.start == newest.start, "who follows commands drops one that is older"
+    assert stop.start == newest.start, "an older command would be dropped by the follower"
     np.testing.assert_allclose(stop.speeds[0], newest.speeds[0])
 
 
-def test_plan_beyond_the_limits_is_sent_within_them(
+def test_plan_beyond_the_limits_is_limited(
     controller: Controller, strategy: Scripted
 ) -> None:
     strategy.knots = np.array([[900.0, -900.0], [-900.0, 900.0]])
@@ -344,7 +344,7 @@ def test_plan_beyond_the_limits_is_sent_within_them(
     ramp_is_safe(hold)
 
 
-def test_goal_changed_in_flight_is_aimed_at_from_the_next_sample_without_a_jump(
+def test_changed_goal_is_tracked_from_the_next_sample_without_a_jump_of_speed(
     controller: Controller, strategy: Scripted
 ) -> None:
     track(controller)
@@ -355,19 +355,19 @@ def test_goal_changed_in_flight_is_aimed_at_from_the_next_sample_without_a_jump(
     before = controller.speeds_at(0.25)
     controller.observe(0.25, START)
     hold = controller.commit(controller.decide(0.25), 0.25)
-    np.testing.assert_array_equal(strategy.asked[-1].goal, goal)
+    np.testing.assert_array_equal(strategy.situations[-1].goal, goal)
     assert hold is not None
     np.testing.assert_array_equal(hold.speeds[0], before)
 
 
-def test_goal_given_away_cannot_be_changed_from_outside(controller: Controller) -> None:
+def test_goal_is_returned_as_a_copy(controller: Controller) -> None:
     goal = controller.goal
     assert goal is not None
     goal[0] = 99.0
     np.testing.assert_array_equal(controller.goal, ORIGIN)
 
 
-def test_disabled_controller_ramps_to_rest_and_goes_on_when_enabled(
+def test_disabled_controller_ramps_to_rest_and_resumes_when_enabled(
     controller: Controller,
 ) -> None:
     track(controller)
@@ -384,7 +384,9 @@ def test_disabled_controller_ramps_to_rest_and_goes_on_when_enabled(
     assert sample(controller, 1.0) is Mode.TRACKING
 
 
-def test_disabled_before_the_plan_moved_anything_stops_the_plan(controller: Controller) -> None:
+def test_plan_is_cancelled_by_disabling_before_it_moves_the_rotors(
+    controller: Controller,
+) -> None:
     track(controller)
     controller.enabled = False
     decision = controller.decide(0.0)
@@ -393,11 +395,11 @@ def test_disabled_before_the_plan_moved_anything_stops_the_plan(controller: Cont
     np.testing.assert_array_equal(controller.speeds_at(PERIOD), [0.0, 0.0])
 
 
-def test_forgetting_keeps_the_goal_and_nothing_else(controller: Controller) -> None:
+def test_forgetting_keeps_the_goal_only(controller: Controller) -> None:
     track(controller, 100.0)
     controller.forget()
     assert controller.decide(100.2).mode is Mode.NO_POSE
-    assert controller.observe(0.0, START)  # the clock jumped back
+    assert controller.observe(0.0, START)  # the clock was set back
     assert sample(controller, 0.0) is Mode.TRACKING
     np.testing.assert_array_equal(controller.goal, ORIGIN)
 
@@ -405,13 +407,13 @@ def test_forgetting_keeps_the_goal_and_nothing_else(controller: Controller) -> N
 def test_missed_samples_are_not_caught_up(controller: Controller, strategy: Scripted) -> None:
     track(controller)
     controller.observe(3.2 * PERIOD, START)
-    asked = len(strategy.asked)
+    situations = len(strategy.situations)
     assert sample(controller, 3.3 * PERIOD) is Mode.TRACKING
-    assert len(strategy.asked) == asked + 1
+    assert len(strategy.situations) == situations + 1
 
 
 @pytest.mark.parametrize("speed", [1e-12, 1e-7, 1e-5, 1e-4])
-def test_plan_that_ends_next_to_rest_on_a_wall_clock_is_sent(
+def test_plan_that_ends_almost_at_rest_on_a_wall_clock_is_sent(
     controller: Controller, strategy: Scripted, speed: float
 ) -> None:
     strategy.knots = np.full((4, 2), speed)
@@ -444,7 +446,7 @@ def test_live_change_keeps_the_strategy_unless_it_is_another_one(
     assert sample(controller, PERIOD / 2) is Mode.TRACKING
     kept = changed.strategy == SETTINGS.strategy
     assert strategy.changes == ([changed] if kept else [])
-    assert len(strategy.asked) == (2 if kept else 1)
+    assert len(strategy.situations) == (2 if kept else 1)
     assert strategy.resets == 1  # at the goal
 
 
@@ -453,7 +455,7 @@ def test_other_sample_period_makes_a_new_strategy(
 ) -> None:
     controller.change(replace(SETTINGS, sample_period=2 * PERIOD))
     track(controller)
-    assert not strategy.changes and not strategy.asked
+    assert not strategy.changes and not strategy.situations
 
 
 FAILING = {
@@ -498,7 +500,7 @@ def test_plan_without_a_hold_counts_as_failed(
     controller: Controller, strategy: Scripted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     track(controller)
-    empty = replace(strategy.plan(strategy.asked[0]), hold=None)  # type: ignore[arg-type]
+    empty = replace(strategy.plan(strategy.situations[0]), hold=None)  # type: ignore[arg-type]
     monkeypatch.setattr(strategy, "plan", lambda situation: empty)
     assert sample(controller, PERIOD) is Mode.FALLBACK
     assert controller.failures == 1

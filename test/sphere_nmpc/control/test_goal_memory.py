@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A goal is taken up again soon after, on a clock that has gone on, and never otherwise."""
+"""A goal is resumed after a short time and on the same clock only."""
 
 import os
 import time
@@ -21,14 +21,14 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "goals" / "0.controller.json"
 
 
-def test_goal_comes_back_as_it_was(path: Path) -> None:
+def test_goal_is_resumed_unchanged(path: Path) -> None:
     GoalMemory(path, 30.0).save(GOAL, STAMP, True)
     goal, age = GoalMemory(path, 30.0).recall(STAMP, True)
     np.testing.assert_array_equal(goal, GOAL)
     assert 0.0 <= age < 10.0
 
 
-def test_goal_is_forgotten_after_a_while(path: Path) -> None:
+def test_goal_is_not_resumed_after_its_time(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
     memory.save(GOAL, STAMP, True)
     old = time.time() - 31.0
@@ -36,14 +36,14 @@ def test_goal_is_forgotten_after_a_while(path: Path) -> None:
     assert memory.recall(STAMP, True) is None
 
 
-def test_simulation_that_begins_anew_begins_without_a_goal(path: Path) -> None:
+def test_goal_is_not_resumed_on_a_clock_that_was_set_back(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
     memory.save(GOAL, STAMP, True)
     assert memory.recall(STAMP - 1, True) is None
     assert memory.recall(STAMP + 1, True) is not None
 
 
-def test_clock_of_another_kind_is_another_clock(path: Path) -> None:
+def test_goal_is_not_resumed_on_a_clock_of_the_other_kind(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
     memory.save(GOAL, STAMP, True)
     assert memory.recall(time.time_ns(), False) is None
@@ -51,12 +51,12 @@ def test_clock_of_another_kind_is_another_clock(path: Path) -> None:
     assert memory.recall(STAMP, True) is None and memory.recall(STAMP, False) is not None
 
 
-def test_nothing_is_kept_where_that_is_not_wanted(path: Path) -> None:
+def test_no_file_is_written_where_goals_are_not_kept(path: Path) -> None:
     GoalMemory(path, 0.0).save(GOAL, STAMP, True)
     assert not path.exists()
 
 
-def test_without_a_goal_the_last_one_is_forgotten(path: Path) -> None:
+def test_saving_no_goal_deletes_the_last_one(path: Path) -> None:
     memory = GoalMemory(path, 30.0)
     memory.save(GOAL, STAMP, True)
     memory.save(None, STAMP, True)
@@ -69,13 +69,13 @@ def test_without_a_goal_the_last_one_is_forgotten(path: Path) -> None:
      '{"goal": [0, 0, NaN, 0, 0, 0], "stamp": 0}', '{"goal": [0,0,1,0,0,0], "stamp": "x"}',
      '{"goal": [0,0,1,0,0,0], "stamp": Infinity}', "\ufffd" * 40],
 )
-def test_file_that_holds_no_goal_is_no_goal(path: Path, content: str) -> None:
+def test_file_without_a_valid_goal_is_ignored(path: Path, content: str) -> None:
     path.parent.mkdir()
     path.write_text(content, encoding="utf-8")
     assert GoalMemory(path, 30.0).recall(STAMP, True) is None
 
 
-def test_folder_that_cannot_be_written_is_told_to_the_caller(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_written_raises(tmp_path: Path) -> None:
     (tmp_path / "goals").write_text("in the way")
     with pytest.raises(OSError):
         GoalMemory(tmp_path / "goals" / "file", 30.0).save(GOAL, STAMP, True)

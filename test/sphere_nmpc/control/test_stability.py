@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The monitor of Theorem 3, on numbers worked out by hand and on a closed loop of the paper."""
+"""The monitor of Theorem 3, on hand-calculated numbers and on a closed loop of the paper."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_step_that_meets_every_condition_agrees_with_hand_calculation() -> None:
     assert (report.judged, *counts) == (1, 0, 0, 0)
 
 
-def test_step_that_breaks_every_condition_is_counted() -> None:
+def test_step_that_violates_every_condition_is_counted() -> None:
     monitor = StabilityMonitor()
     monitor.update(sample(0.0, 1.0, 1000.0, (0.0, 0.0)))
     report = monitor.update(sample(0.5, 2.0, 999.5, (0.0, 0.0)))
@@ -106,7 +106,7 @@ def test_transition_to_another_value_function_or_back_in_time_is_not_judged(
         {"next_input": np.array([np.inf, 0.0])},
     ],
 )
-def test_sample_without_usable_numbers_is_passed_over_without_an_error(
+def test_sample_with_invalid_numbers_is_ignored(
     change: dict[str, object],
 ) -> None:
     monitor = StabilityMonitor()
@@ -116,7 +116,7 @@ def test_sample_without_usable_numbers_is_passed_over_without_an_error(
     assert monitor.update(sample(1.5, 0.8, 7.0, (0, 0))).decreases is True
 
 
-def test_reset_forgets_counts_and_the_last_sample() -> None:
+def test_reset_discards_counts_and_the_last_sample() -> None:
     monitor = StabilityMonitor()
     monitor.update(sample(0.0, 1.0, 1.0, (0, 0)))
     monitor.update(sample(0.5, 2.0, 2.0, (0, 0)))

@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""High control rates through the nodes: what rate is held, how evenly, how late, how often not.
+"""High control rates through the nodes: achieved rate, period, latency and missed ticks.
 
     python bench/control_rate.py --json out/control_rate.json          # about nine minutes
 
 The simulator publishes as many poses as the controller solves plans. Every few seconds another
-drawn goal keeps the sphere on its way. Latency is from the writing of the pose of an instant to
-the writing of the command for it. With ``hogs`` a process beside the nodes keeps a processor busy.
+drawn goal keeps the sphere moving. Latency is the time from the publication of the pose of a
+sampling instant to that of its command. With ``hogs`` another process keeps a processor busy.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_sim.scenario.scenarios import draw_scenarios
 
 _NEW_GOAL_EVERY = 8.0
-"""Simulated time to each goal [s]."""
+"""Simulated time between two goals [s]."""
 _COLUMNS = {
     "strategy": "s", "rate_hz": ".0f", "hogs": "d", "achieved_hz": ".1f", "period_p50_ms": ".2f",
     "period_p99_ms": ".2f", "latency_p50_ms": ".2f", "latency_p99_ms": ".2f",
@@ -48,10 +48,10 @@ def measure(strategy: str, rate: float, hogged: int, duration: float) -> dict[st
 
 
 def figures(record: Record, rate: float) -> dict[str, float]:
-    """Return rate, evenness and latency of the commands that were sent."""
+    """Return rate, period and latency of the commands that were sent."""
     stamps, written = np.array(record.command_stamps), np.array(record.command_written)
     gaps = np.diff(written)
-    ticking = gaps < 0.2  # while the sphere rests between two goals nothing need be sent
+    ticking = gaps < 0.2  # at rest between two goals no command is needed
     gaps = gaps[ticking]
     periods = 1e3 * np.percentile(gaps, [50, 99])
     latency = 1e3 * np.percentile(_latencies(record, stamps, written), [50, 99])
@@ -74,7 +74,7 @@ def figures(record: Record, rate: float) -> dict[str, float]:
 
 
 def _latencies(record: Record, stamps: Vector, written: Vector) -> Vector:
-    """Return how long after the newest pose of its instant each command was written [s]."""
+    """Return the time from the newest pose of its instant to each command [s]."""
     poses, pose_written = np.array(record.pose_stamps), np.array(record.pose_written)
     newest = np.searchsorted(poses, stamps + 1e-6, side="right") - 1
     known = newest >= 0

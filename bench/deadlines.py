@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Drawn goals one after another through the nodes in real time: is any command late?
+"""Missed sampling instants on runs to drawn goals, one after another, through the nodes.
 
     python bench/deadlines.py --draw 20 --seed 1
     python bench/deadlines.py --draw 20 --seed 1 --clock system
 
-Each run starts where the one before ended, at rest. A miss is a sample instant at which no command
-was sent, as planning took longer or the machine was busy elsewhere.
+Each run starts where the one before ended, at rest. A miss is a sampling instant at which no
+command was sent, as planning took longer or other processes had the processor.
 """
 
 import argparse
@@ -16,35 +16,33 @@ from pathlib import Path
 import numpy as np
 from node_runs import Observer, machine, running, write_json
 
-from sphere_nmpc.model.state import Vector, state_error
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import STRATEGIES
+from sphere_sim.ros.session.goal_run import GoalRun, wait_until_settled
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.world.settings import CLOCKS
 
-_ARRIVED = 1e-2
 _STAYS = 0.5
 """Simulated time at the goal after which a run counts as over [s]."""
 _HEADER = "run  misses  first plan ms  longest plan ms  settled after s  final error"
 
 
-def one_run(observer: Observer, goal: Vector, longest: float, pace: float) -> dict[str, float]:
-    """Go to a goal and return what it took."""
+def one_run(observer: Observer, goal: Vector, longest: float) -> dict[str, float]:
+    """Run to a goal and return the figures of the run."""
     record = observer.record
     missed = int(record.statuses[-1]["missed_ticks"])
     first_pose, first_status = len(record.poses), len(record.statuses)
     sent = observer.send(goal)
-    looked, inside = first_pose, math.inf
+    run, observed = GoalRun(goal, hold=_STAYS), first_pose
 
-    def over() -> bool:
-        nonlocal looked, inside
-        while looked < len(record.poses):
-            now = record.pose_stamps[looked]
-            there = state_error(record.state(looked), goal) < _ARRIVED
-            inside = min(inside, now) if there else math.inf
-            looked += 1
-        return record.pose_stamps[-1] > min(sent + longest, inside + _STAYS)
+    def spin() -> None:
+        nonlocal observed
+        observer.spin()
+        while observed < len(record.poses):
+            run.observe(record.pose_stamps[observed], record.state(observed))
+            observed += 1
 
-    observer.until(over, 3.0 * longest / pace + 10.0)
+    settled = wait_until_settled(run, spin, sent + longest)
     plans = [
         1e3 * float(status["solve_time_s"])
         for status in record.statuses[first_status:]
@@ -54,8 +52,8 @@ def one_run(observer: Observer, goal: Vector, longest: float, pace: float) -> di
         "misses": int(record.statuses[-1]["missed_ticks"]) - missed,
         "first_plan_ms": plans[0] if plans else math.nan,
         "longest_plan_ms": max(plans, default=math.nan),
-        "settled_s": inside - sent if math.isfinite(inside) else math.nan,
-        "final_error": float(state_error(record.state(-1), goal)),
+        "settled_s": math.nan if settled is None else settled - sent,
+        "final_error": run.error,
     }
 
 
@@ -81,7 +79,7 @@ def main() -> int:
     with running(world, {"strategy": options.strategy}) as observer:
         observer.begin()
         for number, scenario in enumerate(scenarios):
-            run = one_run(observer, scenario.goal, options.longest, options.rtf)
+            run = one_run(observer, scenario.goal, options.longest)
             runs.append(run)
             print(
                 f"{number:3d}  {run['misses']:6d}  {run['first_plan_ms']:13.1f}"

@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C at random moments of the long commands: what they say, leave behind and keep.
+"""Ctrl-C at random times of the long commands: exit codes, messages and what remains.
 
     python bench/interrupts.py --each 10 --seed 1
 
-Each command is first timed to its end, then interrupted at moments drawn from that time. The
-signal goes to the whole process group, as from a terminal. The first moments, in which the
-interpreter itself starts, are left out: there Python prints a traceback of its own.
+Each command is first timed to its end, then interrupted at random times before that. The signal
+goes to the whole process group, as from a terminal. The start of the interpreter itself is left
+out: during it Python prints a traceback of its own.
 """
 
 import argparse
@@ -27,13 +27,16 @@ import psutil
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.recording.run_reader import read_run
+from sphere_sim.ros.session.child_process import ChildProcess, verb_command
 
 STARTED = 0.3
-"""Earliest moment of a signal [s]; on an idle machine the interpreter is up after 0.1 s."""
+"""Earliest time of a signal [s]; on an idle machine the interpreter has started after 0.1 s."""
 LONGEST = 20.0
-"""Latest moment of a signal [s]."""
+"""Latest time of a signal [s]."""
 GONE = 5.0
-"""How long processes may take to be gone after their parent [s]."""
+"""How long processes may take to end after their parent [s]."""
+TIMEOUT = 300.0
+"""Longest duration of the run that is recorded first [s]."""
 COMMANDS = {
     "demo": ["demo", "--no-viewer", "--case", "3", "--rtf", "2"],
     "study": ["study", "--draw", "10", "--seed", "1", "--duration", "4", "--jobs", "2"],
@@ -44,16 +47,16 @@ COMMANDS = {
 
 @dataclass(frozen=True)
 class Interrupted:
-    """A command that was interrupted, or ended before."""
+    """A command that was interrupted, or had ended before."""
 
     code: int
-    told: str
+    errors: str
     seconds: float
     left: list[str]
 
 
 def main() -> int:
-    """Interrupt each command; return 0 when nothing is to be complained about."""
+    """Interrupt each command; return 0 if there is no complaint."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--each", type=int, default=10, help="signals a command (default: 10)")
     parser.add_argument("--seed", type=int, default=1, help="of the moments (default: 1)")
@@ -65,7 +68,9 @@ def main() -> int:
         folder = Path(name)
         bag = folder / "recorded"
         os.environ["SPHERE_NMPC_CACHE"] = str(folder / "cache")
-        command("demo", bag, folder).wait()
+        demo = command("demo", bag, folder)
+        demo.start()
+        demo.wait(TIMEOUT)
         for verb in given.command:
             duration = timed(verb, folder, bag / "bag")
             waits = []
@@ -77,62 +82,61 @@ def main() -> int:
                 waits.append(found.seconds)
                 faults += bool(complaints)
                 print(f"{verb} at {moment:5.2f} s: code {found.code}, ended {found.seconds:.2f} s "
-                      f"later: {'; '.join(complaints) or 'nothing to complain of'}", flush=True)
+                      f"later: {'; '.join(complaints) or 'no complaint'}", flush=True)
             waits.sort()
             print(f"{verb}: {given.each} signals within {duration:.1f} s, ended after "
                   f"{waits[len(waits) // 2]:.2f} s (median), {waits[-1]:.2f} s (longest)")
-    print(f"{faults} of {given.each * len(given.command)} with something to complain of")
+    print(f"{faults} of {given.each * len(given.command)} with complaints")
     return 1 if faults else 0
 
 
-def command(verb: str, out: Path, bag: Path, **options: object) -> subprocess.Popen[str]:
-    """Start a command in a process group of its own."""
-    words = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), *COMMANDS[verb]]
-    words += [str(bag)] if verb == "report" else []
+def command(
+    verb: str, out: Path, bag: Path, log: Path = Path(os.devnull), **options: Any
+) -> ChildProcess:
+    """Return a command, which is not started yet, with standard error in a file."""
+    words = [*COMMANDS[verb], *([str(bag)] if verb == "report" else [])]
     words += ["--json", str(out / "times.json")] if verb == "benchmark" else ["--out", str(out)]
-    quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
-    quiet |= options
-    return subprocess.Popen(words, start_new_session=True, **quiet)
+    return ChildProcess(
+        verb, verb_command(*words), log, stdout=subprocess.DEVNULL, **options
+    )
 
 
 def timed(verb: str, folder: Path, bag: Path) -> float:
-    """Return how long a command takes when nobody interrupts it [s]."""
+    """Return the duration of a command that is not interrupted [s]."""
     began = time.monotonic()
-    process = command(verb, folder / f"{verb}_whole", bag, stderr=subprocess.DEVNULL)
+    process = command(verb, folder / f"{verb}_whole", bag)
+    process.start()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(LONGEST + 5.0)
     duration = time.monotonic() - began
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGINT)
-    process.wait()
+    process.stop()
     return duration
 
 
 def interrupted(verb: str, out: Path, bag: Path, moment: float) -> Interrupted:
     """Interrupt a command after `moment` [s] and wait for its end."""
     mark = uuid.uuid4().hex
-    with tempfile.TemporaryDirectory() as scratch, tempfile.TemporaryFile("w+") as told:
+    with tempfile.TemporaryDirectory() as scratch, tempfile.TemporaryDirectory() as logs:
         environment = {**os.environ, "INTERRUPTS_MARK": mark, "TMPDIR": scratch}
         environment["PYTHONFAULTHANDLER"] = "1"
-        process = command(verb, out, bag, stderr=told, env=environment)
+        process = command(verb, out, bag, Path(logs, "stderr"), env=environment)
+        process.start()
         time.sleep(moment)
         began = time.monotonic()
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGINT)
-        try:
+        process.send(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(60.0)
-        except subprocess.TimeoutExpired:
+        if process.running:
             process.kill()
-            process.wait()
+        code = process.wait(0.0)
         seconds = time.monotonic() - began
         left = left_behind(mark)
         left += [p.name for p in Path(scratch).iterdir() if not p.name.endswith(".lock")]
-        told.seek(0)
-        return Interrupted(process.returncode, told.read(), seconds, left)
+        return Interrupted(code, process.output, seconds, left)
 
 
 def left_behind(mark: str) -> list[str]:
-    """Return the processes that are still there some time after the end of their command."""
+    """Return the processes that still run some time after the end of their command."""
     end = time.monotonic() + GONE
     while True:
         found = []
@@ -146,12 +150,12 @@ def left_behind(mark: str) -> list[str]:
 
 
 def judged(verb: str, found: Interrupted, out: Path) -> list[str]:
-    """Return what there is to complain about."""
+    """Return the complaints."""
     complaints = [f"left behind: {name}" for name in found.left]
     if found.code not in (0, 130):
-        complaints.append(f"exit code {found.code}: {found.told[-2000:]}")
-    words = [line for line in found.told.splitlines() if line.strip()]
-    if "Traceback" in found.told or "Exception ignored" in found.told:
+        complaints.append(f"exit code {found.code}: {found.errors[-2000:]}")
+    words = [line for line in found.errors.splitlines() if line.strip()]
+    if "Traceback" in found.errors or "Exception ignored" in found.errors:
         complaints.append(f"a traceback: {words[-1]}")
     if any(path.suffix in (".tmp", ".part") for path in out.rglob("*")):
         complaints.append("half a file")

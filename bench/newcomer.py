@@ -100,7 +100,7 @@ def main() -> None:
             page.wait_for("live")
             page.settle()
             clock.tell("page opened, scene drawn (without a graphics card)")
-            wait_for(terminal, "the sphere is yours", said)
+            wait_for(terminal, "the nodes run on", said)
             clock.tell("case 1 run, measured, compared, drawn")
             page.drag(pixel(page, (0.5, 0.0, 0.3)), pixel(page, (1.5, 0.0, 0.3)))
             wait_until_distance(page, 0.3, 9.0)

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator and controller as processes over DDS, and an observer that takes little time itself.
+"""Simulator and controller as processes over DDS, and an observer that needs little time itself.
 
-Times of messages are those at which their publishers wrote them, which the middleware tells; so a
-late observer measures the same.
+Times of messages are those of their publication, as the middleware reports them, so that a late
+observer measures the same.
 """
 
 import argparse
@@ -30,20 +30,21 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
-from sphere_sim.ros.session.children import Children
+from sphere_nmpc.ros.conversions import pose_from_ros
 from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.ros.session.goal_sender import GoalSender
+from sphere_sim.ros.session.process_set import ProcessSet
 
 PATIENCE = 60.0
-"""How long nodes on a busy machine may take to come up [s]."""
+"""How long nodes on a busy machine may take to be ready [s]."""
 _RADIUS = 0.3
-_FIRST = {"thread_priority": 1}
-"""Of the nodes that are measured, where the system allows it."""
+_PRIORITY = {"thread_priority": 1}
+"""Parameters of the measured nodes, where the system allows it."""
 
 
 @dataclass
 class Record:
-    """What was published: stamps [s, control time] and the moments of writing [s, wall]."""
+    """Published messages: stamps [s, control time] and times of publication [s, wall time]."""
 
     pose_stamps: list[float] = field(default_factory=list)
     pose_written: list[float] = field(default_factory=list)
@@ -58,16 +59,16 @@ class Record:
 
 
 class Observer:
-    """Sends goals, lets time run and notes what is published."""
+    """Node that sends goals, starts time and records what is published."""
 
-    def __init__(self, children: Children, keep_poses: bool) -> None:
-        self._children = children
+    def __init__(self, processes: ProcessSet, keep_poses: bool) -> None:
+        self._processes = processes
         self._keep = keep_poses
         self.record = Record()
         self._node = rclpy.create_node("observer")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._goal = self._node.create_publisher(PoseStamped, "goal_pose", 1)
+        self._sender = GoalSender(self._node, self.spin)
         self._pause = self._node.create_client(SetBool, "simulator/pause")
         node = self._node
         # rclpy's annotations lack callbacks that take the message's times too.
@@ -78,30 +79,41 @@ class Observer:
         node.create_subscription(DiagnosticStatus, "controller/status", self._take_status, 1000)
 
     def begin(self) -> None:
-        """Wait for both nodes and let time run."""
-        self.until(lambda: self._goal.get_subscription_count() > 0, PATIENCE)
-        self.until(self._pause.service_is_ready, PATIENCE)
-        self.until(lambda: self.record.pose_stamps, PATIENCE)
-        self.until(lambda: self._node.count_subscribers("rotor_trajectory") > 1, PATIENCE)
+        """Wait for both nodes and start time."""
+        self._sender.wait_for_controller(PATIENCE)
+        self._require(self._pause.service_is_ready, "the simulator's services")
+        self._require(lambda: self.record.pose_stamps, "a pose")
+        self._require(
+            lambda: self._node.count_subscribers("rotor_trajectory") > 1, "the simulator's input"
+        )
         future = self._pause.call_async(SetBool.Request(data=False))
-        self.until(future.done, PATIENCE)
-        # Before there is a time, the status tells only that.
-        self.until(lambda: "missed_ticks" in (self.record.statuses or [{}])[-1], PATIENCE)
+        self._require(future.done, "the start of time")
+        # Before the controller has a time, its status has no counters.
+        self._require(lambda: "missed_ticks" in (self.record.statuses or [{}])[-1], "a status")
 
     def send(self, goal: Vector) -> float:
-        """Send a goal; return the control time [s]."""
-        self._goal.publish(pose_to_ros(goal, 0, _RADIUS))
-        return self.record.pose_stamps[-1]
+        """Send a goal; return the control time before it [s]."""
+        sent = self.record.pose_stamps[-1]
+        self._sender.send(goal, _RADIUS, PATIENCE)
+        return sent
 
     def until(self, condition: Callable[[], Any], patience: float) -> bool:
-        """Serve the graph until `condition` holds; False after `patience` of wall time [s]."""
+        """Serve the node until `condition` holds; return False after `patience` [s, wall]."""
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
                 return False
-            self._executor.spin_once(timeout_sec=0.05)
-        self._children.check()
+            self.spin()
         return True
+
+    def spin(self) -> None:
+        """Serve the node for a moment, and check that all processes run."""
+        self._executor.spin_once(timeout_sec=0.05)
+        self._processes.check()
+
+    def _require(self, condition: Callable[[], Any], what: str) -> None:
+        if not self.until(condition, PATIENCE):
+            raise RuntimeError(f"timed out after {PATIENCE:g} s while waiting for {what}")
 
     def _take_pose(self, raw: bytes, info: dict[str, int]) -> None:
         self.record.pose_stamps.append(_stamp(raw))
@@ -121,23 +133,22 @@ class Observer:
 def running(
     simulator: dict[str, object], controller: dict[str, object], keep_poses: bool = True
 ) -> Iterator[Observer]:
-    """Run both nodes with these parameters; yield their observer, time still paused."""
+    """Run both nodes with these parameters; yield their observer, with time paused."""
     on_system_clock = simulator.get("clock") == "system"
     paused, follow = {"start_paused": not on_system_clock}, {"use_sim_time": not on_system_clock}
-    # ROS takes over the processes' environment: a domain of its own keeps others out.
-    with own_domain(), tempfile.TemporaryDirectory() as logs, Children(Path(logs)) as children:
-        children.start("simulator", _arguments({**_FIRST, **paused, **simulator}))
-        children.start("controller", _arguments({**_FIRST, **follow, **controller}))
+    with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
+        nodes.start("simulator", _arguments({**_PRIORITY, **paused, **simulator}))
+        nodes.start("controller", _arguments({**_PRIORITY, **follow, **controller}))
         rclpy.init()
         try:
-            yield Observer(children, keep_poses)
+            yield Observer(nodes, keep_poses)
         finally:
             rclpy.try_shutdown()
 
 
 @contextmanager
 def hogs(number: int) -> Iterator[None]:
-    """Keep `number` processors busy with something else."""
+    """Keep `number` processors busy with other processes."""
     code = "while True: pass"
     busy = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(number)]
     try:
@@ -149,7 +160,7 @@ def hogs(number: int) -> Iterator[None]:
 
 
 def machine() -> dict[str, object]:
-    """Return what figures depend on."""
+    """Return what measured figures depend on."""
     return {
         "date": time.strftime("%Y-%m-%d %H:%M"),
         "processors": os.cpu_count(),

@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Several robots in one domain, a namespace each: do they reach their goals at the same time?
+"""Runs of several robots in one domain at the same time, each in a namespace of its own.
 
     python bench/several_robots.py --robots 3 --goals 10
 
-The first robot has no namespace. Every robot gets its goals one after another, a new one as soon
-as ``controller/at_goal`` tells that it has arrived; nobody waits for the others.
+The first robot has no namespace. Each robot gets its next goal as soon as it has reached the last
+one, independently of the others.
 """
 
 import argparse
@@ -15,63 +15,56 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
 from node_runs import PATIENCE, machine, write_json
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Bool
+from rclpy.executors import SingleThreadedExecutor
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import pose_to_ros
-from sphere_sim.ros.session.children import Children
 from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.ros.session.goal_run import GoalRunner
+from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.scenario.scenarios import draw_scenarios
 
-_RADIUS = 0.3
 _LONGEST = 60.0
 """Wall time for one goal [s]."""
 _NAMES = ("", "second", "third", "fourth", "fifth")
 
 
 class Robot:
-    """One robot's goals: sends the next one when the last is reached."""
+    """The goals of one robot, of which the next is sent when the last was reached."""
 
-    def __init__(self, node: Node, name: str, goals: Sequence[Vector]) -> None:
+    def __init__(
+        self, executor: SingleThreadedExecutor, name: str, goals: Sequence[Vector]
+    ) -> None:
         self.name = name or "(no namespace)"
         self._goals = list(goals)
         self.took: list[float] = []
         """Wall time to each goal that was reached [s]."""
-        self._sent_at = 0.0
-        prefix = f"/{name}" if name else ""
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = node.create_publisher(PoseStamped, f"{prefix}/goal_pose", 1)
-        node.create_subscription(Bool, f"{prefix}/controller/at_goal", self._told, latched)
-        self._waits = False
+        self.done = False
+        """Whether all goals were reached, or one was given up."""
+        self._sent_at: float | None = None
+        node = rclpy.create_node("fleet", namespace=name)
+        executor.add_node(node)
+        self._runner = GoalRunner(node, lambda: executor.spin_once(timeout_sec=0.05))
 
-    @property
-    def ready(self) -> bool:
-        """Whether the controller listens."""
-        return self._publisher.get_subscription_count() > 0
+    def prepare(self) -> None:
+        """Wait for the robot's nodes."""
+        self._runner.prepare(PATIENCE)
 
-    @property
-    def done(self) -> bool:
-        """Whether there is no goal left, or the last one takes too long."""
-        late = self._waits and time.monotonic() > self._sent_at + _LONGEST
-        return late or (not self._goals and not self._waits)
-
-    def send(self) -> None:
-        """Send the next goal, if there is one."""
-        self._waits = bool(self._goals)
+    def advance(self) -> None:
+        """Send the next goal, if the last one was reached."""
+        if self.done:
+            return
+        now, run = time.monotonic(), self._runner.run
+        if self._sent_at is not None and run is not None:
+            if run.settled_at() is None:
+                self.done = now > self._sent_at + _LONGEST
+                return
+            self.took.append(now - self._sent_at)
         if self._goals:
-            self._sent_at = time.monotonic()
-            self._publisher.publish(pose_to_ros(self._goals.pop(0), 0, _RADIUS))
-
-
-    def _told(self, message: Bool) -> None:
-        # False comes with each new goal, before true can.
-        if message.data and self._waits:
-            self.took.append(time.monotonic() - self._sent_at)
-            self.send()
+            self._sent_at = now
+            self._runner.send(self._goals.pop(0), PATIENCE)
+        else:
+            self.done = True
 
 
 def main() -> int:
@@ -84,29 +77,26 @@ def main() -> int:
     options = parser.parse_args()
     about, names = machine(), _NAMES[: options.robots]
     scenarios = draw_scenarios(options.robots * options.goals, options.seed)
-    with own_domain(), tempfile.TemporaryDirectory() as folder, Children(
-        Path(folder)
-    ) as children:
+    with own_domain(), tempfile.TemporaryDirectory() as folder, ProcessSet(Path(folder)) as nodes:
         for name in names:
             place = ["-r", f"__ns:=/{name}"] if name else []
-            children.start("simulator", ["--ros-args", *place], name=f"simulator {name}")
+            nodes.start("simulator", ["--ros-args", *place], name=f"simulator {name}")
             follow = ["--ros-args", "-p", "use_sim_time:=true", *place]
-            children.start("controller", follow, name=f"controller {name}")
+            nodes.start("controller", follow, name=f"controller {name}")
         rclpy.init()
         try:
-            node = rclpy.create_node("fleet")
+            executor = SingleThreadedExecutor()
             robots = [
-                Robot(node, name, [s.goal for s in scenarios[i :: options.robots]])
+                Robot(executor, name, [s.goal for s in scenarios[i :: options.robots]])
                 for i, name in enumerate(names)
             ]
-            end = time.monotonic() + PATIENCE
-            while not all(robot.ready for robot in robots) and time.monotonic() < end:
-                rclpy.spin_once(node, timeout_sec=0.1)
             for robot in robots:
-                robot.send()
+                robot.prepare()
             while not all(robot.done for robot in robots):
-                rclpy.spin_once(node, timeout_sec=0.1)
-                children.check()
+                executor.spin_once(timeout_sec=0.05)
+                nodes.check()
+                for robot in robots:
+                    robot.advance()
         finally:
             rclpy.try_shutdown()
         warnings = [

@@ -1,13 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Random goals for a long time: memory, files, processes, drift of the quaternion, missed goals.
+"""Long runs to random goals: memory, open files, processes, quaternion norm and missed goals.
 
     python bench/soak.py lockstep --minutes 60 --json out/soak_lockstep.json    # simulated minutes
     python bench/soak.py realtime --minutes 10 --json out/soak_realtime.json    # 500 Hz
 
-A goal is sent when the one before has been reached; it counts as missed when it is not within
-`DEADLINE` of simulated time. Memory is the resident set of each node, as the mean over the first
-and over the last minute of simulated time (a tenth of the run where it is shorter than that).
+A goal is sent when the one before has been reached; it counts as missed when it is not reached
+within `DEADLINE` of simulated time. Memory is the resident set of each node, as the mean over the
+first and over the last minute of simulated time (a tenth of the run where that is shorter).
 """
 
 import argparse
@@ -27,23 +27,21 @@ from node_runs import PATIENCE, machine, write_json
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from sphere_nmpc.model.state import Vector, state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, seconds, stamp_from_ros
-from sphere_sim.ros.session.children import Children
+from sphere_nmpc.ros.conversions import seconds, stamp_from_ros
+from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.session.goal_run import GoalRunner
+from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError
+from sphere_sim.ros.session.process_set import ProcessSet
 
-SETTLED = 1e-2
-STAYED = 1.0
-"""How long a goal has to be held to count as reached [s]."""
 DEADLINE = 60.0
 """Time to a goal after which it counts as missed [s]."""
 REACH = 2.0
-"""Goals are in a square of twice this size [m]."""
-_LOOK = 0.02
-"""Wall time between two looks at the newest messages [s]."""
-_SAMPLE = 0.5
-"""Wall time between two looks at the processes [s]."""
+"""Largest |x| and |y| of a goal [m]."""
+_SPIN_PERIOD = 0.02
+"""Wall time between two readings of the newest messages [s]."""
+_SAMPLE_PERIOD = 0.5
+"""Wall time between two samples of the processes [s]."""
 _MINUTE = 60.0
 _MEGABYTE = 2.0**20
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -53,122 +51,103 @@ Sample = tuple[float, dict[str, tuple[int, int, int]]]
 
 
 class Soak:
-    """Sends goals and looks, seldom enough to take little time itself."""
+    """Node that sends goals and samples the processes; it needs little processor time itself."""
 
-    def __init__(self, children: Children, seed: int) -> None:
-        self._children = children
-        self._processes = {n: psutil.Process(pid) for n, pid in children.pids.items()}
+    def __init__(self, nodes: ProcessSet, seed: int) -> None:
+        self._nodes = nodes
+        self._processes = {n: psutil.Process(pid) for n, pid in nodes.pids.items()}
         self._rng = np.random.default_rng(seed)
         self._node = rclpy.create_node("soak")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._sender = GoalSender(self._node, self._spin)
+        self._goals = GoalRunner(self._node, self._spin)
         self._node.create_subscription(PoseStamped, "pose", self._take_pose, _NEWEST)
         self._node.create_subscription(
             DiagnosticStatus, "controller/status", self._take_status, _NEWEST
         )
         self._sampled = -math.inf
-        self.time = 0.0
-        self.state: Vector | None = None
         self.status: dict[str, str] = {}
         self.samples: list[Sample] = []
         self.norms: list[tuple[float, float]] = []
         self.settled: list[float] = []
         self.missed: list[float] = []
 
-    def run(self, duration: float, tell: Callable[[str], object]) -> None:
-        """Send goals for so much simulated time [s]."""
-        self._sender.wait_for_controller(PATIENCE)
-        while self.state is None:
-            self._spin()
-        # From here on: what a node takes to come up is no growth.
+    def run(self, duration: float, report: Callable[[str], object]) -> None:
+        """Send goals for a simulated time [s]; `report` is given a line of progress at times."""
+        self._goals.prepare(PATIENCE)
+        # The memory that a node takes to start is no growth.
         self.samples.clear()
         self.norms.clear()
         self._sampled = -math.inf
-        end, told = self.time + duration, time.monotonic()
-        while self.time < end:
-            took = self._one_goal(end)
-            if took is not None and math.isfinite(took):
-                self.settled.append(took)
-            elif took is not None:
-                self.missed.append(self.time)
-            if time.monotonic() > told + 20.0:
-                told = time.monotonic()
-                left = end - self.time
-                tell(f"{left:.0f} s left, {len(self.settled)} reached, {len(self.missed)} missed")
+        end, reported = self._goals.time + duration, time.monotonic()
+        while self._goals.time < end:
+            self._one_goal(end)
+            if time.monotonic() > reported + 20.0:
+                reported = time.monotonic()
+                left = end - self._goals.time
+                counts = f"{len(self.settled)} reached, {len(self.missed)} missed"
+                report(f"{left:.0f} s left, {counts}")
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def _one_goal(self, end: float) -> float | None:
-        """Return the time to a goal [s]: inf if it was missed, None if the run ended before."""
-        turn = self._rng.normal(size=4)
-        goal = np.concatenate((self._rng.uniform(-REACH, REACH, 2), turn / np.linalg.norm(turn)))
-        sent = self.time
+    def _one_goal(self, end: float) -> None:
+        """Run to a random goal; one that the end of the run cuts short does not count."""
+        goal = random_goal(self._rng, REACH)
+        timeout = min(DEADLINE, end - self._goals.time)
         try:
-            self._sender.send(goal, 0.3, PATIENCE)
+            took = self._goals.go(goal, timeout, PATIENCE)
         except GoalNotAcceptedError:
-            return math.inf
-        inside: float | None = None
-        while self.time < end:
-            self._spin()
-            assert self.state is not None
-            if self.time > sent + DEADLINE:
-                return math.inf
-            if state_error(self.state, goal) > SETTLED:
-                inside = None
-            elif inside is None:
-                inside = self.time
-            elif self.time > inside + STAYED:
-                return inside - sent
-        return None
+            took, timeout = None, DEADLINE
+        if took is not None:
+            self.settled.append(took)
+        elif timeout == DEADLINE:
+            self.missed.append(self._goals.time)
 
     def _spin(self) -> None:
-        """Take what is newest, and look at the processes now and then."""
-        time.sleep(_LOOK)
+        """Take the newest messages, and sample the processes when that is due."""
+        time.sleep(_SPIN_PERIOD)
         for _ in range(5):
             self._executor.spin_once(timeout_sec=0.0)
-        if time.monotonic() > self._sampled + _SAMPLE:
+        if time.monotonic() > self._sampled + _SAMPLE_PERIOD:
             self._sampled = time.monotonic()
-            self._children.check()
-            looks = {name: _look(process) for name, process in self._processes.items()}
-            self.samples.append((self.time, looks))
+            self._nodes.check()
+            sample = {name: _sample(process) for name, process in self._processes.items()}
+            self.samples.append((self._goals.time, sample))
 
     def _take_pose(self, message: PoseStamped) -> None:
-        self.time = seconds(stamp_from_ros(message.header.stamp))
-        self.state = pose_from_ros(message)
         turn = message.pose.orientation
         norm = math.sqrt(turn.w**2 + turn.x**2 + turn.y**2 + turn.z**2)
-        self.norms.append((self.time, abs(norm - 1.0)))
+        self.norms.append((seconds(stamp_from_ros(message.header.stamp)), abs(norm - 1.0)))
 
     def _take_status(self, message: DiagnosticStatus) -> None:
         self.status = {value.key: value.value for value in message.values}
 
 
 def main() -> int:
-    """Run and tell; 0 when no goal was missed."""
+    """Run, print the figures, and return 0 if no goal was missed."""
     given = _parse()
     duration = _MINUTE * given.minutes
     wall = time.monotonic()
     with (
         own_domain() as domain,
         tempfile.TemporaryDirectory() as logs,
-        Children(Path(logs)) as children,
+        ProcessSet(Path(logs)) as nodes,
     ):
         earlier = _shared_memory(domain)
         for verb, parameters in _parameters(given).items():
             options = [part for item in parameters for part in ("-p", item)]
-            children.start(verb, ["--ros-args", *options])
+            nodes.start(verb, ["--ros-args", *options])
         rclpy.init(args=[])
         try:
-            soak = Soak(children, given.seed)
+            soak = Soak(nodes, given.seed)
             soak.run(duration, lambda line: print(line, flush=True))
             soak.close()
         finally:
             rclpy.try_shutdown()
-        pids = list(children.pids.values())
+        pids = list(nodes.pids.values())
     left = [pid for pid in pids if psutil.pid_exists(pid)]
     result: dict[str, object] = {
         "machine": machine(), "mode": given.mode, "strategy": given.strategy,
@@ -211,12 +190,12 @@ def _parameters(given: argparse.Namespace) -> dict[str, list[str]]:
     return {"simulator": [f"pose_rate:={given.rate}"], "controller": [*controller, *rate]}
 
 
-def _look(process: psutil.Process) -> tuple[int, int, int]:
+def _sample(process: psutil.Process) -> tuple[int, int, int]:
     return process.memory_info().rss, process.num_fds(), len(process.children(recursive=True))
 
 
 def _shared_memory(domain: int) -> list[str]:
-    """Return the files through which processes of a domain are reached."""
+    """Return the shared memory files of the ports of a domain."""
     first = 7400 + 250 * domain
     ports = {f"fastrtps_port{number}" for number in range(first, first + 250)}
     return sorted(path.name for path in Path("/dev/shm").glob("fastrtps_port*")
@@ -229,7 +208,7 @@ def _first_and_last(soak: Soak, window: float) -> dict[str, object]:
     parts = ([s for s in soak.samples if s[0] <= begin], [s for s in soak.samples if s[0] >= end])
     table: dict[str, object] = {"window_s": window}
     for name in soak.samples[0][1]:
-        means = [np.mean([looks[name] for _, looks in part], axis=0) for part in parts]
+        means = [np.mean([sample[name] for _, sample in part], axis=0) for part in parts]
         table[name] = {
             "memory_MB": [round(float(mean[0]) / _MEGABYTE, 2) for mean in means],
             "open_files": [round(float(mean[1]), 1) for mean in means],

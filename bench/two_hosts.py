@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator and controller on two hosts, and how goals are reached over a link that loses packets.
+"""Runs to goals with simulator and controller on two hosts, over a link that loses packets.
 
     sudo python bench/two_hosts.py --loss 0 1 5 20 --goals 6 --json out/two_hosts.json
 
 The hosts are network namespaces, see `lossy_link`. Discovery is limited to the machine itself and
-the other host, by address; shared memory, which would pass by the link, is switched off.
+the other host, by address; shared memory, which would bypass the link, is switched off.
 """
 
 import argparse
@@ -16,35 +16,33 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
 from lossy_link import ADDRESSES, LinkError, Quality, lossy_link
 from rich.console import Console
 from rich.table import Table
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.model.state import Vector, state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, seconds, stamp_from_ros
-from sphere_sim.ros.session.children import Children
-from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.faults.goal_actions import random_goal
+from sphere_sim.ros.session.goal_run import GoalRunner
+from sphere_sim.ros.session.process_set import ProcessSet
 
-SETTLED = 1e-2
-STAYED = 1.0
-"""How long the goal has to be held to count as reached [s]."""
 DEADLINE = 60.0
 """Time to a goal after which it is given up [s]."""
 REACH = 1.5
+"""Largest |x| and |y| of a goal [m]."""
 _PATIENCE = 90.0
+"""How long the nodes may take to find each other, and to confirm a goal [s]."""
+_REPEAT = 3.0
+"""Wall time after which an unconfirmed goal is sent again [s]."""
 _DOMAIN = "65"
 
 
 def main() -> int:
-    """Run the link's qualities one after the other and tell what became of the goals."""
+    """Run with each quality of the link and print how many goals were reached."""
     given = _parse()
     if given.inside:
         print(json.dumps(_inside(given)))
@@ -58,7 +56,7 @@ def main() -> int:
     except (LinkError, PermissionError) as error:
         print(f"two hosts: {error}; is this Linux, and you root?", file=sys.stderr)
         return 1
-    _tell(results)
+    _print(results)
     if given.json:
         given.json.parent.mkdir(parents=True, exist_ok=True)
         given.json.write_text(json.dumps({"two_hosts": results}, indent=2) + "\n")
@@ -80,7 +78,7 @@ def _parse() -> argparse.Namespace:
 
 
 def _over(quality: Quality, given: argparse.Namespace) -> dict[str, object]:
-    """Run this program again on the first of two hosts, which knows how to reach the second."""
+    """Run this program again on the first of the two hosts, with the name of the second."""
     with lossy_link(quality) as link:
         here, there = link.hosts
         environment = {
@@ -103,9 +101,9 @@ def _over(quality: Quality, given: argparse.Namespace) -> dict[str, object]:
 
 def _inside(given: argparse.Namespace) -> dict[str, object]:
     """Start the simulator here and the controller there, and send goals from here."""
-    with tempfile.TemporaryDirectory() as logs, Children(Path(logs)) as children:
-        children.start("simulator", ["--ros-args", "-p", "pose_rate:=50.0"])
-        children.start(
+    with tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
+        nodes.start("simulator", ["--ros-args", "-p", "pose_rate:=50.0"])
+        nodes.start(
             "controller",
             ["--ros-args", "-p", "use_sim_time:=true", "-p", f"strategy:={given.strategy}"],
             within=["ip", "netns", "exec", given.inside],
@@ -121,28 +119,26 @@ def _inside(given: argparse.Namespace) -> dict[str, object]:
 
 
 class _Goals:
-    """Random goals, each sent when the one before has been reached."""
+    """Random goals, each of which is sent when the one before has been reached."""
 
     def __init__(self, number: int, seed: int) -> None:
         self._number = number
         self._rng = np.random.default_rng(seed)
         self._node = rclpy.create_node("two_hosts")
-        self._time = 0.0
-        self._state: Vector | None = None
         self._status: dict[str, str] = {}
         self._ages: list[float] = []
-        self._goals = GoalSender(self._node, self._spin)
-        self._node.create_subscription(PoseStamped, "pose", self._take_pose, 10)
+        self._goals = GoalRunner(self._node, self._spin)
         self._node.create_subscription(
             DiagnosticStatus, "controller/status", self._take_status, 10
         )
 
     def run(self) -> dict[str, object]:
-        self._goals.wait_for_controller(_PATIENCE)
-        while self._state is None:
-            self._spin()
-        settled = [self._settling_time() for _ in range(self._number)]
-        reached = [time for time in settled if math.isfinite(time)]
+        self._goals.prepare(_PATIENCE)
+        took = [
+            self._goals.go(random_goal(self._rng, REACH), DEADLINE, _PATIENCE, _REPEAT)
+            for _ in range(self._number)
+        ]
+        reached = [time for time in took if time is not None]
         return {
             "goals": self._number,
             "reached": len(reached),
@@ -153,35 +149,8 @@ class _Goals:
             "missed_ticks": int(self._status["missed_ticks"]),
         }
 
-    def _settling_time(self) -> float:
-        """Send a goal and return the simulated time to it [s]; inf if it is not reached."""
-        turn = self._rng.normal(size=4)
-        goal = np.concatenate((self._rng.uniform(-REACH, REACH, 2), turn / np.linalg.norm(turn)))
-        sent, end = self._time, time.monotonic() + _PATIENCE
-        while True:
-            try:
-                self._goals.send(goal, 0.3, 3.0)
-                break
-            except GoalNotAcceptedError:
-                if time.monotonic() > end:
-                    raise
-        inside = None
-        while self._time < sent + DEADLINE:
-            self._spin()
-            if self._state is None or state_error(self._state, goal) > SETTLED:
-                inside = None
-            elif inside is None:
-                inside = self._time
-            elif self._time > inside + STAYED:
-                return inside - sent
-        return math.inf
-
     def _spin(self) -> None:
         rclpy.spin_once(self._node, timeout_sec=0.05)
-
-    def _take_pose(self, message: PoseStamped) -> None:
-        self._time = seconds(stamp_from_ros(message.header.stamp))
-        self._state = pose_from_ros(message)
 
     def _take_status(self, message: DiagnosticStatus) -> None:
         self._status = {pair.key: pair.value for pair in message.values}
@@ -190,7 +159,7 @@ class _Goals:
             self._ages.append(age)
 
 
-def _tell(results: list[dict[str, object]]) -> None:
+def _print(results: list[dict[str, object]]) -> None:
     table = Table(*results[0])
     for row in results:
         table.add_row(*(str(value) for value in row.values()))

@@ -1,24 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a viewer costs the control loop: periods and missed ticks with and without it.
+"""Load of a viewer on the control loop: periods and missed ticks with and without it.
 
     python bench/viewer_load.py --seconds 60                      # about four minutes
 
-At a control rate of 100 Hz, as the controller's own diagnostics tell it: without a viewer, with a
-viewer whose page nobody has open, and with the page open in a headless Chromium, which draws on
-the processor. Another goal every few seconds keeps the sphere on its way.
+At a control rate of 100 Hz, from the controller's own diagnostics: without a viewer, with a viewer
+whose page is not open, and with the page open in a headless Chromium, which renders on the
+processor. Another goal every few seconds keeps the sphere moving.
 """
 
 import argparse
 import os
 import re
-import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +27,7 @@ from rclpy.node import Node
 
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.scenario.scenarios import draw_scenarios
 
 ROOT = Path(__file__).parents[1]
@@ -39,60 +38,43 @@ from browser import Browser, find_browser  # noqa: E402
 CONDITIONS = ("no viewer", "viewer, no page", "viewer and page")
 
 
-@contextmanager
-def node(folder: Path, verb: str, *arguments: str) -> Iterator[Path]:
-    command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments]
-    log = folder / f"{verb}.log"
-    with log.open("wb") as output:
-        # As the demo does it, and as in terminals of their own.
-        process = subprocess.Popen(
-            command, stdout=output, stderr=output, start_new_session=True
-        )
-    try:
-        yield log
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(10.0)
-
-
 def wait_for(probe: Node, condition: Callable[[], object]) -> None:
-    """Serve the probe until something holds."""
+    """Serve the probe until a condition holds."""
     end = time.monotonic() + 60.0
     while not condition():
         if time.monotonic() > end:
-            raise SystemExit("no controller came up within 60 s")
+            raise SystemExit("the nodes were not ready within 60 s")
         rclpy.spin_once(probe, timeout_sec=0.1)
 
 
 def measure(condition: str, seconds: float, folder: Path) -> str:
-    told: list[dict[str, str]] = []
+    loops: list[dict[str, str]] = []
 
     def note(message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == "controller: loop":
-                told.append({pair.key: pair.value for pair in status.values})
+                loops.append({pair.key: pair.value for pair in status.values})
 
     with ExitStack() as stack:
-        stack.enter_context(node(folder, "simulator"))
-        stack.enter_context(node(
-            folder, "controller", "--ros-args", "-p", "use_sim_time:=true", "-p",
-            "control_rate:=100.0",
-        ))
+        nodes = stack.enter_context(ProcessSet(folder))
+        nodes.start("simulator")
+        rate = ["-p", "use_sim_time:=true", "-p", "control_rate:=100.0"]
+        nodes.start("controller", ["--ros-args", *rate])
         if condition != CONDITIONS[0]:
-            log = stack.enter_context(node(folder, "viewer", "--port", "0"))
+            nodes.start("viewer", ["--port", "0"])
         probe = rclpy.create_node("probe")
         stack.callback(probe.destroy_node)
         probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
         goals = probe.create_publisher(PoseStamped, "goal_pose", 1)
-        wait_for(probe, lambda: goals.get_subscription_count() > 0 and told)
-        time.sleep(3.0)  # what a start takes is not to be measured
+        wait_for(probe, lambda: goals.get_subscription_count() > 0 and loops)
+        time.sleep(3.0)  # the start is not measured
         if condition == CONDITIONS[2]:
-            wait_for(probe, lambda: "http" in log.read_text())
+            wait_for(probe, lambda: "http" in nodes["viewer"].output)
             home = Path(stack.enter_context(
                 tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
             ))
             page = stack.enter_context(Browser(find_browser() or "", home, (1200, 800)))
-            page.open(re.findall(r"http://\S+", log.read_text())[0])
+            page.open(re.findall(r"http://\S+", nodes["viewer"].output)[0])
             page.settle()
         scenarios = iter(draw_scenarios(100, 3))
         began, due, first = time.monotonic(), 0.0, None
@@ -101,13 +83,13 @@ def measure(condition: str, seconds: float, folder: Path) -> str:
                 due = time.monotonic() + 8.0
                 goals.publish(pose_to_ros(next(scenarios).goal, 0, 0.3))
             rclpy.spin_once(probe, timeout_sec=0.1)
-            if first is None and told:
-                first = int(told[-1]["missed ticks"])
+            if first is None and loops:
+                first = int(loops[-1]["missed ticks"])
         # The percentiles are of the last thousand ticks: ten seconds.
-        settled = told[min(20, len(told) // 2):]
+        settled = loops[min(20, len(loops) // 2):]
         p99 = [float(values["wall period p99 ms"]) for values in settled]
         middle = [float(values["wall period median ms"]) for values in settled]
-        missed = int(told[-1]["missed ticks"]) - (first or 0)
+        missed = int(loops[-1]["missed ticks"]) - (first or 0)
         return (
             f"| {condition} | {np.median(middle):.2f} | {np.median(p99):.2f} | {max(p99):.2f} | "
             f"{missed} | {100.0 * missed / (100.0 * seconds):.2f} | {os.getloadavg()[0]:.1f} |"

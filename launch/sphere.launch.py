@@ -29,7 +29,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.ros.session.domain_guests import FOUND, TOPICS
+from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
 from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
@@ -156,7 +156,7 @@ def is_this_file(package: str, file: str) -> bool:
 def refuse_other_nodes(place: str, clock: str) -> None:
     """Refuse to start beside nodes of this namespace that publish the same topics."""
     topics = [topic for topic in TOPICS if topic != "clock" or clock == "simulated"]
-    look = ["-m", "sphere_sim.ros.session.domain_guests", f"/{place}", *topics]
+    look = ["-m", "sphere_sim.ros.session.other_publishers", f"/{place}", *topics]
     done = subprocess.run([sys.executable, *look], stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode == FOUND:
         raise RuntimeError(

@@ -37,10 +37,7 @@ def _missing_package(error: BaseException) -> str:
     if not isinstance(error, ModuleNotFoundError):
         return ""
     package = (error.name or "").partition(".")[0]
-    try:
-        return "" if find_spec(package) else package
-    except ValueError:  # hidden from the import system
-        return package
+    return "" if find_spec(package) else package
 
 
 def _advice(missing: str) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of command line arguments that say what they expect."""
+"""Types of command line arguments whose errors name the expected value."""
 
 import math
 from argparse import ArgumentTypeError
@@ -23,7 +23,7 @@ def not_negative(text: str) -> float:
 
 
 def whole(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Return a type of whole numbers from `least` on, to `most` where that is given."""
+    """Return a type of integers from `least` on, up to `most` if that is given."""
 
     def convert(text: str) -> int:
         digits = text.removeprefix("-")

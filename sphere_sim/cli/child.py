@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m sphere_sim.cli.child PARENT VERB ...``: a verb that ends when its parent does."""
+"""``python -m sphere_sim.cli.child PARENT VERB ...``: a verb that ends with its parent process."""
 
 import sys
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How a command ends: every exception becomes one line on standard error and an exit code."""
+"""Exceptions of a command as one line on standard error and an exit code."""
 
 import contextlib
 import sys
@@ -9,20 +9,20 @@ from collections.abc import Callable, Iterator
 from sphere_sim.cli.signals import Signals
 from sphere_sim.error_text import in_words
 
-_LEFT = "left_behind"
+_REMAINS = "remains_after_interrupt"
 
 
 def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = False) -> int:
-    """Call a verb and return its exit code, whatever happens in it.
+    """Call a verb and return its exit code; exceptions are printed.
 
     Parameters
     ----------
     name : str
-        What the message begins with.
+        Beginning of the message.
     call : callable
         Returns an exit code.
     signals : Signals
-        Tells whether an exception comes from a signal.
+        Signals received, by which an exception of an interrupt is recognised.
     debug : bool, optional
         Whether to show tracebacks.
 
@@ -41,10 +41,10 @@ def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = 
 
             traceback.print_exception(error)
         message, code = in_words(error), int(getattr(error, "exit_code", 1))
-        # Libraries make errors of their own out of an interrupt.
+        # Libraries convert a KeyboardInterrupt into exceptions of their own.
         if signals.received or isinstance(error, KeyboardInterrupt):
             code = signals.exit_code
-            message = "; ".join(("interrupted", *getattr(error, _LEFT, ())))
+            message = "; ".join(("interrupted", *getattr(error, _REMAINS, ())))
         print(f"{name}: {message}", file=sys.stderr)
         return code
     finally:
@@ -52,20 +52,20 @@ def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = 
 
 
 @contextlib.contextmanager
-def if_interrupted(left: Callable[[], str]) -> Iterator[None]:
-    """Have `guarded` tell what is left behind when a signal ends what is done in this context.
+def if_interrupted(remains: Callable[[], str]) -> Iterator[None]:
+    """Add to the message of `guarded` what remains when a signal ends this context.
 
-    Whatever exception ends it: not every library lets a KeyboardInterrupt pass as it is. Of
-    contexts within each other the innermost tells.
+    It is added to whatever exception ends the context, as some libraries replace a
+    KeyboardInterrupt by another exception. Of nested contexts the innermost one counts.
 
     Parameters
     ----------
-    left : callable
-        Returns what is left behind and how to go on, in words.
+    remains : callable
+        Returns what remains and how to go on, in words.
     """
     try:
         yield
     except BaseException as error:
-        if not hasattr(error, _LEFT):
-            setattr(error, _LEFT, (left(),))
+        if not hasattr(error, _REMAINS):
+            setattr(error, _REMAINS, (remains(),))
         raise

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``sphere_nmpc faults``: what the running nodes survive, fault by fault and in pairs."""
+"""``sphere_nmpc faults``: fault campaign on running nodes, with single faults and pairs."""
 
 import argparse
 import contextlib
@@ -24,8 +24,8 @@ from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
 from sphere_sim.result_folder import prepare_folder
-from sphere_sim.ros.faults.machine import MACHINE_FAULTS, MachineFault
-from sphere_sim.ros.faults.session import SessionSettings, joined
+from sphere_sim.ros.faults.fault_session import SessionSettings, fault_session
+from sphere_sim.ros.faults.machine_faults import MACHINE_FAULTS, MachineFault
 from sphere_sim.ros.faults.trial import Trial
 from sphere_sim.ros.session.domain import own_domain
 
@@ -55,22 +55,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prepare_folder(given.json.parent)
     outcomes: list[Outcome] = []
 
-    def left() -> str:
+    def remains() -> str:
         done = f"{len(outcomes)} of {len(trials) + len(machines)} trials"
         return f"all nodes are stopped after {done}"
 
     try:
-        with if_interrupted(left), _folder(given.out) as folder, own_domain():
+        with if_interrupted(remains), _folder(given.out) as folder, own_domain():
             for outcome in chain(
-                _tried(trials, _settings(given, folder), console),
-                _tried_in_a_home(machines, console),
+                _run_trials(trials, _settings(given, folder), console),
+                _run_machine_faults(machines, console),
             ):
                 outcomes.append(outcome)
     finally:
         table = rows(outcomes)
         if table:
             write_json(given.json, table)
-    _tell(table, console)
+    _print(table, console)
     return 0 if all(row.survived == len(row.outcomes) for row in table) else 1
 
 
@@ -79,9 +79,9 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     groups = list(dict.fromkeys([*(fault.group for fault in FAULTS.values()), "machine"]))
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc faults",
-        description="Let simulator, controller and recorder run as separate ROS 2 nodes, let "
-        "something go wrong on the way to a goal, and judge what they make of it. Exits 0 when "
-        "all was survived.",
+        description="Run simulator, controller and recorder as separate ROS 2 nodes, cause a "
+        "fault on the way to a goal, and judge how they recover. Exits 0 when every trial was "
+        "survived.",
         epilog="groups: " + ", ".join(groups) + "; faults: " + ", ".join(known),
     )
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",
@@ -109,7 +109,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @contextlib.contextmanager
 def _folder(given: Path | None) -> Iterator[Path]:
-    """Yield the folder for logs and bags; one that nobody asked for is gone afterwards."""
+    """Yield the folder for logs and bags, a temporary one unless `given`."""
     if given is not None:
         folder = given.expanduser().absolute()
         if folder.exists() and any(folder.iterdir()):
@@ -127,20 +127,22 @@ def _settings(given: argparse.Namespace, folder: Path) -> SessionSettings:
     return SessionSettings(folder, given.rtf, given.seed, given.strategy)
 
 
-def _tried(
+def _run_trials(
     trials: list[tuple[Fault, ...]], settings: SessionSettings, console: Console
 ) -> Iterator[Outcome]:
-    """Run the trials, all in one life of the nodes as long as they survive."""
+    """Run the trials; after one that was not survived the nodes are started anew."""
     left = list(trials)
-    lives = 0
+    sessions = 0
     with _progress(console) as progress:
-        task = progress.add_task("nodes come up", total=len(trials), visible=bool(trials))
+        task = progress.add_task("starting nodes", total=len(trials), visible=bool(trials))
         while left:
-            lives += 1
-            life = replace(
-                settings, folder=settings.folder / f"life_{lives}", seed=settings.seed + lives - 1
+            sessions += 1
+            own = replace(
+                settings,
+                folder=settings.folder / f"session_{sessions}",
+                seed=settings.seed + sessions - 1,
             )
-            with joined(life) as session:
+            with fault_session(own) as session:
                 while left:
                     faults = left.pop(0)
                     progress.update(task, description=name_of(faults))
@@ -152,8 +154,8 @@ def _tried(
                         break
 
 
-def _tried_in_a_home(faults: list[MachineFault], console: Console) -> Iterator[Outcome]:
-    """Run commands in scratch homes on machines that lack something."""
+def _run_machine_faults(faults: list[MachineFault], console: Console) -> Iterator[Outcome]:
+    """Run the commands under faults of the machine."""
     with _progress(console) as progress:
         task = progress.add_task("machines", total=len(faults), visible=bool(faults))
         for fault in faults:
@@ -178,7 +180,7 @@ def _line(outcome: Outcome) -> str:
     return f"[red]{outcome.fault}: {'; '.join(outcome.complaints)}[/red]"
 
 
-def _tell(table: list[FaultRow], console: Console) -> None:
+def _print(table: list[FaultRow], console: Console) -> None:
     robot = RobotParameters()
     shown = Table(
         "fault", "tried", "survived", "recovery [s]", "speed [rad/s]", "slew [rad/s^2]",

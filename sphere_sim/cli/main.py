@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The ``sphere_nmpc`` command: hands the arguments after a verb to the module of that verb.
+"""The ``sphere_nmpc`` command, which passes the arguments after a verb to its module.
 
 Modules are imported only when their verb is called, so that the command starts at once and
 needs no more than what the verb needs. Each verb is an executable of its own too, for
-``ros2 run``: started by the name of a verb, the command takes that for its first word.
-``--debug``, before or after the verb, shows the traceback of what goes wrong.
+``ros2 run``: started by the name of a verb, the command uses that as its first word.
+``--debug``, before or after the verb, shows the traceback of an error.
 """
 
 import logging
@@ -13,7 +13,6 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.util import find_spec
 
 from sphere_sim.cli.exits import guarded
 from sphere_sim.cli.output import Output
@@ -57,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(argv, signals)
     signals.exit_at_once()
     output.install()
-    # Where matplotlib keeps its fonts is nothing that a user needs many lines about.
+    # Without matplotlib's messages about its font cache.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         code = _run(of_process(), signals)
@@ -80,7 +79,7 @@ def _run(argv: Sequence[str], signals: Signals) -> int:
 
         print(f"sphere_nmpc {metadata.version('sphere_nmpc')}")
         return 0
-    if verb not in _available():
+    if verb not in VERBS:
         print(f"sphere_nmpc: there is no '{verb}'\n\n{_usage()}", file=sys.stderr)
         return 2
 
@@ -88,7 +87,7 @@ def _run(argv: Sequence[str], signals: Signals) -> int:
         if os.environ.get("RMW_IMPLEMENTATION") and verb not in _WITHOUT_ROS:
             from sphere_nmpc.ros.environment import check_middleware
 
-            check_middleware()  # now, as loading rclpy with a wrong one ends the process
+            check_middleware()  # before rclpy is loaded, which ends the process with a wrong one
         module = import_module(VERBS[verb][0])
         signals.interrupt()
         code: int = module.main(rest)
@@ -111,27 +110,15 @@ def of_process() -> list[str]:
     return [name, *sys.argv[1:]] if name in VERBS else sys.argv[1:]
 
 
-def _available() -> list[str]:
-    """Verbs whose module is part of this installation."""
-    return [verb for verb, (module, _) in VERBS.items() if _is_present(module)]
-
-
-def _is_present(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except ModuleNotFoundError:  # a parent package is absent
-        return False
-
-
 def _usage() -> str:
-    lines = (f"  {verb:<11} {VERBS[verb][1]}" for verb in _available())
+    lines = (f"  {verb:<11} {purpose}" for verb, (_, purpose) in VERBS.items())
     return "\n".join(
         (
             "usage: sphere_nmpc [-h] [--version] [--debug] VERB ...",
             "",
             *lines,
             "",
-            "'sphere_nmpc VERB --help' tells the arguments of a verb; with --debug any verb shows",
-            "the traceback of what goes wrong.",
+            "'sphere_nmpc VERB --help' lists the arguments of a verb; with --debug any verb shows",
+            "the traceback of an error.",
         )
     )

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Standard output and error that may be lost without losing the work.
+"""Standard output and standard error whose loss does not end the command.
 
 A pipe whose reader has gone (``| head -1``) or a full disk makes a write fail. The command then
-goes on, so that its results are kept, and what it prints is dropped.
+continues, so that its results are kept, and further output is discarded.
 """
 
 import errno
@@ -25,10 +25,10 @@ class LossyFile(io.FileIO):
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)
         self.failure: OSError | None = None
-        """Why output was lost, from the first lost write on."""
+        """The error of the first write that failed; None before."""
 
     def write(self, data: Any, /) -> int:
-        """Write all of the data, or drop the rest of it if that is not possible."""
+        """Write all of the data, or discard the rest if that is not possible."""
         rest = memoryview(data).cast("B")
         size = rest.nbytes
         try:
@@ -48,13 +48,13 @@ class Output:
     def install(self) -> None:
         """Replace ``sys.stdout`` and ``sys.stderr``.
 
-        What the encoding of the terminal does not know is written with backslashes.
+        Characters that the encoding of the terminal has not are written as backslash escapes.
         """
         sys.stdout = self._lossy(sys.stdout, 1)
         sys.stderr = self._lossy(sys.stderr, 2)
 
     def failure(self) -> str:
-        """Return in words why standard output was lost; nothing when its reader has gone."""
+        """Return why standard output was lost; empty if it was not, or if its reader has gone."""
         sys.stdout.flush()
         error = self._files[0].failure if self._files else None
         if error is None or error.errno == errno.EPIPE:
@@ -63,16 +63,16 @@ class Output:
 
     def _lossy(self, stream: TextIO | None, descriptor: int) -> TextIO:
         if stream is None:
-            # Closed by the caller: the next file that is opened would take its place.
+            # Closed by the caller: the next file that is opened would get its descriptor.
             descriptor = os.open(os.devnull, os.O_WRONLY)
         file = LossyFile(descriptor)
         self._files.append(file)
-        # As with PYTHONUNBUFFERED, where nothing may wait for a line's end.
-        at_once = bool(getattr(stream, "write_through", False))
+        # As with PYTHONUNBUFFERED, where output is not buffered up to the end of a line.
+        unbuffered = bool(getattr(stream, "write_through", False))
         return io.TextIOWrapper(
-            file if at_once else io.BufferedWriter(file),
+            file if unbuffered else io.BufferedWriter(file),
             encoding=getattr(stream, "encoding", "utf-8"),
             errors="backslashreplace",
             line_buffering=bool(getattr(stream, "line_buffering", False)),
-            write_through=at_once,
+            write_through=unbuffered,
         )

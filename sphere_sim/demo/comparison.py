@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's scenario once more, with the other strategy and without ROS."""
+"""The demo's scenario with the other strategy, in the closed loop without ROS."""
 
 import dataclasses
 from pathlib import Path
@@ -17,7 +17,7 @@ from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 _AT_LEAST = 20.0
-"""How long the other strategy runs at the least [s]: the paper's cases need up to 13."""
+"""Shortest duration of the other run [s]: the paper's cases need up to 13."""
 
 
 def compute_other(plan: DemoPlan, recorded: Run) -> Run:
@@ -26,14 +26,14 @@ def compute_other(plan: DemoPlan, recorded: Run) -> Run:
     Parameters
     ----------
     plan : DemoPlan
-        What was shown.
+        What was run.
     recorded : Run
-        What came of it; the other run is no shorter.
+        Its recording; the other run is at least as long.
 
     Returns
     -------
     Run
-        As if it had been recorded.
+        The computed run, with the fields of a recorded one.
     """
     prefix = "robot."
     own = {k: v for k, v in plan.simulator.items() if not k.startswith(prefix)}
@@ -44,10 +44,9 @@ def compute_other(plan: DemoPlan, recorded: Run) -> Run:
         initial_state=tuple(plan.scenario.start),
         sample_period=controller.control_period,
     )
-    believed = RobotParameters()
     trajectory = run_closed_loop(
         Simulator(settings, RobotParameters(**true)),
-        Controller(controller, believed),
+        Controller(controller, RobotParameters()),
         plan.scenario.goal,
         max(_AT_LEAST, float(np.ceil(recorded.times[-1]))),
         controller.control_period,

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's progress on a terminal, or as a line now and then where there is none."""
+"""The demo's progress: updated in place on a terminal, otherwise a line every two seconds."""
 
 import math
 import time
@@ -11,28 +11,28 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from sphere_sim.demo.plan import DemoPlan
-from sphere_sim.ros.session.demo_director import Progress
+from sphere_sim.ros.session.demo_session import Progress
 
 _LINE_EVERY = 2.0
 """Wall time between two lines where there is no terminal [s]."""
 
 
 class ProgressDisplay:
-    """Show where a run is.
+    """Display of the newest values of a run.
 
     Parameters
     ----------
     console : Console
-        Where to.
+        Terminal or file.
     plan : DemoPlan
-        What is run.
+        The run.
     """
 
     def __init__(self, console: Console, plan: DemoPlan) -> None:
         self._console = console
         self._plan = plan
         self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
-        self._told = -math.inf
+        self._printed_at = -math.inf
         self._first: float | None = None
 
     def __enter__(self) -> "ProgressDisplay":
@@ -45,11 +45,11 @@ class ProgressDisplay:
             self._live.stop()
 
     def show(self, progress: Progress) -> None:
-        """Show the newest progress."""
+        """Show the newest values."""
         if self._live is not None:
             self._live.update(Group(self._table(progress), self._bar(progress)), refresh=True)
-        elif time.monotonic() >= self._told + _LINE_EVERY:
-            self._told = time.monotonic()
+        elif time.monotonic() >= self._printed_at + _LINE_EVERY:
+            self._printed_at = time.monotonic()
             self._console.print(_line(progress), highlight=False, soft_wrap=True)
 
     def _table(self, progress: Progress) -> Table:
@@ -66,7 +66,7 @@ class ProgressDisplay:
         return table
 
     def _bar(self, progress: Progress) -> ProgressBar:
-        """Return how far the error has come, on a logarithmic scale."""
+        """Return a bar of the error between start and tolerance, on a logarithmic scale."""
         error = max(progress.error, 1e-12)
         if self._first is None and math.isfinite(error):
             self._first = max(error, 2.0 * self._plan.tolerance)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is told after a demo: a table for people and a file for programs."""
+"""The results of a demo as a table and as the content of ``summary.json``."""
 
 import dataclasses
 import math
@@ -16,7 +16,7 @@ from sphere_sim.recording.run import Run
 
 
 def neighbourhood(run: Run, plan: DemoPlan) -> dict[str, float | None]:
-    """Return since when the error has stayed within the plan's tolerance, and how it did.
+    """Return from when on the error stayed within the plan's tolerance, and how large it was.
 
     Returns
     -------
@@ -42,9 +42,9 @@ def summarise(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> dict[str, 
     Parameters
     ----------
     plan : DemoPlan
-        What was asked for.
+        What was run.
     arrived : bool
-        Whether the recorded run did.
+        Whether the recorded run arrived at the goal.
     runs : dict of str to Run
         The recorded run under its strategy's name, then the computed one, if any.
     """
@@ -70,7 +70,7 @@ def summarise(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> dict[str, 
 
 
 def table(plan: DemoPlan, runs: dict[str, Run]) -> Table:
-    """Return a table with a column a run; arguments as in `summarise`."""
+    """Return a table with one column per run; parameters as in `summarise`."""
     made = Table("result", *(f"{name}\n{_how(name, plan)}" for name in runs))
     columns = [_words(run, plan) for run in runs.values()]
     for rows in zip(*columns, strict=True):
@@ -87,7 +87,7 @@ def _words(run: Run, plan: DemoPlan) -> list[tuple[str, str]]:
     settled = f"{metrics.settle_time_s:.2f} s" if metrics.settled else "not below to the end"
     rows = [("settling time (error < 1e-2)", settled)]
     if plan.disturbed:
-        # Against noise nothing settles to 1e-2, but it stays in a neighbourhood.
+        # Under noise the error does not settle below 1e-2, but it stays in a neighbourhood.
         since, usual, most = near["within_s"], near["p95_error_after"], near["max_error_after"]
         words = "not to the end" if since is None else f"{since:.2f} s"
         rows = [(f"error < {plan.tolerance:g} from", words)]
@@ -112,11 +112,11 @@ def _figures(run: Run, plan: DemoPlan) -> dict[str, float | bool | None]:
 
 def _measured(run: Run) -> Metrics:
     metrics = run.metrics()
-    if metrics is None:  # the demo looks before it asks
+    if metrics is None:  # write_results has checked it
         raise ValueError(f"{run.name} holds no goal or no pose after it")
     return metrics
 
 
 def _plain(value: float | bool) -> float | bool | None:
-    """Return a number that JSON knows; it has no nan."""
+    """Return the value, or None for nan and infinity, which JSON has not."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A strategy that goes wrong in the ways in which a solver can, for as long as it is told to."""
+"""A strategy that fails in the ways in which a solver can, on demand."""
 
 import time
 from dataclasses import replace
@@ -14,29 +14,29 @@ from sphere_nmpc.strategy.contract import Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan
 
 _LATENESS = 0.4
-"""Wall time that a late plan takes longer [s]."""
+"""Additional wall time of a late plan [s]."""
 _WILD = 1e6
 """Speed of a wild plan [rad/s]."""
 
 
 class BadStrategy:
-    """Hand on a strategy's plans, or what the word in a file makes of them.
+    """Wrapper of a strategy that fails while a file names a failure mode.
 
     Parameters
     ----------
     inner : Strategy
-        Who plans while nothing is wrong.
-    told : Path
-        A file with one word: raise, nan, wild, nothing or late; missing or empty is well.
+        The strategy that makes the plans.
+    mode_file : Path
+        A file with one word: raise, nan, wild, nothing or late; missing or empty for no failure.
     """
 
-    def __init__(self, inner: Strategy, told: Path) -> None:
+    def __init__(self, inner: Strategy, mode_file: Path) -> None:
         self._inner = inner
-        self._told = told
+        self._mode_file = mode_file
 
     def plan(self, situation: Situation) -> Plan:
-        """Plan, well or badly."""
-        mode = self._told.read_text().strip() if self._told.exists() else ""
+        """Return a plan, or fail in the mode that the file names."""
+        mode = self._mode_file.read_text().strip() if self._mode_file.exists() else ""
         if mode == "raise":
             raise RuntimeError("the solver was made to fail")
         if mode == "nothing":
@@ -57,5 +57,5 @@ class BadStrategy:
         self._inner.change(settings)
 
     def reset(self) -> None:
-        """Forget warm starts."""
+        """Reset the inner strategy."""
         self._inner.reset()

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The faults of the campaign by name, and how it is chosen which of them are tried."""
+"""The faults of the campaign by name, and the selection of those to try."""
 
 import itertools
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Choosable(Protocol):
-    """What a fault has to be chosen by."""
+    """Properties by which faults are selected."""
 
     @property
     def name(self) -> str:
@@ -19,11 +19,11 @@ class Choosable(Protocol):
 
     @property
     def group(self) -> str:
-        """What it concerns."""
+        """Group of the fault."""
 
     @property
     def quick(self) -> bool:
-        """Whether it stands for its group in the quick campaign."""
+        """Whether the quick campaign includes it."""
 
 
 AnyFault = TypeVar("AnyFault", bound=Choosable)
@@ -31,32 +31,33 @@ AnyFault = TypeVar("AnyFault", bound=Choosable)
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong for a while.
+    """One fault, which lasts for a while.
 
     Attributes
     ----------
     name : str
         As on the command line and in the table.
     group : str
-        What it concerns; the quick campaign tries one fault or two of each group.
+        Its group; the quick campaign tries one fault or two of each group.
     action : str
-        What brings it about, see `sphere_sim.ros.faults.actions`.
+        The action that causes it, see `sphere_sim.ros.faults.actions`.
     options : dict
-        For the action.
+        Options of the action.
     duration : float
         How long it lasts [s], simulated.
     named_by : tuple of str
         Words of which one has to appear in a log line, a diagnostic or the end of a process;
         empty for a fault that does no harm.
     blind : bool
-        Whether the controller sees nothing meanwhile, so that the rotors have to come to rest.
+        Whether the controller gets no usable pose meanwhile, so that the rotors have to come to
+        rest.
     goal_again : bool
         Whether the goal is lost by it and has to be sent again, as a supervisor would.
     continuous : bool
-        Whether each command has to start from the speeds that were in force; not where the
-        sender changes or forgets what it sent, and the drives alone limit the slew.
+        Whether each command has to start from the speeds that were in force; not where another
+        controller takes over or one is restarted, and the drives alone limit the slew.
     quick : bool
-        Whether it stands for its group in the quick campaign.
+        Whether the quick campaign includes it.
     """
 
     name: str
@@ -129,11 +130,11 @@ _ALL = (
     _solver("wild", "wild"),
     _solver("nothing", "nothing", named_by=_FAILED),
     _solver("late", "late", named_by=("missed ticks rose", "longer than the control period")),
-    # Often enough each tick is still in time, and there is nothing to name.
+    # Without `named_by`: often each tick is still in time, and there is nothing to report.
     Fault("cpu_starved", "cpu", "throttle", {"share": 0.1}, quick=True),
     Fault("cpu_shared", "cpu", "hogs", {"number": 4}),
     Fault("disk_full", "disk", "disk_full", named_by=("recording stopped",), quick=True),
-    # Two are seen to be two on the wall clock: what a diagnostic tells every 0.5 s.
+    # Diagnostics detect a second controller by wall time, once every 0.5 s.
     Fault("two_controllers", "rival", "rival", duration=6.0, named_by=("other publisher",),
           continuous=False, quick=True),
     Fault("parameters_at_start", "parameters", "bad_start", duration=0.0,
@@ -149,16 +150,16 @@ FAULTS = {fault.name: fault for fault in _ALL}
 def chosen(
     known: Iterable[AnyFault], names: Iterable[str] = (), quick: bool = False
 ) -> list[AnyFault]:
-    """Return the faults to try.
+    """Return the faults to try, in the order of the catalogue.
 
     Parameters
     ----------
     known : iterable
-        Faults to choose from.
+        The faults to select from.
     names : iterable of str, optional
-        Names of those to try, or of groups of them; all, where there are none.
+        Names of faults or of groups; all by default.
     quick : bool, optional
-        One or two of each group only, where no names are given.
+        Only those of the quick campaign, unless names are given.
     """
     names = set(names)
     if names:
@@ -172,17 +173,17 @@ def pairs(faults: Iterable[Fault], number: int, seed: int) -> list[tuple[Fault, 
     Parameters
     ----------
     faults : iterable of Fault
-        To draw from.
+        The faults to draw from.
     number : int
-        How many; fewer where there are not so many.
+        Number of pairs, at most the number of possible ones.
     seed : int
-        Of the draw.
+        Seed of the draw.
     """
     possible = [
         (one, other) for one, other in itertools.combinations(faults, 2)
-        # Two kinds of pose fault mix; two paces or two states of the solver do not.
+        # Two disturbances of poses can be combined; two paces or two solver failures cannot.
         if (one.action != other.action or one.action == "pose")
-        # Nobody can set parameters of who is dead.
+        # Parameters of a node that has been killed cannot be set.
         and not ("bad_live" in (one.action, other.action)
                  and {"kill", "bad_start"} & {one.action, other.action})
     ]

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What became of each trial, and the table and the file in which that is told."""
+"""Outcomes of trials, and the table and the JSON file made of them."""
 
 import json
 import math
@@ -12,20 +12,21 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one trial.
+    """Outcome of one trial.
 
     Attributes
     ----------
     fault : str
-        What was wrong.
+        Name of the fault, or of several.
     recovery : float
-        From the end of the fault to the goal, for good [s, simulated]; nan if it was not reached.
+        Time from the end of the fault to settling at the goal [s, simulated]; nan if it was not
+        reached.
     worst_speed : float
-        Largest rotor speed commanded or turned [rad/s].
+        Largest rotor speed, commanded or measured [rad/s].
     worst_slew : float
-        Largest rotor acceleration commanded or turned [rad/s^2].
+        Largest rotor acceleration, commanded or measured [rad/s^2].
     complaints : tuple of str
-        Why it does not count as survived; empty if it does.
+        Reasons why it does not count as survived; empty if it does.
     """
 
     fault: str
@@ -36,7 +37,7 @@ class Outcome:
 
     @property
     def survived(self) -> bool:
-        """Whether there is nothing to complain about."""
+        """Whether there is no complaint."""
         return not self.complaints
 
 
@@ -49,7 +50,7 @@ class FaultRow:
     fault : str
         Its name.
     outcomes : list of Outcome
-        One a trial.
+        One per trial.
     """
 
     fault: str
@@ -57,7 +58,7 @@ class FaultRow:
 
     @property
     def survived(self) -> int:
-        """How many trials were survived."""
+        """Number of trials that were survived."""
         return sum(outcome.survived for outcome in self.outcomes)
 
     @property
@@ -67,7 +68,7 @@ class FaultRow:
 
     @property
     def complaints(self) -> list[str]:
-        """What went wrong, each kind once."""
+        """All different complaints."""
         return list(dict.fromkeys(c for outcome in self.outcomes for c in outcome.complaints))
 
     def as_json(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of a stream of poses: what each sample becomes on its way, and when it arrives."""
+"""Disturbances of a stream of poses: changed, lost, duplicated and delayed samples."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True)
 class PoseSample:
-    """A pose on its way.
+    """A pose between publisher and subscriber.
 
     Attributes
     ----------
     stamp : int
-        When it was measured [ns].
+        Time of the measurement [ns].
     values : tuple of float
         x, y, then the quaternion w, x, y, z [m, -]; need not be finite.
     frame : str
@@ -31,17 +31,17 @@ class PoseSample:
 
 
 Arrival = tuple[int, PoseSample]
-"""When a sample arrives [ns] and what it then is."""
+"""Time at which a sample arrives [ns], and the sample."""
 Disturbance = Callable[[Arrival, np.random.Generator], list[Arrival]]
 
 
 def dropped(share: float) -> Disturbance:
-    """Lose a share of the samples."""
+    """Drop a share of the samples."""
     return lambda arrival, rng: [] if rng.random() < share else [arrival]
 
 
 def delayed(by: float) -> Disturbance:
-    """Let samples arrive later by so many seconds."""
+    """Delay all samples by `by` [s]."""
     late = round(by * NANOSECONDS)
     return lambda arrival, rng: [(arrival[0] + late, arrival[1])]
 
@@ -54,28 +54,28 @@ def shuffled(within: float) -> Disturbance:
 
 
 def duplicated(times: int) -> Disturbance:
-    """Let each sample arrive several times."""
+    """Deliver each sample several times."""
     return lambda arrival, rng: [arrival] * times
 
 
 def stamped(ahead: float) -> Disturbance:
-    """Move the stamps ahead by so many seconds."""
+    """Move the stamps into the future by `ahead` [s]."""
     return _changed(
         lambda sample, rng: replace(sample, stamp=sample.stamp + round(ahead * NANOSECONDS))
     )
 
 
 def not_finite(share: float = 1.0) -> Disturbance:
-    """Put NaN or infinity into one number of a share of the samples."""
+    """Replace one number by NaN or infinity in a share of the samples."""
 
-    def spoil(sample: PoseSample, rng: np.random.Generator) -> PoseSample:
+    def corrupt(sample: PoseSample, rng: np.random.Generator) -> PoseSample:
         if rng.random() >= share:
             return sample
         values = list(sample.values)
         values[rng.integers(len(values))] = rng.choice([np.nan, np.inf, -np.inf])
         return replace(sample, values=tuple(values))
 
-    return _changed(spoil)
+    return _changed(corrupt)
 
 
 def sign_flipped() -> Disturbance:
@@ -86,12 +86,12 @@ def sign_flipped() -> Disturbance:
 
 
 def scaled(by: float) -> Disturbance:
-    """Give the quaternion another norm."""
+    """Scale the quaternion by a factor."""
     return _changed(lambda sample, rng: _with_quaternion(sample, by))
 
 
 def framed(frame: str) -> Disturbance:
-    """Name another frame."""
+    """Set another frame."""
     return _changed(lambda sample, rng: replace(sample, frame=frame))
 
 
@@ -110,36 +110,36 @@ def make_disturbance(options: dict[str, Any]) -> Disturbance:
 
 
 class PoseStream:
-    """Samples on their way through any number of disturbances.
+    """Delay line of samples with any number of disturbances.
 
     Parameters
     ----------
     rng : Generator
-        Behind all chance.
+        Source of randomness.
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self.disturbances: list[Disturbance] = []
-        """What acts on the samples that come in from now on."""
-        self._under_way: list[Arrival] = []
+        """Disturbances of the samples that enter from now on, applied in this order."""
+        self._pending: list[Arrival] = []
 
     def enter(self, now: int, sample: PoseSample) -> None:
-        """Let a sample in at `now` [ns]."""
+        """Take a sample at time `now` [ns]."""
         arrivals = [(now, sample)]
         for disturb in self.disturbances:
             arrivals = [out for arrival in arrivals for out in disturb(arrival, self._rng)]
-        self._under_way.extend(arrivals)
+        self._pending.extend(arrivals)
 
     def leave(self, now: int) -> list[PoseSample]:
-        """Return what has arrived by `now` [ns], in the order of arrival."""
-        ready = sorted((a for a in self._under_way if a[0] <= now), key=lambda a: a[0])
-        self._under_way = [arrival for arrival in self._under_way if arrival[0] > now]
+        """Return the samples that have arrived by `now` [ns], in the order of arrival."""
+        ready = sorted((a for a in self._pending if a[0] <= now), key=lambda a: a[0])
+        self._pending = [arrival for arrival in self._pending if arrival[0] > now]
         return [sample for _, sample in ready]
 
     def clear(self) -> None:
-        """Forget what is under way, as when time starts anew."""
-        self._under_way.clear()
+        """Discard all samples that have not arrived, as when time restarts."""
+        self._pending.clear()
 
 
 def _changed(change: Callable[[PoseSample, np.random.Generator], PoseSample]) -> Disturbance:

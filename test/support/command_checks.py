@@ -17,14 +17,13 @@ from parameter_tables import NODES, PARTS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
-from sphere_sim.cli import benchmark, faults, report, study, viewer
+from sphere_sim.cli import benchmark, demo, faults, report, study, viewer
 from sphere_sim.cli.main import VERBS
-from sphere_sim.demo import plan as demo_plan
 from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.ros.session import goal_command as goal_publisher
 
 PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
-    "demo": demo_plan.parse,
+    "demo": demo.parse,
     "goal": goal_publisher.parse,
     "viewer": viewer._parse,
     "study": lambda words: study._parser().parse_args(words),

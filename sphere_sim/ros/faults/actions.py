@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What brings each fault about, and what ends it."""
+"""The actions that begin and end each fault of the catalogue."""
 
 from typing import Any, Protocol
 
@@ -8,124 +8,118 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_sim.faults.catalogue import Fault
 from sphere_sim.faults.pose_stream import NANOSECONDS, make_disturbance
-from sphere_sim.ros.faults.on_goals import BadGoals
-from sphere_sim.ros.faults.on_processes import (
+from sphere_sim.ros.faults.fault_session import FaultSession, SessionError
+from sphere_sim.ros.faults.goal_actions import BadGoals
+from sphere_sim.ros.faults.process_actions import (
     BadStart,
     DiskFull,
     Hogs,
     Kill,
-    Rival,
+    Lasting,
+    SecondController,
     Throttle,
 )
-from sphere_sim.ros.faults.session import FaultSession, SessionError
 
 
 class Action(Protocol):
-    """Something that goes wrong for a while."""
+    """A fault that can be begun and ended."""
 
     def begin(self, session: FaultSession) -> None:
-        """Let it go wrong."""
+        """Begin the fault."""
 
     def keep_on(self, session: FaultSession) -> None:
-        """Do what has to be done again and again meanwhile."""
+        """Do what has to be repeated while it lasts; called at each turn of the loop."""
 
     def end(self, session: FaultSession) -> None:
-        """Let all be well again."""
+        """End the fault."""
 
 
-class Lasting:
-    """A fault that needs nothing to be done while it lasts."""
-
-    def keep_on(self, session: FaultSession) -> None:
-        """Do nothing."""
-
-
-class SpoiltPoses(Lasting):
-    """Poses go wrong on their way."""
+class DisturbedPoses(Lasting):
+    """Poses are disturbed between simulator and controller."""
 
     def __init__(self, **options: Any) -> None:
         self._disturbance = make_disturbance(options)
 
     def begin(self, session: FaultSession) -> None:
-        """Spoil."""
+        """Add the disturbance."""
         session.proxy.stream.disturbances.append(self._disturbance)
 
     def end(self, session: FaultSession) -> None:
-        """Spoil no more."""
+        """Remove the disturbance."""
         session.proxy.stream.disturbances.remove(self._disturbance)
 
 
 class Pause(Lasting):
-    """Simulated time stands still."""
+    """Simulated time is paused."""
 
     def begin(self, session: FaultSession) -> None:
-        """Stop time."""
+        """Pause the simulator."""
         session.ask("simulator/pause", SetBool.Request(data=True))
 
     def end(self, session: FaultSession) -> None:
-        """Let it go on."""
+        """Resume it."""
         session.ask("simulator/pause", SetBool.Request(data=False))
 
 
 class ClockLost(Lasting):
-    """The controller hears poses, but no clock."""
+    """The controller receives poses, but no clock."""
 
     def begin(self, session: FaultSession) -> None:
-        """Hold the clock back."""
+        """Stop to forward the clock."""
         session.proxy.clock_passes = False
 
     def end(self, session: FaultSession) -> None:
-        """Let it pass."""
+        """Forward the clock again."""
         session.proxy.clock_passes = True
 
 
 class ClockBack(Lasting):
-    """The time of the world steps back, for good."""
+    """Simulated time jumps back, and stays there."""
 
     def __init__(self, by: float) -> None:
         self._by = round(by * NANOSECONDS)
 
     def begin(self, session: FaultSession) -> None:
-        """Step back."""
+        """Shift all stamps back."""
         session.proxy.shift -= self._by
-        session.monitor.limits.forget()
+        session.monitor.limits.restart()
 
     def end(self, session: FaultSession) -> None:
-        """Stay there: a step forward would be another fault."""
+        """Keep the shift: a jump forward would be another fault."""
 
 
 class Pace(Lasting):
-    """Time runs at another pace."""
+    """Simulated time runs at another real-time factor."""
 
     def __init__(self, factor: float) -> None:
         self._factor = factor
 
     def begin(self, session: FaultSession) -> None:
-        """Change the pace."""
+        """Change the factor."""
         _set_pace(session, self._factor)
 
     def end(self, session: FaultSession) -> None:
-        """Go back to the pace of the campaign."""
+        """Set the factor of the campaign again."""
         _set_pace(session, session.settings.pace)
 
 
 class BadSolver(Lasting):
-    """The solver goes wrong."""
+    """The solver fails in the given way, see `BadStrategy`."""
 
     def __init__(self, mode: str) -> None:
         self._mode = mode
 
     def begin(self, session: FaultSession) -> None:
-        """Say what goes wrong."""
+        """Write the failure mode to the file that the strategy reads."""
         session.solver_file.write_text(self._mode)
 
     def end(self, session: FaultSession) -> None:
-        """Say that nothing does."""
+        """Clear the file."""
         session.solver_file.write_text("")
 
 
 class BadLiveParameters(Lasting):
-    """Somebody sets parameters to what they cannot be."""
+    """Parameters are set to invalid values while the nodes run."""
 
     _WRONG = (
         ("controller", "pose_timeout", -1.0), ("controller", "pose_timeout", float("nan")),
@@ -136,22 +130,22 @@ class BadLiveParameters(Lasting):
     )
 
     def begin(self, session: FaultSession) -> None:
-        """Set them; each has to be refused, with a reason."""
+        """Set them; each has to be refused with a reason."""
         for node, name, value in self._WRONG:
             (result,) = session.set_parameters(node, **{name: value})
             if result.successful or not result.reason:
-                raise SessionError(f"{node} took {name} = {value!r} without a word")
-            session.monitor.said.append(f"refused live: {result.reason}")
+                raise SessionError(f"{node} did not refuse {name} = {value!r} with a reason")
+            session.monitor.messages.append(f"refused live: {result.reason}")
 
     def end(self, session: FaultSession) -> None:
-        """Nothing has changed that would have to be changed back."""
+        """Do nothing: no parameter has changed."""
 
 
 class StoppedRecording(DiskFull):
-    """The disk is full, and once it is not somebody starts the recorder again."""
+    """The disk is full, and a new recording is started when it no longer is."""
 
     def end(self, session: FaultSession) -> None:
-        """Give the disk back and record anew."""
+        """Remove the limit and start a new recording."""
         super().end(session)
         answer = session.ask("recorder/start", Trigger.Request())
         if not answer.success and "already" not in answer.message:
@@ -159,7 +153,7 @@ class StoppedRecording(DiskFull):
 
 
 _ACTIONS: dict[str, Any] = {
-    "pose": SpoiltPoses,
+    "pose": DisturbedPoses,
     "goals": BadGoals,
     "pause": Pause,
     "clock_lost": ClockLost,
@@ -170,14 +164,14 @@ _ACTIONS: dict[str, Any] = {
     "throttle": Throttle,
     "hogs": Hogs,
     "disk_full": StoppedRecording,
-    "rival": Rival,
+    "rival": SecondController,
     "bad_start": BadStart,
     "bad_live": BadLiveParameters,
 }
 
 
 def action_of(fault: Fault) -> Action:
-    """Return what brings a fault about."""
+    """Return the action of a fault."""
     action: Action = _ACTIONS[fault.action](**fault.options)
     return action
 
@@ -185,4 +179,4 @@ def action_of(fault: Fault) -> Action:
 def _set_pace(session: FaultSession, factor: float) -> None:
     (result,) = session.set_parameters("simulator", real_time_factor=factor)
     if not result.successful:
-        raise SessionError(f"the pace cannot be {factor:g}: {result.reason}")
+        raise SessionError(f"real_time_factor {factor:g} was refused: {result.reason}")

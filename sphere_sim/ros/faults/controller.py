@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m sphere_sim.ros.faults.controller PARENT FILE ...``: a controller with a bad solver.
+"""``python -m sphere_sim.ros.faults.controller PARENT FILE ...``: a controller whose solver fails.
 
-It is the controller node itself, whose strategies are wrapped before it starts; the controller
-has no hook for this and needs none. FILE says what goes wrong, see `BadStrategy`.
+It is the controller node itself, with every strategy wrapped before the node starts, so that the
+controller needs no hook for it. FILE holds the failure mode, see `BadStrategy`.
 """
 
 import sys
@@ -21,12 +21,12 @@ from sphere_sim.ros.session.parent import end_with_parent
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the controller node with every strategy behind a `BadStrategy`."""
-    parent, told, *rest = arguments
+    """Run the controller node with every strategy wrapped in a `BadStrategy`."""
+    parent, mode_file, *rest = arguments
     end_with_parent(int(parent))
 
     def make(settings: ControllerSettings, robot: RobotParameters) -> Strategy:
-        return BadStrategy(make_strategy(settings, robot), Path(told))
+        return BadStrategy(make_strategy(settings, robot), Path(mode_file))
 
     controller.make_strategy = make
     return run_controller(rest)

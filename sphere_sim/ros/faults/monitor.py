@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Listens to everything and judges it, independently of the nodes that are on trial."""
+"""Monitor of all topics, independent of the nodes under test."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, state_error
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import (
     NANOSECONDS,
     hold_from_trajectory,
@@ -24,22 +24,21 @@ from sphere_nmpc.ros.conversions import (
     stamp_from_ros,
 )
 from sphere_sim.faults.limits import LimitCheck
+from sphere_sim.ros.session.goal_run import GoalRun
 
 _DEPTH = 1000
 _AT_REST = 1e-3
 """Speed below which a rotor rests [rad/s]."""
-_SETTLED = 1e-2
-"""Error below which the goal is reached [mixed units]."""
 
 
-class RunningTime:
-    """Time that goes on where stamps start anew with a new simulator."""
+class ContinuousTime:
+    """Continuous time from stamps that restart with each new simulator."""
 
     def __init__(self) -> None:
         self._before = self._last = 0
 
     def of(self, stamp: int) -> float:
-        """Return the running time [s] of a stamp [ns]."""
+        """Return the continuous time [s] of a stamp [ns]."""
         if stamp < self._last - NANOSECONDS:
             self._before += self._last
         self._last = stamp
@@ -47,31 +46,27 @@ class RunningTime:
 
 
 class FaultMonitor:
-    """Watch limits, progress towards the goal, and what the nodes say.
+    """Monitor of limits, of the run to the goal, and of logs and diagnostics.
 
     Parameters
     ----------
     node : Node
         Owner of the subscriptions.
     robot : RobotParameters
-        For the limits.
+        Parameters with the limits.
     """
 
     def __init__(self, node: Node, robot: RobotParameters) -> None:
         self.limits = LimitCheck(robot.max_rotor_speed, robot.max_rotor_acceleration)
-        self.goal: Vector | None = None
-        """What the true pose is compared with, shape (6,)."""
+        self.run: GoalRun | None = None
+        """The run to the goal, judged by the undisturbed poses."""
         self.time = 0.0
-        """Simulated time since the start, which goes on when the simulator starts anew [s]."""
-        self.error = math.nan
-        """Distance to the goal."""
-        self.inside_since: float | None = None
-        """Since when the error has been small [s]; None while it is not."""
+        """Simulated time since the start, continued when the simulator is restarted [s]."""
         self.moving_until = 0.0
-        """When a rotor last turned [s]."""
-        self.said: list[str] = []
+        """Time at which a rotor last turned [s]."""
+        self.messages: list[str] = []
         """Log lines, messages of diagnostics and names of counters that rose."""
-        self._pose_time, self._joint_time = RunningTime(), RunningTime()
+        self._pose_time, self._joint_time = ContinuousTime(), ContinuousTime()
         self._counters: dict[str, float] = {}
         for kind, topic, take in (
             (JointTrajectory, "rotor_trajectory", self._take_trajectory),
@@ -83,30 +78,26 @@ class FaultMonitor:
         ):
             node.create_subscription(kind, topic, take, _DEPTH)
 
-    def begin(self, goal: Vector) -> None:
-        """Judge anew, on the way to a goal of shape (6,)."""
-        self.goal, self.inside_since, self.error = goal, None, math.nan
+    def begin(self, goal: Vector) -> GoalRun:
+        """Begin a trial and return its run to a goal, shape (6,)."""
+        self.run = GoalRun(goal)
         self.limits.begin()
-        self.said.clear()
+        self.messages.clear()
+        return self.run
 
-    def heard(self, words: tuple[str, ...]) -> bool:
-        """Return whether one of some words was said."""
-        return any(word in line for line in self.said for word in words)
+    def reported(self, words: tuple[str, ...]) -> bool:
+        """Return whether one of some words is in a message."""
+        return any(word in line for line in self.messages for word in words)
 
     def pose(self, message: Any) -> None:
-        """Take note of the true pose."""
+        """Take an undisturbed pose."""
         self.time = self._pose_time.of(stamp_from_ros(message.header.stamp))
-        if self.goal is None:
+        if self.run is None:
             return
         try:
-            self.error = state_error(pose_from_ros(message), self.goal)
+            self.run.observe(self.time, pose_from_ros(message))
         except InvalidStateError as error:
-            self.limits.broken.append(f"the true pose is wrong: {error}")
-            return
-        if not self.error < _SETTLED:
-            self.inside_since = None
-        elif self.inside_since is None:
-            self.inside_since = self.time
+            self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
 
     def _take_trajectory(self, message: Any) -> None:
         try:
@@ -131,20 +122,20 @@ class FaultMonitor:
 
     def _take_status(self, message: Any) -> None:
         if message.level != DiagnosticStatus.OK or message.message == "paused":
-            self.said.append(f"{message.name}: {message.message}")
+            self.messages.append(f"{message.name}: {message.message}")
         for pair in message.values:
             self._count(f"{message.name} {pair.key}", pair.key, pair.value)
 
     def _count(self, place: str, key: str, text: str) -> None:
-        """Note a counter that rose; other numbers rise too, and nobody asks for their words."""
+        """Add a message for a number that rose, among which those of interest are counters."""
         try:
             value = float(text)
         except ValueError:
             return
         if value > self._counters.get(place, math.inf):
-            # The status writes words with underscores, the log without.
-            self.said.append(f"{key.replace('_', ' ')} rose ({key})")
+            # The keys of the status have underscores, those of diagnostics have not.
+            self.messages.append(f"{key.replace('_', ' ')} rose ({key})")
         self._counters[place] = value
 
     def _take_log(self, message: Any) -> None:
-        self.said.append(f"{message.name}: {message.msg}")
+        self.messages.append(f"{message.name}: {message.msg}")

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Stands between simulator and controller and spoils what passes: poses, clock, trajectories.
+"""Proxy between simulator and controller that disturbs poses, clock and trajectories.
 
 subscribes  pose_raw, /clock_raw, rotor_trajectory
 publishes   pose, /clock, rotor_trajectory_raw
@@ -24,41 +24,41 @@ REMAPPED = {
         "pose": "pose_raw", "/clock": "/clock_raw", "rotor_trajectory": "rotor_trajectory_raw",
     }
 }
-"""Names that the nodes need for the proxy to stand between them."""
+"""Remappings of the nodes with which their messages pass through the proxy."""
 _DEPTH = 1000
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""As the controller listens: on a busy machine repairs of a reliable stream take seconds, and a
-clock that is late behind the poses would be a fault that nobody asked for."""
+"""As in the controller: on a busy machine retransmissions in a reliable stream take seconds, and a
+clock that lags behind the poses would be an unintended fault."""
 
 
 class FaultProxy:
-    """Pass everything on, as `stream` and `shift` say.
+    """Proxy whose attributes determine what happens to the messages.
 
     Parameters
     ----------
     node : Node
         Owner of publishers and subscriptions.
     rng : Generator
-        Behind all chance.
-    witness : callable
-        Shown each pose as it came in.
+        Source of randomness.
+    on_pose : callable
+        Called with each undisturbed pose.
     """
 
     def __init__(
-        self, node: Node, rng: np.random.Generator, witness: Callable[[PoseStamped], object]
+        self, node: Node, rng: np.random.Generator, on_pose: Callable[[PoseStamped], object]
     ) -> None:
-        self._witness = witness
+        self._on_pose = on_pose
         self.stream = PoseStream(rng)
-        """What happens to the poses."""
+        """Disturbances of the poses."""
         self.clock_passes = True
-        """Whether the controller hears the clock."""
+        """Whether the clock is forwarded."""
         self.shift = 0
-        """What is added to the time of the world [ns]; trajectories are shifted back by it."""
+        """Offset that is added to all stamps [ns], and subtracted from those of trajectories."""
         self._now = 0
         self._pose = node.create_publisher(PoseStamped, "pose", _DEPTH)
         self._clock = node.create_publisher(Clock, "/clock", _DEPTH)
         self._trajectory = node.create_publisher(JointTrajectory, "rotor_trajectory_raw", 10)
-        self._heard = [
+        self._subscriptions = [
             node.create_subscription(PoseStamped, "pose_raw", self._take_pose, _NEWEST),
             node.create_subscription(Clock, "/clock_raw", self._take_clock, _NEWEST),
             node.create_subscription(
@@ -67,7 +67,7 @@ class FaultProxy:
         ]
 
     def _take_pose(self, message: Any) -> None:
-        self._witness(message)
+        self._on_pose(message)
         place, turn = message.pose.position, message.pose.orientation
         stamp = stamp_from_ros(message.header.stamp)
         if stamp < self._now:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One trial: on the way to a goal something goes wrong for a while, and then all is judged."""
+"""One trial: a fault on the way to a goal, and the judgement of what followed."""
 
 import math
 import time
@@ -13,34 +13,33 @@ from sphere_sim.faults.catalogue import Fault, name_of
 from sphere_sim.faults.outcome import Outcome
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.faults.actions import action_of
-from sphere_sim.ros.faults.on_goals import random_goal
-from sphere_sim.ros.faults.session import FaultSession
+from sphere_sim.ros.faults.fault_session import FaultSession
+from sphere_sim.ros.faults.goal_actions import random_goal
+from sphere_sim.ros.session.goal_run import GoalRun, wait_until_settled
 
 UNDER_WAY = 1.5
 """Simulated time on the way to the goal before the fault [s]."""
-_STAYED = 1.0
-"""How long the goal has to be held to count as reached [s], simulated."""
 _DEADLINE = 90.0
-"""Simulated time from the end of the fault to the goal after which it is given up [s]."""
-_WALL_DEADLINE = 120.0
-"""The same on the wall [s], should time stand still."""
+"""Simulated time from the end of the fault after which the goal is given up [s]."""
+_STALL_TIMEOUT = 60.0
+"""Wall time without progress of simulated time after which the goal is given up [s]."""
 _REST = 0.2
-"""For how long the rotors have to rest before a blind controller sees again [s].
+"""Time before the end of a fault from which the rotors of a blind controller have to rest [s].
 
-They should rest a good second after the last pose: it grows old, the next sample instant sees
-that, the ramp follows. On a busy machine it takes longer until they hear of it.
+They should rest a good second after the last pose: the pose becomes too old, the next sampling
+instant detects that, the ramp follows. On a busy machine this takes longer.
 """
 
 
 class Trial:
-    """Try one fault, or several at once.
+    """A trial of one fault, or of several at once.
 
     Parameters
     ----------
     session : FaultSession
-        Whose nodes are on trial.
+        Session with the nodes under test.
     faults : tuple of Fault
-        What goes wrong.
+        The faults.
     """
 
     def __init__(self, session: FaultSession, faults: tuple[Fault, ...]) -> None:
@@ -50,10 +49,10 @@ class Trial:
         self._complaints: list[str] = []
 
     def run(self) -> Outcome:
-        """Run the trial; a fault that the campaign itself cannot handle is a complaint."""
+        """Run the trial; an error of the campaign itself is a complaint too."""
         session, monitor = self._session, self._monitor
         goal = random_goal(session.rng)
-        monitor.begin(goal)
+        run = monitor.begin(goal)
         tracebacks = self._tracebacks()
         recovery = math.nan
         recorded = set(self._bags())
@@ -62,11 +61,11 @@ class Trial:
             session.send_goal(goal)
             self._pass(UNDER_WAY)
             monitor.limits.continuous = all(fault.continuous for fault in self._faults)
-            self._suffer()
+            self._apply_faults()
             ended = monitor.time
             if any(fault.goal_again for fault in self._faults):
                 session.send_goal(goal)
-            recovery = self._arrive(ended)
+            recovery = self._recover(run, ended)
         except (SphereNmpcError, OSError) as error:
             self._complaints.append(str(error))
         self._judge(tracebacks)
@@ -77,8 +76,8 @@ class Trial:
             monitor.limits.worst_slew, tuple(self._complaints),
         )
 
-    def _suffer(self) -> None:
-        """Let the faults begin together, last and end together."""
+    def _apply_faults(self) -> None:
+        """Begin all faults, let them last, and end them."""
         session, monitor = self._session, self._monitor
         actions = [action_of(fault) for fault in self._faults]
         begun = []
@@ -99,7 +98,7 @@ class Trial:
                 action.end(session)
 
     def _is_over(self, began: float, wall: float, duration: float) -> bool:
-        """Tell whether a fault has lasted long enough, on the wall where time stands still."""
+        """Return whether the faults have lasted long enough; by wall time if time stands still."""
         if self._monitor.time >= began + duration:
             return True
         slow = min((f.options.get("factor", 1.0) for f in self._faults), default=1.0)
@@ -107,31 +106,27 @@ class Trial:
         return time.monotonic() > wall + patience / min(1.0, slow)
 
     def _judge_blindness(self, began: float) -> None:
-        """Complain of rotors that turned although the controller had been blind for long."""
+        """Complain if rotors turned long after the controller had received its last pose."""
         if not all(fault.blind for fault in self._faults):
             return
         turned = self._monitor.moving_until - began
         allowed = max(fault.duration for fault in self._faults) - _REST
         if turned > allowed:
             self._complaints.append(
-                f"rotors turned {turned:.2f} s into blindness, expected at most {allowed:.2f} s"
+                f"rotors turned for {turned:.2f} s without poses, expected at most {allowed:.2f} s"
             )
 
-    def _arrive(self, ended: float) -> float:
-        """Wait for the goal to be reached for good, and return after which time it was [s]."""
-        monitor, wall = self._monitor, time.monotonic()
-        while True:
-            self._session.spin()
-            since = monitor.inside_since
-            if since is not None and monitor.time >= max(since, ended) + _STAYED:
-                return max(0.0, since - ended)
-            late = monitor.time > ended + _DEADLINE
-            if late or time.monotonic() > wall + _WALL_DEADLINE:
-                self._complaints.append(
-                    f"not at the goal {monitor.time - ended:.1f} s after the fault: "
-                    f"error {monitor.error:.3g}"
-                )
-                return math.nan
+    def _recover(self, run: GoalRun, ended: float) -> float:
+        """Return the time from the end of the faults to reaching the goal [s]; nan if it fails."""
+        deadline = ended + _DEADLINE
+        spin = self._session.spin
+        settled = wait_until_settled(run, spin, deadline, _STALL_TIMEOUT, not_before=ended)
+        if settled is not None:
+            return max(0.0, settled - ended)
+        self._complaints.append(
+            f"not at the goal {run.time - ended:.1f} s after the fault: error {run.error:.3g}"
+        )
+        return math.nan
 
     def _pass(self, duration: float) -> None:
         until = self._monitor.time + duration
@@ -140,18 +135,18 @@ class Trial:
     def _judge(self, tracebacks: int) -> None:
         self._complaints.extend(self._monitor.limits.broken[:3])
         harmful = [fault for fault in self._faults if fault.named_by]
-        # One of two may hide the other: who is dead or sees nothing cannot tell of bad poses.
-        if harmful and not any(self._monitor.heard(fault.named_by) for fault in harmful):
+        # One of two may hide the other: a controller that was killed cannot report bad poses.
+        if harmful and not any(self._monitor.reported(fault.named_by) for fault in harmful):
             words = "' or '".join(word for fault in harmful for word in fault.named_by)
-            self._complaints.append(f"nothing named {name_of(harmful)}: no '{words}'")
-        for process in self._session.processes.values():
+            self._complaints.append(f"no message named {name_of(harmful)}: no '{words}'")
+        for process in self._session.processes:
             if process.code is not None:
-                self._complaints.append(process.wait(1.0))
+                self._complaints.append(process.ending)
         if self._tracebacks() > tracebacks:
-            self._complaints.append("an error that nobody caught, see the logs")
+            self._complaints.append("an uncaught exception, see the logs")
 
     def _judge_bags(self, earlier: set[Path]) -> None:
-        """Complain of a bag of this trial that cannot be read, or of there being none."""
+        """Complain if a bag of this trial cannot be read, or if there is none."""
         try:
             self._session.ask("recorder/stop", Trigger.Request())
             bags = [bag for bag in self._bags() if bag not in earlier]
@@ -166,4 +161,4 @@ class Trial:
         return sorted(self._session.settings.folder.glob("bag_*"))
 
     def _tracebacks(self) -> int:
-        return sum(process.tracebacks() for process in self._session.processes.values())
+        return sum(process.tracebacks for process in self._session.processes)

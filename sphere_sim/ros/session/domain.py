@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS domain in which nobody else drives a sphere."""
+"""A ROS domain without other nodes of this package."""
 
 import contextlib
 import fcntl
@@ -12,28 +12,28 @@ from pathlib import Path
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import DOMAIN, check_environment, domain_id
 from sphere_nmpc.ros.loopback import use_loopback_only
-from sphere_sim.ros.session.domain_guests import DomainTakenError, look_for_guests
+from sphere_sim.ros.session.other_publishers import DomainInUseError, find_publishers
 
 _DOMAINS = range(101, 0, -1)
-"""Ids above 101 reach into the ephemeral ports of Linux; everybody else begins below."""
+"""Ids above 101 reach into the ephemeral ports of Linux; other programs take small ones first."""
 _TRIES = 5
-"""Domains with guests that are passed over before giving up."""
+"""Number of occupied domains after which the search is given up."""
 _LOCK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-"""The folder is everybody's: no link is followed there, and no pipe waited for."""
+"""Every user can write to the folder: no link is followed, and opening a pipe does not block."""
 
 
 @contextlib.contextmanager
 def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iterator[int]:
     """Set ``ROS_DOMAIN_ID`` to a free id, unless it is set, and stay on this machine.
 
-    The id is held by a lock that goes with the process, however it ends.
+    A lock, which the system releases when the process ends, keeps the id.
 
     Parameters
     ----------
     loopback : bool, optional
         Whether to use the loopback alone, rather than what the environment says.
     domains : sequence of int, optional
-        What to choose from where it is not set, in this order.
+        Candidates where it is not set, in this order.
 
     Yields
     ------
@@ -44,7 +44,7 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
     ------
     RosEnvironmentError
         If the environment is not what ROS can use.
-    DomainTakenError
+    DomainInUseError
         If others publish a clock, poses or rotor commands in the domain that is set.
     """
     if loopback:
@@ -52,8 +52,8 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
     check_environment()
     given = domain_id()
     if given is not None:
-        if who := look_for_guests():
-            raise DomainTakenError(who)
+        if others := find_publishers():
+            raise DomainInUseError(others)
         yield given
         return
     lock = -1
@@ -67,34 +67,40 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
 
 
 def _take_free(domains: Sequence[int]) -> tuple[int, int]:
-    """Set the variable to the first domain without lock and guests; return it and its lock."""
-    who: list[str] = []
+    """Set the variable to the first domain that is neither locked nor in use.
+
+    Returns
+    -------
+    int, int
+        The domain, and the file descriptor of its lock.
+    """
+    others: list[str] = []
     occupied = 0
     for domain in domains:
         lock = _locked(domain)
         if lock is None:
             continue
         os.environ[DOMAIN] = str(domain)
-        who = look_for_guests()
-        if not who:
+        others = find_publishers()
+        if not others:
             return domain, lock
         os.close(lock)
         occupied += 1
         if occupied == _TRIES:
-            raise DomainTakenError(who)
+            raise DomainInUseError(others)
     raise SphereNmpcError(
         f"{DOMAIN}: not given, and all of {min(domains)} to {max(domains)} are in use, "
-        "expected a free one; set it, or remove what is left of others, "
+        "expected a free one; set it, or remove the locks of processes that have ended, "
         f"{tempfile.gettempdir()}/sphere_nmpc_domain_*.lock"
     )
 
 
 def _locked(domain: int) -> int | None:
-    """Return the lock of a domain; None where somebody holds it or it cannot be had."""
+    """Return the lock of a domain; None where another process holds it or it cannot be opened."""
     path = Path(tempfile.gettempdir()) / f"sphere_nmpc_domain_{domain}.lock"
     try:
         try:
-            # A lock of another user's file is as good; only making it anew is refused.
+            # The file of another user can be locked as well; creating it again is refused.
             lock = os.open(path, _LOCK)
         except FileNotFoundError:
             lock = os.open(path, _LOCK | os.O_CREAT | os.O_EXCL, 0o644)

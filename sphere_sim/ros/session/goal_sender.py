@@ -1,7 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Send a goal once, to a controller that is known to listen, and see it accepted."""
+"""Sending of a goal to a controller that is matched, until it has confirmed it."""
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -20,11 +21,11 @@ _SAME = 1e-9
 
 
 class GoalNotAcceptedError(SphereNmpcError):
-    """No controller listened to the goal, or none accepted it."""
+    """No controller subscribes to the goal, or none accepted it."""
 
 
 class GoalSender:
-    """Publish on ``goal_pose`` and listen to the controller's ``active_goal``.
+    """Publisher on ``goal_pose`` with the controller's ``active_goal`` as confirmation.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ class GoalSender:
         self._confirmation = node.create_subscription(PoseStamped, active, self._note, latched)
 
     def wait_for_controller(self, timeout: float) -> None:
-        """Wait until the controller is matched, and everybody else who listens to the goal.
+        """Wait until the controller is matched, and every other subscriber of the goal.
 
         Parameters
         ----------
@@ -69,8 +70,23 @@ class GoalSender:
                 f"{self._confirmation.topic_name}; is one running in this namespace and domain?"
             )
 
-    def send(self, goal: Vector, shell_radius: float, timeout: float) -> None:
-        """Publish the goal, shape (6,), once and wait for it to be in force.
+    def send(
+        self, goal: Vector, shell_radius: float, timeout: float, repeat: float = math.inf
+    ) -> None:
+        """Publish the goal, shape (6,), and wait for it to be in force.
+
+        Parameters
+        ----------
+        goal : ndarray, shape (6,)
+            The goal.
+        shell_radius : float
+            Height of the centre [m].
+        timeout : float
+            Longest wait [s].
+        repeat : float, optional
+            Wall time after which a goal without confirmation is published again [s]; by default
+            it is published once. A controller that was killed stays matched for some time, so
+            that the first message may be lost.
 
         Raises
         ------
@@ -78,13 +94,16 @@ class GoalSender:
             If the controller does not confirm it in time.
         """
         self._accepted = None
-        # Stamp 0 means now; the controller looks at the frame and the pose only.
-        self._publisher.publish(pose_to_ros(goal, 0, shell_radius, WORLD_FRAME))
-        if not self._wait(timeout, lambda: self._is_accepted(goal)):
-            raise GoalNotAcceptedError(
-                f"the goal was sent but not confirmed on {self._confirmation.topic_name} within "
-                f"{timeout:g} s; the controller's log says why"
-            )
+        end = time.monotonic() + timeout
+        while (left := end - time.monotonic()) > 0.0:
+            # Stamp 0 means now; the controller looks at the frame and the pose only.
+            self._publisher.publish(pose_to_ros(goal, 0, shell_radius, WORLD_FRAME))
+            if self._wait(min(left, repeat), lambda: self._is_accepted(goal)):
+                return
+        raise GoalNotAcceptedError(
+            f"the goal was sent but not confirmed on {self._confirmation.topic_name} within "
+            f"{timeout:g} s; the controller's log says why"
+        )
 
     def _is_matched(self) -> bool:
         matched = self._publisher.get_subscription_count()

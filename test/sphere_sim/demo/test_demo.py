@@ -1,12 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo from its arguments to the last of its processes."""
+"""The demo: its arguments, its results, and the end of its processes."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -21,12 +19,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 
-from sphere_sim.demo.plan import NEIGHBOURHOOD, PROCESS_NOISE, parse
+from sphere_sim.cli.demo import parse
+from sphere_sim.demo.plan import NEIGHBOURHOOD, PROCESS_NOISE
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.ros.session.children import ChildDiedError, Children
+from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
-DEMO = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "demo", "--no-viewer"]
+DEMO = verb_command("demo", "--no-viewer")
 EVERY_TOPIC = {
     "/pose", "/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands",
     "/controller/active_goal", "/controller/predicted_path", "/controller/status",
@@ -79,17 +78,6 @@ def test_wrong_arguments_exit_with_2(arguments, told, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse(arguments)
     assert told in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_child_that_dies_early_is_quoted(tmp_path) -> None:
-    with Children(tmp_path) as children:
-        children.start("simulator", ["--nonsense"])
-        end = time.monotonic() + 20.0
-        with pytest.raises(ChildDiedError, match=r"exit code 2.*\n.*--nonsense"):
-            while time.monotonic() < end:
-                children.check()
-                time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")

@@ -55,7 +55,7 @@ def test_start_is_not_judged_where_the_sender_changes_or_time_starts_anew(check)
     check.trajectory(hold((0.0, 0.0, 0.0), (1.0, 50.0, 0.0)))
     check.trajectory(hold((0.5, 0.0, 0.0), (1.0, 0.0, 0.0)))
     check.continuous = True
-    check.forget()
+    check.restart()
     check.trajectory(hold((0.7, 30.0, 0.0), (1.0, 0.0, 0.0)))
     assert not check.broken
 

@@ -103,7 +103,7 @@ def test_demo_shows_the_run_and_leaves_the_sphere_to_who_watches(
         address = terminal.wait_for(page_named, 90.0).group()
         children = psutil.Process(terminal.process.pid).children(recursive=True)
         assert len(children) == 4
-        terminal.wait_for("the sphere is yours", 120.0)
+        terminal.wait_for("the nodes run on", 120.0)
         assert (tmp_path / "out" / "summary.json").exists()
         with Browser(BROWSER, home) as page:
             page.open(address)

@@ -21,9 +21,13 @@ from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.ros.environment import RosEnvironmentError
 from sphere_nmpc.ros.loopback import use_loopback_only
-from sphere_sim.ros.session import domain_guests
+from sphere_sim.ros.session import other_publishers
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.ros.session.domain_guests import DomainTakenError, look_for_guests, refuse_company
+from sphere_sim.ros.session.other_publishers import (
+    DomainInUseError,
+    find_publishers,
+    require_sole_publishers,
+)
 
 SESSION = int(os.environ["ROS_DOMAIN_ID"])
 SPARE = (187, 186, 185)
@@ -45,10 +49,10 @@ def locks(monkeypatch, tmp_path) -> Path:
 def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
     """A simulator in the domain of this session, once it is found there."""
     # How long a look takes is measured, not tested: a busy machine may need more.
-    monkeypatch.setattr(domain_guests, "_LOOKS", {True: (10.0,), False: (10.0,)})
+    monkeypatch.setattr(other_publishers, "_SEARCHES", {True: (10.0,), False: (10.0,)})
     with started("simulator", "-p", "start_paused:=true") as process:
         end = time.monotonic() + 60.0
-        while not look_for_guests():
+        while not find_publishers():
             assert time.monotonic() < end
         yield process
 
@@ -77,11 +81,11 @@ def test_a_domain_that_is_none_is_refused(monkeypatch) -> None:
 
 def test_who_is_in_the_domain_that_is_set_is_named(simulator) -> None:
     told = rf"ROS_DOMAIN_ID: given {SESSION}, .*\(/simulator\), expected .*unset ROS_DOMAIN_ID"
-    with pytest.raises(DomainTakenError, match=told), own_domain():
+    with pytest.raises(DomainInUseError, match=told), own_domain():
         pass
 
 
-def test_a_domain_with_guests_is_passed_over(simulator, locks, nobody_sets_it) -> None:
+def test_a_domain_in_use_is_passed_over(simulator, locks, nobody_sets_it) -> None:
     with own_domain(domains=(SESSION, *SPARE)) as domain:
         assert domain == SPARE[0] == int(os.environ["ROS_DOMAIN_ID"])
     assert "ROS_DOMAIN_ID" not in os.environ
@@ -117,8 +121,8 @@ def test_two_that_begin_at_the_same_moment_notice_before_time_runs() -> None:
             graph.until(lambda n=number: graph.probe.count_publishers("pose") == n)
             if number == 1:
                 graph.probe.create_publisher(Clock, "clock", 1)
-                refuse_company(graph.probe)
-        with pytest.raises(DomainTakenError, match=r"\(/probe, /probe\)"):
-            refuse_company(graph.probe)
+                require_sole_publishers(graph.probe)
+        with pytest.raises(DomainInUseError, match=r"\(/probe, /probe\)"):
+            require_sole_publishers(graph.probe)
     finally:
         graph.close()

@@ -1,10 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Who else is in a domain: nodes whose clock, poses or commands would mix with one's own.
+"""Other publishers in a domain, whose clock, poses or commands would mix with those of our nodes.
 
-``python -m sphere_sim.ros.session.domain_guests NAMESPACE TOPIC ...`` prints their names, for a
-process that must not start ROS itself; exit code 0 says that there
-are none, 3 that there are some.
+``python -m sphere_sim.ros.session.other_publishers NAMESPACE TOPIC ...`` prints their names, for a
+process that must not start ROS itself. Its exit code is 0 if there are none, 3 if there are some.
 """
 
 import argparse
@@ -23,40 +22,40 @@ from sphere_nmpc.ros.loopback import apply_localhost_only
 from sphere_nmpc.ros.startup import start_ros
 
 TOPICS = ("clock", "pose", "rotor_trajectory", "rotor_commands")
-"""What only one robot of a namespace may publish."""
-_LOOKS = {True: (0.6,), False: (0.4,) * 5}
-"""How long each look takes [s], over the loopback alone and otherwise.
+"""Topics that have one publisher in each namespace."""
+_SEARCHES = {True: (0.6,), False: (0.4,) * 5}
+"""Duration of each search [s], over the loopback alone (True) and otherwise (False).
 
 Over the loopback nodes were found within 0.4 s in each of 100 tries. With ROS's own transports a
 participant finds them within 0.3 s, or else after the 3 s between two announcements of Fast DDS;
-of 30 participants 18 were quick, so that a new one has the better chances than a long look.
+of 30 participants 18 were quick, so that several participants are better than a long search.
 """
 _NAMES = 0.2
-"""How long to go on looking once somebody is found, for all to be named [s]."""
-_LOOK_EVERY = 0.02
+"""How long a search goes on after the first publisher was found, to name all of them [s]."""
+_PERIOD = 0.02
 FOUND = 3
-"""Exit code of the look where somebody was found."""
+"""Exit code where publishers were found."""
 
 
-class DomainTakenError(SphereNmpcError):
-    """Somebody in the domain publishes what one's own nodes are to publish.
+class DomainInUseError(SphereNmpcError):
+    """Other nodes in the domain publish the topics that our nodes are to publish.
 
     Parameters
     ----------
-    who : list of str
+    nodes : list of str
         Full names of the nodes that were found.
     """
 
-    def __init__(self, who: list[str]) -> None:
+    def __init__(self, nodes: list[str]) -> None:
         domain = os.environ.get(DOMAIN) or "0"
         super().__init__(
-            f"{DOMAIN}: given {domain}, where others already run ({', '.join(who)}), expected a "
+            f"{DOMAIN}: given {domain}, where others already run ({', '.join(nodes)}), expected a "
             "domain without a simulator, controller or demo, as clocks and commands would mix; "
             f"unset {DOMAIN} to take a free domain, set another number, or end what runs there"
         )
 
 
-def look_for_guests(namespace: str = "/", topics: Sequence[str] = TOPICS) -> list[str]:
+def find_publishers(namespace: str = "/", topics: Sequence[str] = TOPICS) -> list[str]:
     """Return the full names of the nodes in this domain that publish a robot's topics.
 
     rclpy must not be in use.
@@ -66,13 +65,13 @@ def look_for_guests(namespace: str = "/", topics: Sequence[str] = TOPICS) -> lis
     namespace : str, optional
         Of the robot.
     topics : sequence of str, optional
-        What is looked for.
+        The topics.
     """
-    looks = _LOOKS[apply_localhost_only()]
-    return next(filter(None, (_look(namespace, topics, seconds) for seconds in looks)), [])
+    searches = _SEARCHES[apply_localhost_only()]
+    return next(filter(None, (_search(namespace, topics, seconds) for seconds in searches)), [])
 
 
-def _look(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
+def _search(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
     start_ros([], quiet=True)
     try:
         node = rclpy.create_node("lookout", namespace=namespace, start_parameter_services=False)
@@ -81,7 +80,7 @@ def _look(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
             while (now := time.monotonic()) < end:
                 if not found and any(publishers(node, topics).values()):
                     found, end = True, now + _NAMES
-                time.sleep(_LOOK_EVERY)
+                time.sleep(_PERIOD)
             return _names(publishers(node, topics))
         finally:
             node.destroy_node()
@@ -89,22 +88,22 @@ def _look(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
         rclpy.try_shutdown()
 
 
-def refuse_company(node: Node) -> None:
-    """Raise if a topic of one's own nodes has a publisher besides them.
+def require_sole_publishers(node: Node) -> None:
+    """Raise if a topic that may have one publisher only has several.
 
     Parameters
     ----------
     node : Node
-        Sees the graph, in the namespace of one's own nodes, which are all up.
+        Node in the namespace of the robot, whose own nodes are all up.
 
     Raises
     ------
-    DomainTakenError
-        If so, as when two demos begin at the same moment.
+    DomainInUseError
+        If a topic has several, as when two demos start at the same time.
     """
-    crowded = {topic: who for topic, who in publishers(node).items() if len(who) > 1}
+    crowded = {topic: nodes for topic, nodes in publishers(node).items() if len(nodes) > 1}
     if crowded:
-        raise DomainTakenError(_names(crowded))
+        raise DomainInUseError(_names(crowded))
 
 
 def publishers(node: Node, topics: Sequence[str] = TOPICS) -> dict[str, list[str]]:
@@ -119,26 +118,26 @@ def publishers(node: Node, topics: Sequence[str] = TOPICS) -> dict[str, list[str
 
 
 def _names(found: dict[str, list[str]]) -> list[str]:
-    """Return who was found, twice where two of one name publish the same."""
-    number = {name: max(who.count(name) for who in found.values())
-              for name in {name for who in found.values() for name in who}}
+    """Return the names of the nodes; twice where two nodes of one name publish the same topic."""
+    number = {name: max(nodes.count(name) for nodes in found.values())
+              for name in {name for nodes in found.values() for name in nodes}}
     named = {name: times for name, times in number.items() if name != UNKNOWN} or number
     return sorted(name for name, times in named.items() for _ in range(times))
 
 
 def main() -> int:
-    """Look, print the names in one line and return the exit code."""
-    parser = argparse.ArgumentParser(description="Tell who publishes topics of a robot.")
+    """Print the names in one line and return the exit code."""
+    parser = argparse.ArgumentParser(description="Print the nodes that publish topics of a robot.")
     parser.add_argument("namespace")
     parser.add_argument("topics", nargs="+")
     given = parser.parse_args()
     try:
-        who = look_for_guests(given.namespace, given.topics)
+        nodes = find_publishers(given.namespace, given.topics)
     except SphereNmpcError as error:
         print(error, file=sys.stderr)
         return 1
-    print(", ".join(who))
-    return FOUND if who else 0
+    print(", ".join(nodes))
+    return FOUND if nodes else 0
 
 
 if __name__ == "__main__":

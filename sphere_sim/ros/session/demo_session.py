@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Brings a simulator, a controller and a recorder together, starts time, and watches the run."""
+"""The demo's own node, which waits for the others, sends the goal, starts time and observes."""
 
 import math
 import time
@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError, SphereNmpcError
-from sphere_nmpc.model.state import Vector, angle_error, position_error, state_error
+from sphere_nmpc.model.state import angle_error, position_error
 from sphere_nmpc.ros.conversions import (
     joint_states_from_ros,
     pose_from_ros,
@@ -26,22 +26,24 @@ from sphere_nmpc.ros.conversions import (
     stamp_from_ros,
 )
 from sphere_nmpc.ros.startup import start_ros
-from sphere_sim.ros.session.domain_guests import refuse_company
+from sphere_sim.ros.session.goal_run import GoalRun
 from sphere_sim.ros.session.goal_sender import GoalSender
+from sphere_sim.ros.session.other_publishers import require_sole_publishers
 
-_HEARD = ("/clock", "/pose", "/controller/active_goal")
-"""What the recorder must have heard before time starts; the simulator repeats while paused."""
+_RECEIVED = ("/clock", "/pose", "/controller/active_goal")
+"""Topics of which the recorder must have a message before time starts; the simulator repeats
+its own while it is paused."""
 _MATCHED = ("/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands", "/controller/status")
-"""What it must be ready for."""
+"""Topics to whose publishers the recorder must be matched before time starts."""
 
 
 class NotReadyError(SphereNmpcError):
-    """The nodes did not come together in time."""
+    """The nodes were not ready in time."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run is.
+    """Newest values of a run.
 
     Attributes
     ----------
@@ -65,21 +67,21 @@ class Progress:
     solve_time: float = math.nan
 
 
-class DemoDirector:
-    """A node that sends the goal, lets time start, and follows what happens.
+class DemoSession:
+    """Node that sends the goal, starts simulated time and follows the run.
 
     Parameters
     ----------
-    goal : ndarray, shape (6,)
-        The goal.
+    run : GoalRun
+        The run to the goal.
     shell_radius : float
         Height of the centre [m].
     check : callable
-        Raises when there is no use in waiting on.
+        Raises when waiting has become useless, as a node has ended.
     """
 
-    def __init__(self, goal: Vector, shell_radius: float, check: Callable[[], object]) -> None:
-        self._goal = goal
+    def __init__(self, run: GoalRun, shell_radius: float, check: Callable[[], object]) -> None:
+        self.run = run
         self._radius = shell_radius
         self._check = check
         self._node = rclpy.create_node("demo")
@@ -95,7 +97,7 @@ class DemoDirector:
         self._node.create_subscription(DiagnosticStatus, "controller/status", self._note_solve, 10)
 
     def prepare(self, timeout: float) -> None:
-        """Wait until every node is there, and bring the goal into force; time stands still.
+        """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.
 
         Parameters
         ----------
@@ -105,48 +107,48 @@ class DemoDirector:
         Raises
         ------
         NotReadyError, GoalNotAcceptedError
-            If the nodes do not come together.
-        DomainTakenError
-            If others have come into the domain meanwhile.
+            If the nodes are not ready in time.
+        DomainInUseError
+            If other publishers have appeared in the domain meanwhile.
         """
         end = time.monotonic() + timeout
         self._sender.wait_for_controller(timeout)
         self._await(self._pause.service_is_ready, end, "the simulator's services")
         self._await(self._recorder.service_is_ready, end, "the recorder's services")
-        self._sender.send(self._goal, self._radius, max(1.0, end - time.monotonic()))
-        self._await(self._recorder_hears, end, "the recorder to hear every topic")
-        refuse_company(self._node)
+        self._sender.send(self.run.goal, self._radius, max(1.0, end - time.monotonic()))
+        self._await(self._recorder_is_ready, end, "the recorder to receive every topic")
+        require_sole_publishers(self._node)
 
     def start(self) -> None:
-        """Let simulated time run."""
+        """Start simulated time."""
         self._ask(self._pause, SetBool.Request(data=False))
 
     def halt(self) -> None:
-        """Let simulated time stand still."""
+        """Pause simulated time."""
         self._ask(self._pause, SetBool.Request(data=True))
 
     def spin(self, duration: float = 0.05) -> None:
-        """Serve the node until `duration` [s] has passed, and check that there is use in it."""
+        """Serve the node for `duration` [s, wall time], then call `check`."""
         end = time.monotonic() + duration
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
         self._check()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def _recorder_hears(self) -> bool:
+    def _recorder_is_ready(self) -> bool:
         lines = self._ask(self._recorder, Trigger.Request()).message.splitlines()
-        return not _missing(lines, ("heard",), _HEARD) and not _missing(
+        return not _missing(lines, ("heard",), _RECEIVED) and not _missing(
             lines, ("heard", "matched"), _MATCHED
         )
 
     def _await(self, condition: Callable[[], bool], end: float, what: str) -> None:
         while not condition():
             if time.monotonic() > end:
-                raise NotReadyError(f"waited in vain for {what}")
+                raise NotReadyError(f"timed out while waiting for {what}")
             self.spin()
 
     def _ask(self, client: Any, request: Any) -> Any:
@@ -163,12 +165,13 @@ class DemoDirector:
             state = pose_from_ros(message)
         except InvalidStateError:
             return
+        self.run.observe(seconds(stamp_from_ros(message.header.stamp)), state)
         self.progress = replace(
             self.progress,
-            time=seconds(stamp_from_ros(message.header.stamp)),
-            error=state_error(state, self._goal),
-            position_error=position_error(state, self._goal),
-            angle_error=angle_error(state, self._goal),
+            time=self.run.time,
+            error=self.run.error,
+            position_error=position_error(state, self.run.goal),
+            angle_error=angle_error(state, self.run.goal),
         )
 
     def _note_joints(self, message: Any) -> None:
@@ -186,23 +189,23 @@ class DemoDirector:
 
 
 def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...]) -> list[str]:
-    """Return the topics of which the recorder's answer has none in these states."""
+    """Return the topics that the recorder does not report in one of these states."""
     there = [line.partition(" ")[2] for line in lines if line.partition(" ")[0] in states]
     return [topic for topic in topics if not any(name.endswith(topic) for name in there)]
 
 
 @contextmanager
-def directing(
-    goal: Vector, shell_radius: float, check: Callable[[], object]
-) -> Iterator[DemoDirector]:
-    """Join the graph with a `DemoDirector`, whose parameters these are, and leave it again."""
-    # The caller decides what Ctrl-C means: its children have to end as well.
+def demo_session(
+    run: GoalRun, shell_radius: float, check: Callable[[], object]
+) -> Iterator[DemoSession]:
+    """Initialise rclpy and yield a `DemoSession`, whose parameters these are."""
+    # Without handlers of rclpy's own: on Ctrl-C the caller has to end its child processes.
     start_ros([], quiet=True)
     try:
-        director = DemoDirector(goal, shell_radius, check)
+        session = DemoSession(run, shell_radius, check)
         try:
-            yield director
+            yield session
         finally:
-            director.close()
+            session.close()
     finally:
         rclpy.try_shutdown()

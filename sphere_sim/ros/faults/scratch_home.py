@@ -1,17 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of this package in a home folder of their own, on a machine that lacks something."""
+"""Commands of this package in a home folder of their own, with altered environment and limits."""
 
 import contextlib
 import os
 import resource
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from sphere_sim.ros.session.child_process import ChildProcess, verb_command
 
 TIMEOUT = 240.0
 """How long a command may take [s]; on a busy machine without a compiler a short study needs 60."""
@@ -19,51 +20,62 @@ _DROPPED = ("CC", "XDG_CACHE_HOME", "ROS_LOG_DIR", "ROS_HOME", "MPLCONFIGDIR")
 """Variables of the user's that would lead out of the scratch home."""
 _CACHE = "SPHERE_NMPC_CACHE"
 _COMPILING = "compiling the solver"
-"""A line that the first command of a home may print besides."""
+"""Part of a line that the first command of a home may print in addition."""
 
 Limits = Mapping[int, int]
 """Resource of `resource.setrlimit` -> its limit."""
 
 
 @dataclass(frozen=True)
-class Ended:
-    """A command that has ended.
+class CommandResult:
+    """How a command ended.
 
     Attributes
     ----------
     code : int
         Its exit code.
-    told : str
+    errors : str
         Its standard error.
     seconds : float
-        How long it took; after a signal, counted from there.
+        Duration of the command; after an interrupt, counted from there.
     """
 
     code: int
-    told: str
+    errors: str
     seconds: float
 
-    def faults(self, code: int, *words: str, lines: int | None = None) -> list[str]:
-        """Return what differs from an end with `code` that told `words` in some `lines`."""
-        told = [line for line in self.told.splitlines() if line and _COMPILING not in line]
+    def complaints(self, code: int, *words: str, lines: int | None = None) -> list[str]:
+        """Return the differences from the expected end.
+
+        Parameters
+        ----------
+        code : int
+            Expected exit code.
+        *words : str
+            Texts expected on standard error.
+        lines : int, optional
+            Expected number of lines on standard error; any by default.
+        """
+        printed = [line for line in self.errors.splitlines() if line and _COMPILING not in line]
         found = []
         if self.code != code:
-            found.append(f"exit code {self.code}, expected {code}: {' | '.join(told[-3:])}")
-        if "Traceback" in self.told:
-            found.append(f"a traceback: {told[-1]}")
-        found += [f"nothing told '{word}'" for word in words if word not in self.told]
-        if lines is not None and len(told) != lines:
-            found.append(f"told {len(told)} lines, expected {lines}: {' | '.join(told[-3:])}")
+            found.append(f"exit code {self.code}, expected {code}: {' | '.join(printed[-3:])}")
+        if "Traceback" in self.errors:
+            found.append(f"a traceback: {printed[-1]}")
+        found += [f"'{word}' was not printed" for word in words if word not in self.errors]
+        if lines is not None and len(printed) != lines:
+            last = " | ".join(printed[-3:])
+            found.append(f"printed {len(printed)} lines, expected {lines}: {last}")
         return found
 
 
 class ScratchHome:
-    """A home, a cache and a temporary folder of their own; the compiled solver is kept there.
+    """A home, a cache and a temporary folder for commands; the compiled solver is kept there.
 
     Parameters
     ----------
     folder : Path
-        Empty; everything goes there.
+        Empty folder for all of it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -78,7 +90,7 @@ class ScratchHome:
         return self.folder / f"{name}_{self._number}"
 
     def environment(self, changes: Mapping[str, str | None]) -> dict[str, str]:
-        """Return the variables of a command; None takes one away."""
+        """Return the environment of a command; a change to None removes a variable."""
         own = {k: v for k, v in os.environ.items() if k not in _DROPPED}
         own |= {"HOME": str(self.folder / "home"), "TMPDIR": str(self.folder / "tmp")}
         own |= {_CACHE: str(self.folder / "cache")}
@@ -92,35 +104,32 @@ class ScratchHome:
         environment: Mapping[str, str | None] | None = None,
         limits: Limits | None = None,
         output: int | Path = subprocess.DEVNULL,
-    ) -> Iterator["Running"]:
-        """Run ``sphere_nmpc WORDS`` as long as the context lasts.
+    ) -> Iterator["RunningCommand"]:
+        """Run ``sphere_nmpc WORDS`` until the context is left.
 
         Parameters
         ----------
         words : list of str
             The verb and its arguments.
         environment : mapping, optional
-            Variables that differ; None takes one away.
+            Changed variables; None removes one.
         limits : mapping, optional
             Limits of resources.
         output : int or Path, optional
-            Where standard output goes; not kept by default.
+            Where standard output goes; it is discarded by default.
         """
-        command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), *words]
         with contextlib.ExitStack() as files:
-            told = files.enter_context(self.fresh("stderr").open("w+b"))
             target = files.enter_context(output.open("wb")) if isinstance(output, Path) else output
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=target, stderr=told,
+            process = ChildProcess(
+                words[0], verb_command(*words), self.fresh("stderr"), stdout=target,
                 cwd=self.folder / "work", env=self.environment(environment or {}),
-                start_new_session=True, preexec_fn=_limiting(limits or {}),
+                preexec_fn=_limiting(limits or {}),
             )
+            process.start()
             try:
-                yield Running(process, Path(told.name))
+                yield RunningCommand(process)
             finally:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
+                process.kill()
 
     def run(
         self,
@@ -128,33 +137,30 @@ class ScratchHome:
         environment: Mapping[str, str | None] | None = None,
         limits: Limits | None = None,
         output: int | Path = subprocess.DEVNULL,
-    ) -> Ended:
+    ) -> CommandResult:
         """Run a command to its end; parameters as in `running`."""
-        with self.running(words, environment, limits, output) as running:
-            return running.end()
+        with self.running(words, environment, limits, output) as command:
+            return command.result()
 
 
-class Running:
+class RunningCommand:
     """A command that runs.
 
     Parameters
     ----------
-    process : Popen
-        Leads a session of its own.
-    told : Path
-        Where its standard error goes.
+    process : ChildProcess
+        Its process, whose log is standard error alone.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], told: Path) -> None:
+    def __init__(self, process: ChildProcess) -> None:
         self._process = process
-        self._told = told
         self._began = time.monotonic()
 
     def wait_for(self, condition: Callable[[], bool], timeout: float = TIMEOUT) -> bool:
         """Wait until a condition holds; return whether it came to hold before the end."""
         end = time.monotonic() + timeout
         while not condition():
-            if self._process.poll() is not None or time.monotonic() > end:
+            if not self._process.running or time.monotonic() > end:
                 return condition()
             time.sleep(0.05)
         return True
@@ -165,24 +171,22 @@ class Running:
         return self._process.pid
 
     @property
-    def told(self) -> str:
+    def errors(self) -> str:
         """What it has written to standard error so far."""
-        return self._told.read_text(encoding="utf-8", errors="replace")
+        return self._process.output
 
     def interrupt(self) -> None:
-        """Press Ctrl-C: the whole session gets the signal."""
+        """Send SIGINT to the whole process group, as Ctrl-C in a terminal does."""
         self._began = time.monotonic()
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGINT)
+        self._process.send(signal.SIGINT)
 
-    def end(self, timeout: float = TIMEOUT) -> Ended:
-        """Wait for the end; a command that takes too long is killed, which its code tells."""
-        try:
-            code = self._process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            os.killpg(self._process.pid, signal.SIGKILL)
-            code = self._process.wait()
-        return Ended(code, self.told, time.monotonic() - self._began)
+    def result(self, timeout: float = TIMEOUT) -> CommandResult:
+        """Wait for the end; a command that takes too long is killed, which its code shows."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+        self._process.kill()
+        code = self._process.wait(0.0)
+        return CommandResult(code, self.errors, time.monotonic() - self._began)
 
 
 def _limiting(limits: Limits) -> Callable[[], None] | None:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals that come too often, too far away or broken."""
+"""Faults of goals: too frequent, too far away or malformed."""
 
 import math
 import time
@@ -10,27 +10,27 @@ from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
-from sphere_sim.ros.faults.session import RADIUS, FaultSession
+from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
 
 _BURST = 0.01
 """Wall time between two goals of a burst [s]."""
-_SELDOM = 0.2
-"""Wall time between two goals otherwise [s]."""
+_PERIOD = 0.2
+"""Wall time between two goals of other kinds [s]."""
 
 
 def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
-    """Return a goal, shape (6,), within a square of `reach` [m], with any orientation."""
+    """Return a goal, shape (6,), with |x|, |y| <= `reach` [m] and any orientation."""
     quaternion = rng.normal(size=4)
     return np.concatenate((rng.uniform(-reach, reach, 2), quaternion / np.linalg.norm(quaternion)))
 
 
 class BadGoals:
-    """Somebody sends goals that make no sense.
+    """A second publisher sends goals.
 
     Parameters
     ----------
     kind : str
-        burst (sound ones at 100 Hz), unreachable or malformed.
+        burst (valid goals at 100 Hz), unreachable or malformed.
     """
 
     def __init__(self, kind: str) -> None:
@@ -39,21 +39,21 @@ class BadGoals:
         self._count = 0
 
     def begin(self, session: FaultSession) -> None:
-        """Be ready to send."""
+        """Create the publisher and wait for a subscriber."""
         self._publisher = session.node.create_publisher(PoseStamped, "goal_pose", 1)
-        listening = self._publisher.get_subscription_count
-        session.wait(lambda: listening() > 0, 10.0, "somebody who listens to goals")
+        subscribers = self._publisher.get_subscription_count
+        session.wait(lambda: subscribers() > 0, 10.0, "a subscriber of goal_pose")
 
     def keep_on(self, session: FaultSession) -> None:
-        """Send the next one when it is time."""
-        period = _BURST if self._kind == "burst" else _SELDOM
+        """Send the next goal when it is due."""
+        period = _BURST if self._kind == "burst" else _PERIOD
         if time.monotonic() >= self._sent + period:
             self._sent = time.monotonic()
             self._publisher.publish(self._next(session.rng))
             self._count += 1
 
     def end(self, session: FaultSession) -> None:
-        """Send no more."""
+        """Destroy the publisher."""
         session.node.destroy_publisher(self._publisher)
 
     def _next(self, rng: np.random.Generator) -> PoseStamped:

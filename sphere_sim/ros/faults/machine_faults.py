@@ -1,6 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Machines that lack something, and what the commands make of it; none of it needs root."""
+"""Faults of the machine (no compiler, full disk, ...) and the checks of commands under them.
+
+None of them needs root.
+"""
 
 import os
 import re
@@ -12,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphere_sim.faults.outcome import Outcome
-from sphere_sim.ros.faults.scratch import Running, ScratchHome
+from sphere_sim.ros.faults.scratch_home import RunningCommand, ScratchHome
 
 NOWHERE = "/dev/null"
 """No folder can be made below it, not even by root."""
@@ -23,25 +26,25 @@ _SERVED = (200, 302)
 """Status of a page that is served, or found at another address."""
 _RESULTS = ("runs.csv", "summary.json", "inputs.npz")
 _PATIENCE = 5.0
-"""Time in which a command has to hear Ctrl-C [s]; on an idle machine it takes less than one."""
+"""Time in which a command has to end after Ctrl-C [s]; an idle machine needs less than one."""
 
 Complaints = list[str]
 
 
 @dataclass(frozen=True)
 class MachineFault:
-    """Something that a machine lacks, or does.
+    """A fault of the machine on which commands run.
 
     Attributes
     ----------
     name : str
         As on the command line and in the table.
     check : callable
-        Runs commands in a scratch home and returns what is wrong with what they made of it.
+        Runs commands in a scratch home and returns the complaints about their results.
     quick : bool
-        Whether it stands for its group in the quick campaign.
+        Whether the quick campaign includes it.
     group : str
-        What it concerns.
+        Its group on the command line.
     """
 
     name: str
@@ -50,7 +53,7 @@ class MachineFault:
     group: str = "machine"
 
     def run(self) -> Outcome:
-        """Try it in a home of its own."""
+        """Try the fault in a new scratch home."""
         with tempfile.TemporaryDirectory(prefix="sphere_nmpc_machine_") as folder:
             return Outcome(self.name, complaints=tuple(self.check(ScratchHome(Path(folder)))))
 
@@ -66,69 +69,70 @@ def _lacking(out: Path) -> Complaints:
 def _home_missing(home: ScratchHome) -> Complaints:
     lacking = {"HOME": f"{NOWHERE}/home", "SPHERE_NMPC_CACHE": None}
     out = home.fresh()
-    found = home.run(_study(out), lacking).faults(0) + _lacking(out)
+    found = home.run(_study(out), lacking).complaints(0) + _lacking(out)
     with home.running(["simulator"], lacking) as node:
-        if not node.wait_for(lambda: "ROS domain" in node.told):
+        if not node.wait_for(lambda: "ROS domain" in node.errors):
             found.append("the simulator does not start")
         node.interrupt()
-        return found + node.end().faults(0)
+        return found + node.result().complaints(0)
 
 
 def _home_unset(home: ScratchHome) -> Complaints:
     out = home.fresh()
-    return home.run(_study(out), {"HOME": None}).faults(0) + _lacking(out)
+    return home.run(_study(out), {"HOME": None}).complaints(0) + _lacking(out)
 
 
 def _cache_refused(home: ScratchHome) -> Complaints:
     out, refused = home.fresh(), {"SPHERE_NMPC_CACHE": f"{NOWHERE}/cache"}
-    return home.run(_study(out, *_ONE_RUN), refused).faults(0, "/dev/null/cache") + _lacking(out)
+    result = home.run(_study(out, *_ONE_RUN), refused)
+    return result.complaints(0, "/dev/null/cache") + _lacking(out)
 
 
 def _no_compiler(home: ScratchHome) -> Complaints:
     out, lacking = home.fresh(), {"CC": "nonesuch"}
-    found = home.run(_study(out), lacking).faults(0, "no C compiler found", lines=2)
+    found = home.run(_study(out), lacking).complaints(0, "no C compiler found", lines=2)
     found += _lacking(out)
     long = _study(out := home.fresh(), "--draw", "50", "--jobs", "2", "--no-bound")
     with home.running(long, lacking) as study:
         study.wait_for(lambda: _size(out / "journal.jsonl") > 0)
         study.wait_for(lambda: False, 3.0)
         study.interrupt()
-        ended = study.end()
+        ended = study.result()
     if ended.seconds > _PATIENCE:
-        found.append(f"Ctrl-C was heard after {ended.seconds:.1f} s")
-    return found + ended.faults(130, "interrupted")
+        found.append(f"ended {ended.seconds:.1f} s after Ctrl-C")
+    return found + ended.complaints(130, "interrupted")
 
 
 def _compiler_misspelt(home: ScratchHome) -> Complaints:
     out = home.fresh()
-    return home.run(_study(out), {"CC": 'gcc "'}).faults(0, "CC") + _lacking(out)
+    return home.run(_study(out), {"CC": 'gcc "'}).complaints(0, "CC") + _lacking(out)
 
 
 def _disk_full(home: ScratchHome) -> Complaints:
     out = home.fresh()
-    home.run(_study(home.fresh()))  # the solver is compiled with room enough
+    home.run(_study(home.fresh()))  # compiles the solver while there is enough space
     several = _study(out, "--draw", "4", *_STUDY[2:])
     ended = home.run(several, limits={resource.RLIMIT_FSIZE: 2500})
     found = [] if ended.code else ["exit code 0 although the disk was full"]
-    found += ended.faults(ended.code, str(out))
-    return found + home.run(several).faults(0) + _lacking(out)
+    found += ended.complaints(ended.code, str(out))
+    return found + home.run(several).complaints(0) + _lacking(out)
 
 
 def _journal_damaged(home: ScratchHome) -> Complaints:
     out = home.fresh()
     words = _study(out, "--draw", "3", *_STUDY[2:])
-    found = home.run(words).faults(0)
+    found = home.run(words).complaints(0)
     journal = out / "journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     damaged = [lines[0], lines[1], b"\x00\xff\n", lines[2].replace(b'"run": ', b'"run": 77')]
     journal.write_bytes(b"".join(damaged))
-    return found + home.run(words).faults(0, "journal.jsonl") + _lacking(out)
+    return found + home.run(words).complaints(0, "journal.jsonl") + _lacking(out)
 
 
 def _output_full(home: ScratchHome) -> Complaints:
     out = home.fresh()
     ended = home.run(_study(out), output=Path("/dev/full"))
-    return ended.faults(1, "standard output: No space left on device") + _lacking(out)
+    return ended.complaints(1, "standard output: No space left on device") + _lacking(out)
 
 
 def _reader_gone(home: ScratchHome) -> Complaints:
@@ -136,7 +140,7 @@ def _reader_gone(home: ScratchHome) -> Complaints:
     os.close(inlet)
     out = home.fresh()
     try:
-        return home.run(_study(out), output=outlet).faults(0) + _lacking(out)
+        return home.run(_study(out), output=outlet).complaints(0) + _lacking(out)
     finally:
         os.close(outlet)
 
@@ -144,39 +148,39 @@ def _reader_gone(home: ScratchHome) -> Complaints:
 def _ascii_only(home: ScratchHome) -> Complaints:
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     out = home.fresh("prüfung")
-    return home.run(_study(out), plain).faults(0) + _lacking(out)
+    return home.run(_study(out), plain).complaints(0) + _lacking(out)
 
 
 def _few_files(home: ScratchHome) -> Complaints:
     words = _study(home.fresh(), "--draw", "4", "--duration", "2", "--jobs", "2", "--no-bound")
     ended = home.run(words, limits={resource.RLIMIT_NOFILE: 40})
-    # Either it manages with so few, or it says what is short.
-    return ended.faults(0) if ended.code == 0 else ended.faults(1, "open files")
+    # Either the command works with so few, or it names the resource.
+    return ended.complaints(0) if ended.code == 0 else ended.complaints(1, "open files")
 
 
 def _nowhere_to_write(home: ScratchHome) -> Complaints:
     found = []
     for verb in (["study", *_STUDY], list(_DEMO), ["report", "any_bag"]):
         ended = home.run([*verb, "--out", f"{NOWHERE}/out"])
-        found += [f"{verb[0]}: {fault}" for fault in ended.faults(2, f"{NOWHERE}/out", lines=1)]
+        found += [f"{verb[0]}: {text}" for text in ended.complaints(2, f"{NOWHERE}/out", lines=1)]
     return found
 
 
 def _endless_file(home: ScratchHome) -> Complaints:
     words = ["study", "--scenarios", "/dev/zero", "--out", str(home.fresh())]
-    return home.run(words).faults(2, "/dev/zero", lines=1)
+    return home.run(words).complaints(2, "/dev/zero", lines=1)
 
 
 def _domain_misspelt(home: ScratchHome) -> Complaints:
     found = []
     for verb in (["simulator"], [*_DEMO, "--out", str(home.fresh())]):
         ended = home.run(verb, {"ROS_DOMAIN_ID": "abc"})
-        found += [f"{verb[0]}: {fault}" for fault in ended.faults(2, "ROS_DOMAIN_ID", "abc")]
+        found += [f"{verb[0]}: {text}" for text in ended.complaints(2, "ROS_DOMAIN_ID", "abc")]
     return found
 
 
 def _two_demos(home: ScratchHome) -> Complaints:
-    # In the domain of the campaign, whose own nodes have left.
+    # In the domain of the campaign, whose own nodes have ended.
     domain = {"ROS_DOMAIN_ID": os.environ["ROS_DOMAIN_ID"]}
     first, second = home.fresh(), home.fresh()
     slow = ["demo", "--no-compare", "--no-viewer", "--out", str(first)]
@@ -184,19 +188,19 @@ def _two_demos(home: ScratchHome) -> Complaints:
         if not demo.wait_for(lambda: "distance" in (home.folder / "first.txt").read_text()):
             return ["the first demo does not start"]
         ended = home.run([*_DEMO, "--out", str(second)], domain)
-        found = [f"second: {fault}" for fault in ended.faults(1, "simulator", "ROS_DOMAIN_ID")]
-        return found + [f"first: {fault}" for fault in demo.end().faults(0)]
+        found = [f"second: {text}" for text in ended.complaints(1, "simulator", "ROS_DOMAIN_ID")]
+        return found + [f"first: {text}" for text in demo.result().complaints(0)]
 
 
 def _bag_cut_short(home: ScratchHome) -> Complaints:
     out = home.fresh()
-    found = home.run([*_DEMO, "--out", str(out)]).faults(0)
+    found = home.run([*_DEMO, "--out", str(out)]).complaints(0)
     bag = next((out / "bag").glob("*.mcap"))
     content = bag.read_bytes()
     for share in (0.5, 0.9):
         bag.write_bytes(content[: int(share * len(content))])
         ended = home.run(["report", str(out / "bag"), "--out", str(home.fresh())])
-        found += [f"{share:.0%} of a bag: {fault}" for fault in ended.faults(0, "is truncated")]
+        found += [f"{share:.0%} of a bag: {text}" for text in ended.complaints(0, "is truncated")]
     return found
 
 
@@ -208,14 +212,14 @@ def _foreign_page(home: ScratchHome) -> Complaints:
             return ["the viewer does not start"]
         port, path = re.findall(page, printed.read_text())[0]
         found = _handshakes(int(port), path or "/")
-        _throw_garbage(int(port))
+        _send_garbage(int(port))
         if _status(int(port), path or "/", "") not in _SERVED:
             found.append("no page after garbage")
         return found + _after_interrupt(viewer)
 
 
 def _handshakes(port: int, path: str) -> Complaints:
-    """Ask for a WebSocket as pages of other sites, and pages without the token, would."""
+    """Request a WebSocket as pages of other sites, and pages without the token, would."""
     upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
     upgrade += "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n"
     own = f"Origin: http://127.0.0.1:{port}\r\n"
@@ -236,15 +240,15 @@ def _status(port: int, path: str, headers: str, host: str = "") -> int:
     return int(words[1]) if len(words) > 1 else 0
 
 
-def _throw_garbage(port: int) -> None:
+def _send_garbage(port: int) -> None:
     for garbage in (b"\x00" * 64, b"GET / HTTP/9.9\r\n\r\n", os.urandom(2000), b"\r\n\r\n"):
         with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
             link.sendall(garbage)
 
 
-def _after_interrupt(running: Running) -> Complaints:
-    running.interrupt()
-    return running.end().faults(0)
+def _after_interrupt(command: RunningCommand) -> Complaints:
+    command.interrupt()
+    return command.result().complaints(0)
 
 
 def _far_start(home: ScratchHome) -> Complaints:
@@ -253,7 +257,7 @@ def _far_start(home: ScratchHome) -> Complaints:
     goal = ",".join(f"goal_{name}" for name in state.split(","))
     file.write_text(f"{state},{goal}\n100000,0,1,0,0,0,0,0,1,0,0,0\n", encoding="utf-8")
     ended = home.run(["study", "--scenarios", str(file), *_STUDY[4:], "--out", str(out)])
-    return ended.faults(0) + _lacking(out)
+    return ended.complaints(0) + _lacking(out)
 
 
 def _size(path: Path) -> int:
@@ -282,4 +286,4 @@ _ALL = (
 )
 
 MACHINE_FAULTS = {fault.name: fault for fault in _ALL}
-"""All of them by name, in the order in which they are tried."""
+"""All faults of the machine by name, in the order in which they are tried."""

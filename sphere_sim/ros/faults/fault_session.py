@@ -1,10 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator, controller and recorder in processes of their own, with the proxy between them."""
+"""Simulator, controller and recorder as child processes, with the proxy between them."""
 
 import contextlib
 import itertools
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,22 +24,23 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.faults.monitor import FaultMonitor
 from sphere_sim.ros.faults.proxy import REMAPPED, FaultProxy
-from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
-from sphere_sim.ros.session.processes import NodeProcess, stop_together
+from sphere_sim.ros.session.child_process import module_command, verb_command
+from sphere_sim.ros.session.goal_sender import GoalSender
+from sphere_sim.ros.session.process_set import ProcessSet
 
 READY = 60.0
-"""How long nodes may take to come up [s]; a busy machine needs some ten."""
+"""How long nodes may take to be ready [s]; a busy machine needs some ten."""
 _RATE = 20.0
-"""Rate of poses, clock and commands [Hz]: the proxy has to pass them on, on a busy machine too."""
+"""Rate of poses, clock and commands [Hz], low enough for the proxy on a busy machine."""
 _REPEAT = 3.0
 """Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
 _ANSWER = 30.0
-"""How long a service may take to answer [s]."""
+"""Longest wait for the response of a service [s]."""
 RADIUS = RobotParameters().shell_radius
 
 
 class SessionError(SphereNmpcError):
-    """The nodes do not do what the campaign needs of them."""
+    """The campaign cannot go on, as a node does not respond as it should."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class SessionSettings:
     Attributes
     ----------
     folder : Path
-        For logs and bags.
+        Folder for logs and bags.
     pace : float
         Simulated over wall time.
     seed : int
-        Of goals and of chance in the faults.
+        Seed of the goals and of random faults.
     strategy : str
-        What the controller solves.
+        Strategy of the controller.
     """
 
     folder: Path
@@ -66,12 +66,12 @@ class SessionSettings:
 
 
 class FaultSession:
-    """The nodes on trial, and everything the campaign can do to them.
+    """The nodes under test, and access to everything that a fault changes.
 
     Parameters
     ----------
     settings : SessionSettings
-        How it runs.
+        Settings of the session.
     """
 
     def __init__(self, settings: SessionSettings) -> None:
@@ -80,10 +80,11 @@ class FaultSession:
         settings.folder.mkdir(parents=True, exist_ok=True)
         self._bags = (settings.folder / f"bag_{i}" for i in itertools.count(1))
         self.solver_file = settings.folder / "solver"
-        self.processes = {
-            name: NodeProcess(name, self._command(name), settings.folder)
-            for name in ("controller", "simulator", "recorder")
-        }
+        self.processes = ProcessSet(settings.folder)
+        fault_controller = module_command("sphere_sim.ros.faults.controller")
+        self.processes.add("controller", [*fault_controller, str(self.solver_file)])
+        for verb in ("simulator", "recorder"):
+            self.processes.add(verb, verb_command(verb))
         self.node = rclpy.create_node("faults")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
@@ -99,12 +100,6 @@ class FaultSession:
                 ("controller/set_parameters", SetParameters),
             )
         }
-
-    def _command(self, name: str) -> list[str]:
-        parent = str(os.getpid())
-        if name == "controller":
-            return ["sphere_sim.ros.faults.controller", parent, str(self.solver_file)]
-        return ["sphere_sim.cli.child", parent, name]
 
     def arguments(self, name: str) -> list[str]:
         """Return the ROS arguments of a node."""
@@ -125,28 +120,28 @@ class FaultSession:
         return ["--ros-args", *_each("-p", given), *_each("-r", remapped)]
 
     def start(self, name: str) -> None:
-        """Start a node, again perhaps."""
+        """Start a node, for the first time or again."""
         self.processes[name].start(self.arguments(name))
 
     def prepare(self) -> None:
-        """Start all nodes and wait until they hear each other.
+        """Start all nodes and wait until they are connected.
 
         Raises
         ------
         SessionError, GoalNotAcceptedError
             If that takes too long.
         """
-        for name in self.processes:
-            self.start(name)
+        for process in self.processes:
+            self.start(process.name)
         self.goals.wait_for_controller(READY)
         for client in self._clients.values():
             self.wait(client.service_is_ready, READY, f"the service {client.srv_name}")
         self.wait(lambda: self.monitor.time > 0.0, READY, "simulated time")
-        # Each trial has a bag of its own.
+        # Each trial records a bag of its own.
         self.ask("recorder/stop", Trigger.Request())
 
     def spin(self, duration: float = 0.02) -> None:
-        """Serve the campaign's own node for some wall time [s]."""
+        """Serve the campaign's own node for `duration` [s, wall time]."""
         end = time.monotonic() + duration
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
@@ -162,19 +157,19 @@ class FaultSession:
         end = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > end:
-                raise SessionError(f"waited {timeout:g} s in vain for {what}")
+                raise SessionError(f"timed out after {timeout:g} s while waiting for {what}")
             self.spin()
 
     def ask(self, service: str, request: Any) -> Any:
-        """Return the answer of a service, which is asked again where it does not answer.
+        """Call a service, again where there is no response, and return the response.
 
-        As with goals: a request to a node that was killed goes to nobody. All that is asked for
-        here may be asked for twice.
+        As with goals, the request may be lost: a node that was killed stays matched for some
+        time. All requests of the campaign may be repeated.
 
         Raises
         ------
         SessionError
-            If there is none in time.
+            If there is no response in time.
         """
         client = self._clients[service]
         self.wait(client.service_is_ready, READY, f"the service {service}")
@@ -183,12 +178,12 @@ class FaultSession:
         while time.monotonic() < end:
             futures.append(client.call_async(request))
             with contextlib.suppress(SessionError):
-                self.wait(lambda: any(f.done() for f in futures), _REPEAT, "an answer")
+                self.wait(lambda: any(f.done() for f in futures), _REPEAT, "a response")
                 return next(future.result() for future in futures if future.done())
-        raise SessionError(f"waited {_ANSWER:g} s in vain for an answer of {service}")
+        raise SessionError(f"no response of {service} within {_ANSWER:g} s")
 
     def set_parameters(self, node: str, **values: Any) -> list[Any]:
-        """Set parameters of a node and return what it says to each."""
+        """Set parameters of a node and return the result for each."""
         request = SetParameters.Request(
             parameters=[
                 Parameter(name.replace("__", "."), value=value).to_parameter_msg()
@@ -198,37 +193,32 @@ class FaultSession:
         return list(self.ask(f"{node}/set_parameters", request).results)
 
     def send_goal(self, goal: Vector) -> None:
-        """Bring a goal into force and judge the run by it.
+        """Bring a goal, shape (6,), into force.
 
-        A controller that was killed is discovered as if it lived for some time after, so that
-        the first message may go to nobody.
+        Raises
+        ------
+        GoalNotAcceptedError
+            If the controller does not confirm it in time.
         """
-        end = time.monotonic() + READY
         self.goals.wait_for_controller(READY)
-        while True:
-            try:
-                self.goals.send(goal, RADIUS, _REPEAT)
-                return
-            except GoalNotAcceptedError:
-                if time.monotonic() > end:
-                    raise
+        self.goals.send(goal, RADIUS, READY, _REPEAT)
 
     def close(self) -> None:
-        """End all processes and leave the graph."""
-        stop_together(list(self.processes.values()))
+        """Destroy the campaign's own node."""
         self._executor.shutdown()
         self.node.destroy_node()
 
 
 @contextmanager
-def joined(settings: SessionSettings) -> Iterator[FaultSession]:
-    """Make a session whose nodes are up, and end it whatever happens."""
+def fault_session(settings: SessionSettings) -> Iterator[FaultSession]:
+    """Yield a session whose nodes are ready; they are ended with the context."""
     start_ros([], quiet=True)
     try:
         session = FaultSession(settings)
         try:
-            session.prepare()
-            yield session
+            with session.processes:
+                session.prepare()
+                yield session
         finally:
             session.close()
     finally:

@@ -1,0 +1,188 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of processes: killed, starved, duplicated, without disk space, started wrongly."""
+
+import contextlib
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+from geometry_msgs.msg import PoseStamped
+
+from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_sim.ros.faults.fault_session import RADIUS, READY, FaultSession, SessionError
+from sphere_sim.ros.faults.goal_actions import random_goal
+from sphere_sim.ros.session.child_process import ChildProcess
+
+_SLICE = 0.1
+"""Period of the throttling [s], that of Linux's processor quotas."""
+_LEFT_ON_DISK = 1000
+"""Space that is left before the disk is full [bytes]."""
+
+
+class Lasting:
+    """A fault for which nothing has to be done while it lasts."""
+
+    def keep_on(self, session: FaultSession) -> None:
+        """Do nothing."""
+
+
+class Kill(Lasting):
+    """A node is killed with SIGKILL and started again at the end.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+
+    def begin(self, session: FaultSession) -> None:
+        """Kill it."""
+        process = session.processes[self._node]
+        process.kill()
+        session.monitor.messages.append(process.ending)
+
+    def end(self, session: FaultSession) -> None:
+        """Start it again."""
+        if self._node == "simulator":
+            session.monitor.limits.restart()
+        session.start(self._node)
+
+
+class Throttle(Lasting):
+    """The controller is stopped most of the time, as by a quota of processor time.
+
+    Parameters
+    ----------
+    share : float
+        Share of the time in which it runs.
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._over = threading.Event()
+
+    def begin(self, session: FaultSession) -> None:
+        """Start the thread that stops and continues it."""
+        self._thread = threading.Thread(
+            target=self._throttle, args=(session.processes["controller"],), daemon=True
+        )
+        self._thread.start()
+
+    def end(self, session: FaultSession) -> None:
+        """End the thread; the controller runs again."""
+        self._over.set()
+        self._thread.join()
+
+    def _throttle(self, process: ChildProcess) -> None:
+        while not self._over.is_set():
+            process.send(signal.SIGSTOP)
+            time.sleep((1.0 - self._share) * _SLICE)
+            process.send(signal.SIGCONT)
+            time.sleep(self._share * _SLICE)
+
+
+class Hogs(Lasting):
+    """Other processes take all of the processor time that they get.
+
+    Parameters
+    ----------
+    number : int
+        Number of processes.
+    """
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+
+    def begin(self, session: FaultSession) -> None:
+        """Start them."""
+        # In the session of the campaign, whose share of the processor they have together; should
+        # the campaign die, they end by themselves.
+        self._hogs = [
+            subprocess.Popen([sys.executable, "-c", _HOG]) for _ in range(self._number)
+        ]
+
+    def end(self, session: FaultSession) -> None:
+        """End them."""
+        for hog in self._hogs:
+            hog.kill()
+            hog.wait()
+
+
+_HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
+
+
+class DiskFull(Lasting):
+    """The recorder cannot write any more.
+
+    A limit on the size of files is set from outside while the recorder runs: no disk has to be
+    filled, and writing fails in the same place as on a full one.
+    """
+
+    def begin(self, session: FaultSession) -> None:
+        """Set the limit a little above the size of the file."""
+        self._pid = session.processes["recorder"].pid
+        folder = session.settings.folder
+        files = [file.stat() for file in folder.glob("bag*/*.mcap")]
+        # Of the file being written, which may be smaller than earlier ones.
+        written = max(files, key=lambda file: file.st_mtime_ns).st_size
+        hard = resource.prlimit(self._pid, resource.RLIMIT_FSIZE)[1]
+        resource.prlimit(self._pid, resource.RLIMIT_FSIZE, (written + _LEFT_ON_DISK, hard))
+
+    def end(self, session: FaultSession) -> None:
+        """Remove the limit, if the recorder has not been restarted."""
+        with contextlib.suppress(ProcessLookupError):
+            hard = resource.prlimit(self._pid, resource.RLIMIT_FSIZE)[1]
+            resource.prlimit(self._pid, resource.RLIMIT_FSIZE, (hard, hard))
+
+
+class SecondController(Lasting):
+    """A second controller drives the same robot to another goal."""
+
+    def begin(self, session: FaultSession) -> None:
+        """Start it and send it a goal."""
+        command = session.processes["controller"].command
+        rival = session.processes.add("rival", command, append=True)
+        names = ["-r", "__node:=rival", "-r", "goal_pose:=rival_goal"]
+        rival.start([*session.arguments("controller"), *names])
+        self._publisher = session.node.create_publisher(PoseStamped, "rival_goal", 1)
+        subscribers = self._publisher.get_subscription_count
+        session.wait(lambda: subscribers() > 0, READY, "the second controller")
+        self._publisher.publish(pose_to_ros(random_goal(session.rng), 0, RADIUS))
+
+    def end(self, session: FaultSession) -> None:
+        """End it with SIGINT first, so that it commands its rotors to rest."""
+        session.processes.stop("rival")
+        session.node.destroy_publisher(self._publisher)
+
+
+class BadStart(Lasting):
+    """The controller is started with invalid parameters, then with valid ones."""
+
+    _WRONG = (
+        "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
+        "control_rate:=fast",
+    )
+
+    def begin(self, session: FaultSession) -> None:
+        """Start it with each of them; it has to end by itself and name the parameter."""
+        controller = session.processes["controller"]
+        controller.stop()
+        for wrong in self._WRONG:
+            before = controller.log.stat().st_size
+            controller.start([*session.arguments("controller"), "-p", wrong])
+            session.wait(lambda: controller.code is not None, READY, f"the end with {wrong}")
+            output = controller.log.read_bytes()[before:].decode(errors="replace")
+            if controller.code != 1 or wrong.partition(":")[0] not in output:
+                raise SessionError(f"{controller.ending} with {wrong}, output: {output.strip()}")
+            session.monitor.messages.append(output)
+
+    def end(self, session: FaultSession) -> None:
+        """Start it with valid parameters."""
+        session.start("controller")

@@ -1,0 +1,102 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Several child processes that are checked and ended together."""
+
+import contextlib
+import signal
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from sphere_sim.ros.session.child_process import ChildProcess, stop_together, verb_command
+
+
+class ProcessSet:
+    """Child processes by name, all of which are ended when the context is left.
+
+    A second Ctrl-C while they are being ended is ignored, as it would leave orphans.
+
+    Parameters
+    ----------
+    logs : Path
+        Folder for their output, a file ``NAME.log`` each.
+    """
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._processes: dict[str, ChildProcess] = {}
+
+    def __enter__(self) -> "ProcessSet":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        with _signals_ignored():
+            self.stop()
+
+    def __getitem__(self, name: str) -> ChildProcess:
+        return self._processes[name]
+
+    def __iter__(self) -> Iterator[ChildProcess]:
+        return iter(self._processes.values())
+
+    def add(self, name: str, command: Sequence[str], append: bool = False) -> ChildProcess:
+        """Add a process, which is not started yet; see `ChildProcess` for the arguments."""
+        process = ChildProcess(name, command, self._logs / f"{name}.log", append)
+        self._processes[name] = process
+        return process
+
+    def start(
+        self, verb: str, arguments: Sequence[str] = (), within: Sequence[str] = (), name: str = ""
+    ) -> ChildProcess:
+        """Start ``sphere_nmpc VERB ARGUMENTS``.
+
+        Parameters
+        ----------
+        verb : str
+            The verb.
+        arguments : sequence of str, optional
+            Its arguments.
+        within : sequence of str, optional
+            A command in front, such as ``nice``, which replaces itself by the verb: a signal to
+            the one has to reach the other.
+        name : str, optional
+            Name of the process, where several run the same verb; by default the verb.
+        """
+        process = self.add(name or verb, [*within, *verb_command(verb, *arguments)])
+        process.start()
+        return process
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The process ids by name."""
+        return {process.name: process.pid for process in self}
+
+    def check(self) -> None:
+        """Raise if one of them has ended.
+
+        Raises
+        ------
+        ChildDiedError
+            With the last lines of its output.
+        """
+        for process in self:
+            process.check()
+
+    def stop(self, *names: str) -> None:
+        """End the named processes, or all, at the same time, and remove them from the set."""
+        ended = names or tuple(self._processes)
+        stop_together([self._processes[name] for name in ended])
+        # Not before: what an interrupt leaves running has to be ended when the context is left.
+        for name in ended:
+            del self._processes[name]
+
+
+@contextlib.contextmanager
+def _signals_ignored() -> Iterator[None]:
+    """Ignore SIGINT and SIGTERM."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    earlier = [signal.signal(number, signal.SIG_IGN) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, earlier, strict=True):
+            signal.signal(number, handler)

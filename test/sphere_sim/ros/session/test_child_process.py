@@ -1,0 +1,211 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Child processes are killed, stopped, restarted and ended together, and their output is kept."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from sphere_sim.ros.session.child_process import (
+    ChildDiedError,
+    ChildProcess,
+    module_command,
+    verb_command,
+)
+from sphere_sim.ros.session.process_set import ProcessSet
+
+PATIENCE = 60.0
+"""How long a busy machine may take to start a process [s]."""
+WAITING = """
+import signal, subprocess, sys, time
+parent, *words = sys.argv[1:]
+signal.signal(signal.SIGINT, lambda *_: sys.exit(7))
+if "ignoring" in words:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+if "spawning" in words:
+    print("child", subprocess.Popen(["sleep", "60"]).pid)
+print("up", *words, flush=True)
+if "fail" in words:
+    raise ValueError("as asked")
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def process(tmp_path, monkeypatch) -> Iterator[ChildProcess]:
+    """Return a process that prints that it is up, and then waits."""
+    (tmp_path / "waiting.py").write_text(WAITING)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    process = ChildProcess("waiting", module_command("waiting"), tmp_path / "waiting.log")
+    yield process
+    process.kill()
+
+
+def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.02)
+
+
+def start(process: ChildProcess, *extra: str) -> None:
+    before = process.output.count("up")
+    process.start(extra)
+    until(lambda: process.output.count("up") > before)
+
+
+def test_killed_process_names_the_signal_and_can_be_started_again(process) -> None:
+    start(process)
+    assert process.running and process.code is None
+    process.kill()
+    assert process.ending == "waiting ended, SIGKILL"
+    start(process, "again")
+    assert process.running
+    assert process.output.split() == ["up", "up", "again"]
+
+
+def test_first_start_discards_an_old_log_unless_it_is_to_be_kept(process) -> None:
+    process.log.write_text("of yesterday\n")
+    start(process)
+    assert process.output.split() == ["up"]
+    process.kill()
+    later = ChildProcess("waiting", process.command, process.log, append=True)
+    start(later)
+    later.kill()
+    assert process.output.split() == ["up", "up"]
+
+
+def test_process_that_is_started_twice_is_one(process) -> None:
+    start(process)
+    first = process.pid
+    start(process)
+    assert process.pid != first and not psutil.pid_exists(first)
+
+
+def test_stopped_process_ends_on_sigint(process) -> None:
+    start(process)
+    process.send(signal.SIGSTOP)
+    process.stop()
+    assert process.code == 7
+
+
+def test_process_that_ignores_sigint_and_sigterm_is_killed(process, monkeypatch) -> None:
+    from sphere_sim.ros.session import child_process
+
+    short = tuple((number, 0.2) for number, _ in child_process._STOPPING[:-1])
+    monkeypatch.setattr(child_process, "_STOPPING", (*short, (signal.SIGKILL, PATIENCE)))
+    start(process, "ignoring")
+    process.stop()
+    assert process.code == -signal.SIGKILL
+
+
+def test_kill_ends_what_the_process_has_started(process) -> None:
+    start(process, "spawning")
+    grandchild = psutil.Process(int(process.output.split()[1]))
+    process.kill()
+    until(lambda: not grandchild.is_running() or grandchild.status() == psutil.STATUS_ZOMBIE)
+
+
+def test_uncaught_exceptions_are_counted(process) -> None:
+    start(process, "fail")
+    assert process.wait(PATIENCE) == 1
+    assert process.tracebacks == 1
+    assert process.ending == "waiting ended, exit code 1"
+
+
+def test_process_that_was_never_started_has_not_ended(process) -> None:
+    assert (process.pid, process.code, process.running, process.output) == (0, None, False, "")
+    process.stop()
+    process.check()
+    with pytest.raises(ValueError, match="waiting was never started"):
+        process.wait(0.0)
+
+
+def test_processes_of_a_set_end_together_and_leave_it(process, tmp_path) -> None:
+    with ProcessSet(tmp_path) as processes:
+        for name in ("one", "other", "third"):
+            start(processes.add(name, process.command))
+        processes.add("never", ["never"])
+        one, other, third = (processes[name] for name in ("one", "other", "third"))
+        processes.stop("one")
+        assert one.code == 7 and other.running and third.running
+        assert list(processes.pids) == ["other", "third", "never"]
+    assert (other.code, third.code, list(processes)) == (7, 7, [])
+
+
+@pytest.mark.slow
+def test_unexpected_end_of_a_verb_quotes_its_output(tmp_path) -> None:
+    with ProcessSet(tmp_path) as processes:
+        node = processes.start("simulator", ["--nonsense"])
+        processes.start("simulator", ["--help"], within=["nice"], name="helper")
+        node.wait(PATIENCE)
+        with pytest.raises(ChildDiedError, match=r"simulator ended, exit code 2.*\n.*--nonsense"):
+            processes.check()
+
+
+INTERRUPTED = """
+import os, signal, sys
+from pathlib import Path
+from sphere_sim.ros.session.process_set import ProcessSet
+
+with ProcessSet(Path(sys.argv[1])) as processes:
+    process = processes.add("slow", [sys.executable, sys.argv[2]])
+    process.start()
+    while "up" not in process.output:
+        pass
+    print(process.pid, flush=True)
+    {inside}
+"""
+SLOW = """
+import os, signal, time
+def end(*_):
+    os.kill(os.getppid(), signal.SIGINT)  # the second Ctrl-C, while the parent ends this one
+    time.sleep(0.5)
+    os._exit(7)
+signal.signal(signal.SIGINT, end)
+print("up", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("inside", ["os.kill(os.getpid(), signal.SIGINT)", "processes.stop()"])
+def test_no_process_survives_a_ctrl_c_while_it_is_being_ended(tmp_path, inside) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    program = textwrap.dedent(INTERRUPTED).format(inside=inside)
+    command = [sys.executable, "-c", program, str(tmp_path), str(tmp_path / "slow.py")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    assert "KeyboardInterrupt" in done.stderr
+    pid = int(done.stdout)
+    assert not psutil.pid_exists(pid), "not waited for"
+
+
+def test_verb_ends_with_its_parent(tmp_path) -> None:
+    program = (
+        "import sys\nfrom pathlib import Path\n"
+        "from sphere_sim.ros.session.process_set import ProcessSet\n"
+        "processes = ProcessSet(Path(sys.argv[1]))\n"
+        "node = processes.start('simulator')\n"
+        "while 'ROS domain' not in node.output: pass\n"
+        "print(node.pid, flush=True)\n"
+        "import os, signal; os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == -signal.SIGKILL
+    node = psutil.Process(int(done.stdout)) if psutil.pid_exists(int(done.stdout)) else None
+    until(lambda: node is None or not node.is_running()
+          or node.status() == psutil.STATUS_ZOMBIE)
+
+
+def test_command_of_a_verb_names_the_parent() -> None:
+    assert verb_command("goal", "1", "2")[-4:] == [str(os.getpid()), "goal", "1", "2"]
+    assert Path(verb_command("goal")[0]) == Path(sys.executable)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes under test beside a probe, all in this process and spun by hand."""
+"""ROS graph of nodes under test and a probe node, all in this process and spun explicitly."""
 
 import signal
 import subprocess
@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 from sphere_nmpc.ros.lifetime import RunnableNode
 
 PATIENCE = 90.0
-"""How long a busy machine may take to deliver a message [s]; nothing waits that long otherwise."""
+"""Time-out for a message on a busy machine [s]; only failing tests wait that long."""
 
 
 @contextmanager
@@ -39,7 +39,7 @@ def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subpro
 
 
 class Graph:
-    """A probe that listens and speaks, and the nodes it talks to."""
+    """A probe with subscriptions and publishers, and the nodes under test."""
 
     def __init__(self, args: list[str] | None = None) -> None:
         rclpy.init(args=args or [])
@@ -56,14 +56,14 @@ class Graph:
         rclpy.try_shutdown()
 
     def add(self, node: RunnableNode) -> None:
-        """Spin `node` too; one with work of its own (the simulator) is given its turns."""
+        """Spin `node` too, and call its own `work` if it has any (the simulator)."""
         self._executor.add_node(node)
         self._nodes.append(node)
         if type(node).work is not RunnableNode.work:
             self._busy.append(node)
 
     def remove(self, node: RunnableNode) -> None:
-        """Take a node away, as when its process ends."""
+        """Destroy a node, as when its process ends."""
         self._executor.remove_node(node)
         self._nodes.remove(node)
         self._busy = [busy for busy in self._busy if busy is not node]
@@ -76,7 +76,7 @@ class Graph:
         return heard
 
     def speaker(self, kind: type, topic: str) -> Any:
-        """Return a publisher that somebody listens to."""
+        """Return a publisher that is matched with a subscription."""
         publisher = self.probe.create_publisher(kind, topic, 10)
         self.until(lambda: publisher.get_subscription_count() > 0)
         return publisher
@@ -90,14 +90,14 @@ class Graph:
         return future.result()
 
     def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> None:
-        """Spin until `condition` holds; fail when it takes too long."""
+        """Spin until `condition` holds; fail after `patience` of wall time [s]."""
         end = time.monotonic() + patience
         while not condition():
-            assert time.monotonic() < end, "waited in vain"
+            assert time.monotonic() < end, "time-out"
             self.spin()
 
     def spin_for(self, duration: float) -> None:
-        """Spin for some wall time, to see that something does not happen."""
+        """Spin for a wall time [s] in which something must not happen."""
         end = time.monotonic() + duration
         while time.monotonic() < end:
             self.spin()

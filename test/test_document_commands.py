@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Every command that the documents print would be understood, as far as can be told without ROS.
+"""Commands in the documents: parsers and settings of the package accept each of them.
 
 Nothing is run: arguments go through the parsers of the package, parameters through its settings,
 payloads into the messages, and launch arguments into the launch file.
@@ -49,9 +49,9 @@ CHECKS: dict[str, Callable[[tuple[str, ...]], None]] = {
     "-p": lambda words: check_ros(None, ("-p", *words)),
     "-r": lambda words: check_ros(None, ("-r", *words)),
 }
-"""What checks the commands that begin so; it gets the words behind that."""
+"""Check of commands with this beginning; it is called with the remaining words."""
 UNCHECKED = (
-    # Of ROS: their arguments are no business of the package.
+    # Of ROS: their arguments do not depend on the package.
     "ros2 security", "ros2 pkg prefix", "ros2 topic list", "ros2 node list", "colcon", "rosdep",
     # test_documents.py looks for the targets and the scripts.
     "make", "python", "python3", ".venv/bin/python",
@@ -80,12 +80,12 @@ def check_assignment(word: str) -> None:
 
 
 def check(command: Command) -> None:
-    """Check a command by what knows the longest part of its beginning.
+    """Check a command by the check of its longest known beginning.
 
     Raises
     ------
     WrongCommandError
-        If it would not be understood, or nothing here knows what it is.
+        If it would be refused, or is of an unknown kind.
     """
     words = command.words
     checks = {**CHECKS, **dict.fromkeys(OF_A_VERB, partial(check_verb, inline=command.inline))}
@@ -158,7 +158,7 @@ GOAL = "geometry_msgs/msg/PoseStamped"
         ("docker run ros", "a new kind of command"),
     ],
 )
-def test_wrong_command_is_told(line, wrong) -> None:
+def test_wrong_command_is_refused(line, wrong) -> None:
     (command,) = commands("a.md", f"```\n{line}\n```\n")
     with pytest.raises(WrongCommandError) as caught:
         check(command)
@@ -176,7 +176,7 @@ def test_wrong_command_is_told(line, wrong) -> None:
         ("ros2 weather", "a new kind of command"),
     ],
 )
-def test_wrong_command_in_text_is_told(words, wrong) -> None:
+def test_wrong_command_in_text_is_refused(words, wrong) -> None:
     (command,) = commands("a.md", f"Say `{words}`.")
     with pytest.raises(WrongCommandError, match=wrong):
         check(command)
@@ -190,7 +190,7 @@ def test_wrong_command_in_text_is_told(words, wrong) -> None:
         "params_file:=my.yaml", "-r __ns:=/left",
     ],
 )
-def test_command_in_text_may_be_told_in_part(words) -> None:
+def test_command_in_text_may_be_incomplete(words) -> None:
     (command,) = commands("a.md", f"Say `{words}`.")
     check(command)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents refer to exists: files, headings, make targets, scripts."""
+"""References in the documents: files, headings, make targets and scripts exist."""
 
 import re
 from pathlib import Path
@@ -26,7 +26,7 @@ def anchors(document: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=named)
-def test_links_lead_somewhere(document: Path) -> None:
+def test_targets_of_links_exist(document: Path) -> None:
     for found in LINK.findall(document.read_text(encoding="utf-8")):
         link = found[0] or found[1]
         if re.match(r"[a-z]+:", link):

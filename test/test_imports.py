@@ -12,7 +12,6 @@ from import_graph import DOCUMENT, FLOORS, SCOPES, TREES
 
 PENDING = {
     ("sphere_sim.demo", "sphere_sim.cli"),
-    ("sphere_nmpc.solver.numpy_backend", "sphere_nmpc.solver.native"),
 }
 UPDATE = "if it is meant to be so: python test/support/import_graph.py"
 CORE_NEEDS = {"numpy", "scipy", "casadi", "sphere_nmpc"} | sys.stdlib_module_names

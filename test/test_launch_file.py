@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file, run with stand-ins for launch wherever that is not installed."""
+"""Actions of the launch file, which runs here with stand-ins for the launch package."""
 
 import re
 from importlib.util import module_from_spec, spec_from_file_location
@@ -33,7 +33,7 @@ def nodes(actions: list[Made]) -> dict[str, Made]:
 
 
 def parameters(node: Made) -> dict[str, object]:
-    """Return what a node is given beside its parameter file."""
+    """Return the parameters of a node besides those of its parameter file."""
     merged: dict[str, object] = {}
     for part in node.named.get("parameters", []):
         merged |= part if isinstance(part, dict) else {}
@@ -47,14 +47,14 @@ def test_own_executables_are_installed() -> None:
     assert executables <= VERBS.keys()
 
 
-def test_without_the_packages_of_others_the_rest_is_started_and_told() -> None:
+def test_without_optional_packages_the_rest_is_started_with_a_message() -> None:
     actions = started(*ALL)
     assert {node["package"] for node in nodes(actions).values()} == {"sphere_nmpc"}
-    (told,) = (action["msg"] for action in actions if type(action).__name__ == "LogInfo")
-    assert "rviz2 is not installed" in told
+    (message,) = (action["msg"] for action in actions if type(action).__name__ == "LogInfo")
+    assert "rviz2 is not installed" in message
 
 
-def test_packages_of_others_are_used_where_they_are_installed() -> None:
+def test_optional_packages_are_used_where_they_are_installed() -> None:
     actions = started(*ALL, installed=OTHERS)
     assert {"robot_state_publisher", "rviz2"} <= nodes(actions).keys()
     (record,) = (action for action in actions if type(action).__name__ == "ExecuteProcess")
@@ -104,7 +104,7 @@ def test_arguments_become_parameters_of_the_nodes() -> None:
 def test_all_but_the_simulator_follow_its_clock_if_there_is_one(words, follows) -> None:
     found = nodes(started(*ALL, *words, installed=OTHERS[:2]))
     for executable, node in found.items():
-        # Viewer and markers go by the wall: what stands still is to be seen as well.
+        # Viewer and markers use wall time, so that they also show a stopped clock.
         if executable in ("simulator", "viewer", "markers"):
             assert "use_sim_time" not in parameters(node)
         else:
@@ -121,7 +121,7 @@ def test_all_but_the_simulator_follow_its_clock_if_there_is_one(words, follows) 
         ("", "fleet", "fleet"),
     ],
 )
-def test_namespace_makes_a_whole_robot(namespace, pushed, place) -> None:
+def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
     words = [f"namespace:={namespace}"] if namespace else []
     actions = started(*ALL, *words, installed=OTHERS, pushed=pushed)
     found = nodes(actions)
@@ -168,7 +168,7 @@ def test_frames_have_no_prefix_without_a_namespace() -> None:
     ],
     ids=" ".join,
 )
-def test_what_is_wrong_is_refused_in_one_line(words, expected) -> None:
+def test_wrong_argument_is_refused_in_one_line(words, expected) -> None:
     with pytest.raises(RuntimeError, match=re.escape(expected)) as caught:
         started(*words)
     assert "\n" not in str(caught.value)
@@ -209,12 +209,12 @@ def test_it_does_not_start_beside_nodes_of_the_same_topics(capfd) -> None:
         for line in simulator.stderr:
             if "ROS domain" in line:
                 break
-        told = r"/left/simulator: running already in ROS domain \d+"
-        with pytest.raises(RuntimeError, match=told):
-            for _ in range(20):  # one look may be too short on a busy machine
+        refused = r"/left/simulator: running already in ROS domain \d+"
+        with pytest.raises(RuntimeError, match=refused):
+            for _ in range(20):  # discovery may take longer on a busy machine
                 started("namespace:=left", looks=True)
         assert nodes(started("namespace:=right", looks=True))
-        # With the system's clock for all it is no matter whose clock there is besides.
+        # With the system clock for all nodes another /clock does not matter.
         assert nodes(started("clock:=system", looks=True))
     assert nodes(started("namespace:=left", looks=True))
     assert not capfd.readouterr().err
@@ -245,7 +245,7 @@ def test_recording_has_every_documented_topic_but_goals_not_yet_accepted() -> No
         (ROOT / "msg_docs" / "topics.md").read_text(), re.MULTILINE,
     )
     documented = {f"/{row.replace('~', 'controller').lstrip('/')}" for row in rows}
-    # `ros2 topic pub --once` leaves when one has heard it: nobody else is to listen there.
+    # `ros2 topic pub --once` ends after the first matched subscription.
     assert documented - {"/goal_pose"} <= set(recorded)
     assert "/goal_pose" not in recorded
 

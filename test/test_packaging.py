@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is installed, by pip and by colcon, is complete."""
+"""Installations by pip and by colcon: they are complete."""
 
 import ast
 import os
@@ -122,7 +122,7 @@ def test_executable_named_like_a_verb_runs_it(verb, suffix, monkeypatch) -> None
     assert given == [["--out", "x"]]
 
 
-def test_executable_of_a_verb_tells_what_is_not_installed(monkeypatch, capsys) -> None:
+def test_executable_of_a_verb_names_the_missing_extra(monkeypatch, capsys) -> None:
     monkeypatch.setitem(sys.modules, "rosbags", None)
     monkeypatch.setattr(cli, "import_module", lambda name: __import__("rosbags"))
     monkeypatch.setattr(sys, "argv", ["/lib/sphere_nmpc/report", "bag"])

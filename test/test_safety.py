@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""No file that is read can run code, and no command goes through a shell."""
+"""Safety of the sources: files cannot run code, and no command goes through a shell."""
 
 import ast
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ CALLS = {"eval", "exec", "os.system", "os.popen", "subprocess.getoutput", "yaml.
 
 
 def dangers(source: str) -> Iterator[str]:
-    """Yield what a source should not have, with its line."""
+    """Yield unsafe imports and calls in a source, with their lines."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = {alias.name.partition(".")[0] for alias in node.names}
@@ -45,7 +45,7 @@ def dangers(source: str) -> Iterator[str]:
     ["import pickle", "from pickle import loads", "eval('1')", "import os\nos.system('ls')",
      "import subprocess\nsubprocess.run('ls', shell=True)", "np.load(f, allow_pickle=True)"],
 )
-def test_what_is_looked_for_is_found(source) -> None:
+def test_each_danger_is_found(source) -> None:
     assert list(dangers(source))
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What RViz and Foxglove are told to show is what the nodes publish."""
+"""Configurations of RViz and Foxglove: they show topics that the nodes publish."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[1]
 OTHERS = {"markers", "robot_description", "clicked_point", "initialpose"}
-"""Of the marker node, of robot_state_publisher, and tools of Foxglove that nobody listens to."""
+"""Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
 
 
 def documented() -> set[str]:
@@ -36,7 +36,7 @@ def strings(value: Any) -> Iterator[str]:
             yield from strings(item)
 
 
-def test_rviz_shows_topics_that_are_there() -> None:
+def test_rviz_shows_documented_topics() -> None:
     manager = YAML(typ="safe").load(ROOT / "rviz" / "sphere.rviz")["Visualization Manager"]
     shown = [*manager["Displays"], *manager["Tools"]]
     topics = {
@@ -48,7 +48,7 @@ def test_rviz_shows_topics_that_are_there() -> None:
     assert manager["Global Options"]["Fixed Frame"] == "world"
 
 
-def test_foxglove_shows_topics_that_are_there() -> None:
+def test_foxglove_shows_documented_topics() -> None:
     layout = json.loads((ROOT / "foxglove" / "sphere.json").read_text())
     topics = {s[1:].partition(".")[0] for s in strings(layout) if re.match(r"/[a-z]", s)}
     assert topics <= documented()

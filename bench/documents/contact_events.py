@@ -32,7 +32,7 @@ from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 TAIL = 5.0
-"""Length of the end of a run over which errors are told [s]."""
+"""Length of the end of a run over which errors are reported [s]."""
 
 
 class PushedPlant(RigidBodyPlant):
@@ -52,12 +52,12 @@ class PushedPlant(RigidBodyPlant):
 
 @dataclass(frozen=True)
 class Event:
-    """What a run meets, and what the controller is told of it."""
+    """A disturbance of a run, and the part of it that the controller knows."""
 
     name: str
     case: int
     world: dict[str, Any] = field(default_factory=dict)
-    told: dict[str, Any] = field(default_factory=dict)
+    modelled: dict[str, Any] = field(default_factory=dict)
     impulse: float = 0.0
     when: float = math.inf
 
@@ -90,7 +90,7 @@ def run(event: Event, strategy: str, duration: float) -> str:
     world = SimulatorSettings(initial_state=tuple(float(v) for v in scenario.start))
     settings = ControllerSettings(strategy=strategy)
     found = run_closed_loop(
-        Simulator(world, ROBOT, plant), Controller(settings, replace(ROBOT, **event.told)),
+        Simulator(world, ROBOT, plant), Controller(settings, replace(ROBOT, **event.modelled)),
         scenario.goal, duration, settings.control_period,
     )
     index = settling_index(state_errors(found.states, scenario.goal))

@@ -4,8 +4,8 @@
 
     python bench/documents/document_figures.py --out docs/figures
 
-Each run is a demo in lockstep, so that it repeats to the bit. Bags that are already in --runs are
-drawn anew and not recorded again.
+Each run is a demo in lockstep, hence repeatable to the bit. Bags that are already in --runs are
+not recorded again.
 """
 
 import argparse
@@ -54,8 +54,8 @@ def main() -> None:
     for case in PAPER_CASES:
         for strategy in STRATEGIES:
             folder = record(given.runs.absolute(), case, strategy)
-            told = json.loads((folder / "summary.json").read_text())["metrics"]
-            rows.append((case, strategy, told))
+            metrics = json.loads((folder / "summary.json").read_text())["metrics"]
+            rows.append((case, strategy, metrics))
         run = read_run(given.runs.absolute() / f"paper_{case}" / "bag")
         number = case + 2
         save(paper_panels(run, f"case {case}, strategy paper"), given.out / f"fig{number}.png")
@@ -66,8 +66,8 @@ def main() -> None:
     names = ("settle_time_s", "within_s", "p95_error_after", "final_error",
              "max_rotor_torque_nm", "solve_ms_p50", "solve_ms_p99")
     print("| case | strategy | " + " | ".join(names) + " |")
-    for case, strategy, told in rows:
-        values = ("-" if told[name] is None else f"{told[name]:.3g}" for name in names)
+    for case, strategy, metrics in rows:
+        values = ("-" if metrics[name] is None else f"{metrics[name]:.3g}" for name in names)
         print(f"| {case} | `{strategy}` | " + " | ".join(values) + " |")
 
 

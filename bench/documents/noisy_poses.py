@@ -3,8 +3,8 @@
 """The paper's cases with slow, noisy, late and lost poses, with the state estimator and without.
 
 ``python bench/documents/noisy_poses.py --seeds 4`` prints a table for docs/rigid_body.md:
-pose at 20 Hz, 5 mm and 1 degree of noise, 50 ms of latency, 20 % lost. A run is home from the time
-on from which it stays within 3 cm and 3 degrees to its end.
+pose at 20 Hz, 5 mm and 1 degree of noise, 50 ms of latency, 20 % lost. A run has arrived at the
+time from which on it stays within 3 cm and 3 degrees to its end.
 """
 
 import argparse
@@ -28,7 +28,7 @@ NEAR, NEAR_ANGLE = 0.03, math.radians(3.0)
 WAYS = (("time_optimal", 0.5), ("paper", 0.5), ("paper", 5.0))
 """Strategies with the input weight alpha; a heavier one chases noise less."""
 TAIL = 10.0
-"""Length of the end of a run over which its largest errors are told [s]."""
+"""Length of the end of a run over which its largest errors are reported [s]."""
 
 
 @dataclass(frozen=True)

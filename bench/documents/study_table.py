@@ -4,8 +4,8 @@
 
     python bench/documents/study_table.py out/nominal out/wrong_3 out/noise
 
-With ``--loose`` the column of settling tells of the first time from which on the error stays below
-5e-2, as is fit for runs with noise, and the error is the 95th percentile from then on.
+With ``--loose``, for runs with noise, the settling time is the first time from which on the error
+stays below 5e-2, and the error is the 95th percentile from then on.
 """
 
 import argparse

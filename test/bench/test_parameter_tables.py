@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter table and the default YAML are what the settings say."""
+"""Parameter table and default YAML against the settings in the code."""
 
 import dataclasses
 
@@ -32,5 +32,5 @@ def test_yaml_gives_the_defaults_back(node) -> None:
     assert {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()} == expected
     assert robot == dataclasses.asdict(RobotParameters())
     for key, value in given.items():
-        # YAML 1.1 has its own idea of what looks like a number.
+        # YAML 1.1 reads some numbers as text.
         assert isinstance(value, list) or type(value) is type(expected[key])

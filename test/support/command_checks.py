@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks what is given to the package's own executables, nodes and launch file."""
+"""Checks of command lines of the package's own executables, nodes and launch file."""
 
 import argparse
 import contextlib
@@ -31,7 +31,7 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "report": report._parse,
     "faults": faults._parse,
 }
-"""What reads the arguments of a verb; the other verbs take those of ROS only."""
+"""Parser of each verb; the other verbs take the arguments of ROS only."""
 SETTINGS: dict[str, dict[str, Any]] = {
     **{
         node: {"": settings, "robot": RobotParameters()}
@@ -49,7 +49,7 @@ ROOTLESS = {
 
 
 class WrongCommandError(AssertionError):
-    """A command that would not do what it is printed for."""
+    """A documented command that would be refused or have no effect."""
 
 
 class UnknownParameterError(WrongCommandError):
@@ -93,7 +93,7 @@ def check_own(verb: str, words: Sequence[str], inline: bool) -> None:
         if words and words[0] not in ("-h", "--help"):
             raise WrongCommandError(f"{verb} takes ROS arguments only, given {' '.join(words)}")
         return
-    # In running text a capital stands for a number; 0.5 0.5 0.5 0.5 is an orientation.
+    # In running text a capital letter is a number; 0.5 0.5 0.5 0.5 is an orientation.
     for number in ("0.5", "1"):
         told = io.StringIO()
         given = [number if re.fullmatch("[A-Z]", word) else word for word in words]
@@ -110,7 +110,7 @@ def check_own(verb: str, words: Sequence[str], inline: bool) -> None:
 
 
 class Options(argparse.ArgumentParser):
-    """Reads the options of others."""
+    """Parser of options of other programs."""
 
     def __init__(self) -> None:
         super().__init__(add_help=False, allow_abbrev=False)

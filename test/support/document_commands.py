@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the command lines that the documents print."""
+"""Command lines in the documents."""
 
 import re
 import shlex
@@ -30,7 +30,7 @@ class Command(NamedTuple):
     document: str
     words: tuple[str, ...]
     inline: bool
-    """Whether it stands in running text, where options may be left out."""
+    """Whether it is in running text, where options may be left out."""
 
     def __str__(self) -> str:
         return f"{self.document}: {' '.join(self.words)}"

@@ -5,7 +5,7 @@
 ``python test/support/import_graph.py`` brings the tables and the drawing in CONTRIBUTING.md up to
 date with the code; the difference then shows what a change adds to the imports, or takes away.
 
-A *unit* of a scope is a module or package directly inside it. The scope ``""`` stands for the
+A *unit* of a scope is a module or package directly inside it. The scope ``""`` is the
 first level: its units are those inside ``sphere_nmpc`` and ``sphere_sim``.
 """
 

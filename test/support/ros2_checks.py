@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks commands of ros2 against the documented topics and services, and their messages."""
+"""Checks of ros2 commands against the documented topics, services and message types."""
 
 import re
 from array import array
@@ -19,7 +19,7 @@ TOPICS = Path(__file__).parents[2] / "msg_docs" / "topics.md"
 def offered() -> dict[str, str]:
     """Return the type of each documented topic and service, by its full name."""
     found, node = {}, ""
-    # A service may be told in the text, with its type behind it in brackets.
+    # A service may be in the text, followed by its type in brackets.
     told = re.compile(
         r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \||"
         r"`(?P<name>~/\w+)`\s+\((?P<srv>\S+/srv/\w+)\)", re.MULTILINE,
@@ -97,8 +97,8 @@ def check_publication(words: Sequence[str]) -> None:
     filled(check_topic(given.topic, given.kind), given.values)
     if given.topic.endswith("goal_pose") and given.once and not given.wait:
         raise WrongCommandError(
-            "--once: the goal is sent when anybody listens, perhaps before the controller does; "
-            "expected -t 3"
+            "--once: the goal is sent to the first matched subscription, perhaps before the "
+            "controller is matched; expected -t 3"
         )
 
 
@@ -157,7 +157,7 @@ def check_recording(words: Sequence[str]) -> None:
     topics = [*given.names, *given.topics]
     if given.all or any(topic.endswith("goal_pose") for topic in topics):
         raise WrongCommandError(
-            "records goal_pose, where nobody but the controller is to listen: "
+            "records goal_pose, to which only the controller should subscribe: "
             "expected controller/active_goal"
         )
     if not topics:

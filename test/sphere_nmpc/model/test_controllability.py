@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Theorem 1, what fourth-order brackets add to it, and the measure made from them."""
+"""Theorem 1, the rank with fourth-order brackets, and the measure of controllability."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The CasADi model against physics put together body by body, and against the other model."""
+"""The CasADi model against a momentum balance of all bodies, and against the plant."""
 
 from functools import cache
 
@@ -114,14 +114,14 @@ def test_momentum_of_all_bodies_about_the_contact_point_is_zero(robot: RobotPara
         np.testing.assert_allclose(total, 0.0, atol=ROUNDING * scale)
 
 
-def test_momentum_sum_is_not_blind_to_the_motion() -> None:
+def test_momentum_sum_depends_on_the_motion() -> None:
     x, u = random_states(1, 5)[0], np.array([30.0, -80.0])
     wrong = 1.01 * rate(TABLE_1, x, u)
     scale = TABLE_1.rotor_axial_inertia * np.linalg.norm(u)
     assert np.linalg.norm(momentum_about_contact(TABLE_1, x, u, wrong)) > 1e-3 * scale
 
 
-def test_contact_point_stands_still() -> None:
+def test_contact_point_is_at_rest() -> None:
     p = TABLE_1.lumped.as_array()
     for x, u in zip(random_states(100, 6), random_speeds(100, 7), strict=True):
         spin = column(world_rate(ca.DM(x[2:6]), ca.DM(u), p))

@@ -72,7 +72,7 @@ def test_eq_7_holds_as_printed() -> None:
             -q3 * d1 + q4 * d2 + q1 * d3 - q2 * d4, q2 * d1 - q1 * d2 + q4 * d3 - q3 * d4,
         ])
         residuals.append(dx[:2] - rolled)
-        # The same from the rotation itself: the contact point stands still.
+        # The same from the rotation itself: the contact point is at rest.
         spin = to_world(x) @ body
         residuals.append(dx[:2] - RADIUS * np.array([spin[1], -spin[0]]))
     assert largest(residuals) < HOLDS

@@ -99,7 +99,7 @@ def test_arrays_are_copies_that_cannot_be_written() -> None:
         ([0.0, 1.0], np.array([[0, 0], [0, np.nan]]), "finite"),
     ],
 )
-def test_knots_that_make_no_sense_are_refused(
+def test_invalid_knots_are_refused(
     times: list[float], speeds: Vector, words: str
 ) -> None:
     with pytest.raises(InvalidInputError, match=words):
@@ -172,7 +172,7 @@ def test_delayed_hold_is_the_same_later() -> None:
         np.testing.assert_allclose(late.at(time + 0.25), simple().at(time), atol=1e-12)
 
 
-def test_constant_hold_is_the_same_for_ever() -> None:
+def test_constant_hold_does_not_change_with_time() -> None:
     hold = FirstOrderHold.constant(3.0, np.array([1.0, -2.0]))
     for time, other in itertools.pairwise((0.0, 3.0, 99.0)):
         np.testing.assert_array_equal(hold.at(time), hold.at(other))

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Table 1 of the paper, what follows from it, and what is refused."""
+"""Robot parameters: Table 1 of the paper, derived constants, and refused values."""
 
 import math
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The layout of the state, what is refused, and the distances to a goal."""
+"""State vectors: layout, refused values, and distances to a goal."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_quaternion_printed_with_three_digits_is_normalised() -> None:
         ([0, 0, 1, 0, np.nan, 0], "finite"),
     ],
 )
-def test_state_that_is_none_is_refused_with_what_was_given(
+def test_invalid_state_is_refused_with_the_given_value(
     values: list[float], words: str
 ) -> None:
     with pytest.raises(InvalidStateError, match=words):
@@ -105,6 +105,6 @@ def test_errors_of_a_half_turn_two_metres_away_agree_with_hand_calculation() -> 
 
 
 @pytest.mark.parametrize("place", [(2e6, 0.0), (0.0, -1e300)])
-def test_position_beyond_all_sense_is_refused(place) -> None:
+def test_position_out_of_range_is_refused(place) -> None:
     with pytest.raises(InvalidStateError, match=r"position: given .* expected at most 1e\+06 m"):
         make_state(place, (1.0, 0.0, 0.0, 0.0))

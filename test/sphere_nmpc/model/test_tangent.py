@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Deviations on the plane and SO(3), and how the motion carries them."""
+"""Error states on the plane and SO(3), and their propagation."""
 
 import numpy as np
 import pytest

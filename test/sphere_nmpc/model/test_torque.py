@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Torques of plans and the slew that a torque limit leaves."""
+"""Torques of plans, and the acceleration limit that follows from a torque limit."""
 
 from dataclasses import replace
 

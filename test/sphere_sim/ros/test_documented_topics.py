@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""msg_docs/topics.md says what the nodes really offer."""
+"""Tables of msg_docs/topics.md against the topics and services of the nodes."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ from sphere_sim.ros.simulator.node import SimulatorNode
 DOCUMENT = Path(__file__).parents[3] / "msg_docs" / "topics.md"
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
 ELSEWHERE = ("/rosout", "/parameter_events", "/tf")
-"""Of rclpy, and told in words as it depends on what is installed."""
+"""Topics of rclpy, and one that depends on what is installed."""
 ROW = re.compile(r"^\| `(\S+)` \| (\S+) \| (\w+) \| ([^|]*)\|", re.MULTILINE)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals that are sent as ``ros2 topic pub`` sends them reach the controller."""
+"""Goals published as by ``ros2 topic pub``: they reach the controller."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SENDER = Path(__file__).parents[3] / "bench" / "topic_pub.py"
-"""Does what ``ros2 topic pub`` does."""
+"""Publishes as ``ros2 topic pub`` does."""
 
 
 def send(graph, goal: float, times: int) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A namespace makes a whole robot: clock, frames and names in the diagnostics."""
+"""Robots in namespaces: clock, frames and names in the diagnostics."""
 
 import time
 
@@ -49,12 +49,12 @@ def test_robot_in_a_namespace_has_a_clock_frames_and_names_of_its_own(graph) -> 
             "second/controller: loop",
         }
         assert {status.hardware_id for status in reports[-1].status} == {"second"}
-        time.sleep(2.0)  # by now it would have told that something is missing
+        time.sleep(2.0)  # time enough for a warning that something is missing
     assert "[WARN]" not in controller.stderr.read()
 
 
 @pytest.mark.slow
-def test_clock_that_the_user_remaps_goes_before_that_of_the_namespace(graph) -> None:
+def test_clock_that_the_user_remaps_precedes_that_of_the_namespace(graph) -> None:
     clock = graph.probe.create_publisher(Clock, "/clock", 10)
     with started(
         "controller", "-r", "__ns:=/second", "-r", "/clock:=/clock", "-p", "use_sim_time:=true"

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""config/sros2_policy.xml allows what the nodes really open, and docs/security.md tells it."""
+"""Policy of config/sros2_policy.xml against the topics and services of the nodes."""
 
 import contextlib
 import re
@@ -24,9 +24,9 @@ RULES = (
     ("topics", "publish", "publisher"), ("topics", "subscribe", "subscriber"),
     ("services", "reply", "service"), ("services", "request", "client"),
 )
-"""Of the policy, and what the graph calls the same."""
+"""Blocks and attributes of the policy, and the name of the same in the ROS graph."""
 SOMETIMES = {"/tf", "/tf_static"}
-"""Where tf2_msgs is installed, and somebody listens."""
+"""Published only where tf2_msgs is installed and a subscription exists."""
 OF_EVERY_NODE = re.compile(r"parameter|rosout|type_description")
 
 Rows = dict[str, set[str]]
@@ -58,7 +58,7 @@ def opened(probe: Node, name: str) -> Rows:
             found = getattr(probe, f"get_{kind}_names_and_types_by_node")(name, "/")
         except RuntimeError:  # not discovered yet
             found = []
-        # The recorder asks everybody for parameters, the probe too.
+        # The recorder requests parameters of all nodes, also of the probe.
         rows[kind] = {topic for topic, _ in found if not topic.startswith("/probe/")}
     return rows
 
@@ -74,7 +74,7 @@ def difference(probe: Node) -> dict[str, set[str]]:
     return found
 
 
-def test_policy_is_what_the_nodes_open(graph, tmp_path, monkeypatch) -> None:
+def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, monkeypatch) -> None:
     viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
     monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     simulated = Parameter("use_sim_time", value=True)
@@ -105,18 +105,20 @@ def test_policy_is_what_the_nodes_open(graph, tmp_path, monkeypatch) -> None:
             node.destroy_node()
 
 
-def test_nobody_but_the_controller_subscribes_to_goals() -> None:
-    # Who sends a goal with `ros2 topic pub --once` leaves after the first subscription.
+def test_only_the_controller_subscribes_to_goals() -> None:
+    # `ros2 topic pub --once` ends after the first matched subscription.
     takers = {name for name, rows in allowed().items() if "/goal_pose" in rows["subscriber"]}
     assert takers == {"controller"}
 
 
-def test_document_tells_the_policy() -> None:
+def test_document_has_the_tables_of_the_policy() -> None:
     text = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-    told = {}
+    documented = {}
     for name, *cells in re.findall(r"^\| `(\w+)` \|(.*)\|(.*)\|(.*)\|(.*)\|$", text, re.MULTILINE):
-        told[name] = [{full(t, name) for t in re.findall(r"`([^`]+)`", cell)} for cell in cells]
-    assert told == {
+        documented[name] = [
+            {full(t, name) for t in re.findall(r"`([^`]+)`", cell)} for cell in cells
+        ]
+    assert documented == {
         name: [{t for t in row if not OF_EVERY_NODE.search(t)} for row in rows.values()]
         for name, rows in allowed().items()
     }

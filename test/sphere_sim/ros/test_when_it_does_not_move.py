@@ -76,7 +76,7 @@ def robot(graph, pose: Callable[[float], float | None], clock: Callable[[float],
 
 
 def silent(_: float) -> None:
-    """Stamp of a topic that nobody publishes."""
+    """Stamp of a topic without a publisher."""
 
 
 def published_but_silent(_: float) -> None:

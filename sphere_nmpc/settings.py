@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the controller."""
+"""Settings of the controller, and the table of strategies."""
 
 from dataclasses import dataclass
 
@@ -43,7 +43,7 @@ _SHORTEST_PERIOD = 1e-2
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What is solved, how often, and when the controller gives up.
+    """Parameters of the controller: problem, rates, estimation and limits.
 
     Raises
     ------
@@ -53,8 +53,8 @@ class ControllerSettings:
 
     strategy: str = quantity(
         "time_optimal", "-",
-        "What is solved at each sample: an arrival in least time, the paper's problem with its "
-        "plans kept, or Algorithm 1 of the paper to the letter",
+        "Problem solved at each sample: least time to the goal, the paper's problem with plans "
+        "that are carried out, or Algorithm 1 of the paper as printed",
         choices=STRATEGIES.keys(), live=True,
     )
     sample_period: float = quantity(
@@ -64,7 +64,7 @@ class ControllerSettings:
     )
     control_rate: float = quantity(
         0.0, "Hz",
-        "How often the plan is solved anew; 0 is once a sample period",
+        "Rate at which the plan is solved again; 0 is once a sample period",
         minimum=0.0, maximum=1000.0,
     )
     horizon: int = quantity(
@@ -87,15 +87,15 @@ class ControllerSettings:
     )
     planning_effort: int = quantity(
         150_000, "-",
-        "Work of a search for an early arrival: solver iterations times intervals, 1 us each",
+        "Effort of the search for an early arrival: solver iterations times intervals, 1 us each",
         minimum=1000, maximum=100_000_000, live=True,
     )
     learning: bool = quantity(
-        True, "-", "Learn the plant's constants from its motion", live=True
+        True, "-", "Estimate the plant's constants from its motion", live=True
     )
     pose_position_noise: float = quantity(
         0.0, "m",
-        "Standard deviation of measured positions; 0 in both noises is to trust poses exactly",
+        "Standard deviation of measured positions; with 0 in both noises poses count as exact",
         minimum=0.0, maximum=1.0, live=True,
     )
     pose_orientation_noise: float = quantity(
@@ -105,7 +105,7 @@ class ControllerSettings:
     )
     drive_lag: float = quantity(
         0.0, "s",
-        "How far the rotors lag behind what is sent; with learning, what is expected at first",
+        "Lag of the rotors behind their commands; with learning, the initial estimate of it",
         minimum=0.0, maximum=0.05, live=True,
     )
     integration_step: float = quantity(
@@ -121,7 +121,7 @@ class ControllerSettings:
     )
     goal_memory: float = quantity(
         30.0, "s",
-        "How long after the end of the controller a new one takes up its goal; 0 is never",
+        "Time after the end of a controller within which a new one resumes its goal; 0 is never",
         minimum=0.0, maximum=3600.0,
     )
     command_rate: float = quantity(

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is solved at each sample: one module per strategy behind one contract."""
+"""Strategies: what is solved at each sample, behind one contract."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What every strategy offers to the control loop."""
+"""Contract between a strategy and the control loop."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,12 +13,12 @@ from sphere_nmpc.strategy.plan import Plan
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """All that a strategy may look at when it plans.
+    """Inputs of a strategy at a sampling instant.
 
     Attributes
     ----------
     time : float
-        The sample instant, control time [s].
+        Sampling instant, control time [s].
     state : ndarray, shape (6,)
         State at that instant, predicted from the newest measurement.
     goal : ndarray, shape (6,)
@@ -26,13 +26,13 @@ class Situation:
     input_in_force : ndarray, shape (2,)
         Rotor speeds at that instant [rad/s].
     constants : LumpedConstants
-        What is believed about the plant at that instant.
+        Estimated constants of the plant at that instant.
     noise : float
-        What is believed about disturbances: standard deviation of each state a sample [m, -].
+        Estimated process noise: standard deviation of each state in a sample period [m, -].
     uncertainty : float
-        How far the true state may be from `state`: standard deviation of the error in R^6.
+        Standard deviation of the error of `state` in R^6.
     time_budget : float
-        Wall time the answer may take [s]; a strategy returns the best it has by then.
+        Wall time that planning may take [s]; a strategy then returns the best plan found.
     """
 
     time: float
@@ -46,10 +46,10 @@ class Situation:
 
 
 class Strategy(Protocol):
-    """Plans rotor speeds at sample instants and may remember its last plan as a warm start."""
+    """Planner of rotor speeds at sampling instants, with its last plan as a warm start."""
 
     def plan(self, situation: Situation) -> Plan:
-        """Return the plan from `situation.time` on; where it raises the loop falls back."""
+        """Return the plan from `situation.time` on; if it raises, the loop uses its fall-back."""
         ...
 
     def change(self, settings: ControllerSettings) -> None:
@@ -66,5 +66,5 @@ class Strategy(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forget warm starts and plans, as after a new goal or a jump of the state."""
+        """Forget warm starts and plans, as after a new goal: the strategy then acts like new."""
         ...

@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1 of the paper, to the letter: a short horizon with nearly all weight at its end.
+"""Algorithm 1 of the paper as printed: a short horizon with nearly all weight at its end.
 
 Stage cost ||x - x_d||^2 + alpha ||u||^2, terminal cost beta ||x - x_d||^2 (Eq. 34) on the raw
-difference of quaternions, warm start shifted by one knot with a zero behind (step 6).
+difference of quaternions, warm start shifted by one knot with zero as its last knot (step 6).
 
-Between two knots the same problem is solved with its first interval shortened, so that a faster
-control rate answers a disturbance at once; at the paper's rate nothing of this shows.
+Between two knots the same problem is solved with its first interval shortened, so that a higher
+control rate corrects a disturbance at once. At the paper's rate this never happens.
 """
 
 import numpy as np
@@ -21,11 +21,11 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
 _SHORTEST_INTERVAL = 1e-6
-"""A knot nearer than this [s] counts as reached."""
+"""Time to a knot [s] below which it counts as passed."""
 
 
 class PaperStrategy:
-    """See `sphere_nmpc.strategy.contract.Strategy`.
+    """Receding-horizon strategy of the paper; see `sphere_nmpc.strategy.contract.Strategy`.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class PaperStrategy:
             PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
             FirstOrderHold(times, solution.inputs),
             solution.states,
-            # The solver's cost is over beta and leaves out the stage cost of the known state.
+            # The solver's cost is divided by beta and lacks the stage cost of the initial state.
             cost=settings.terminal_weight * solution.cost + initial,
             iterations=solution.iterations,
             kkt_residual=solution.kkt_residual,
@@ -108,7 +108,7 @@ class PaperStrategy:
         input_weight = self._input_weight_factor * settings.input_weight
         durations = np.diff(times)
         upper = np.full((durations.size, INPUT_SIZE), limit)
-        # The first knot is the one that is sent: it keeps the limit of acceleration exactly.
+        # The first ramp is the one that is sent: it keeps the acceleration limit exactly.
         reach = self._robot.max_rotor_acceleration * durations[0]
         in_force = situation.input_in_force
         lower = -upper

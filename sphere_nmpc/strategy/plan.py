@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The answer of a strategy at a sample instant."""
+"""Result of a strategy at a sampling instant."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -10,33 +10,33 @@ from sphere_nmpc.model.state import Vector
 
 
 class PlanStatus(Enum):
-    """How far a plan can be trusted."""
+    """Origin and quality of a plan."""
 
     SOLVED = "solved"
     BEST_SO_FAR = "best so far"
-    """The search was cut short; the plan is sound but not optimal."""
+    """The solve was stopped early; the plan satisfies all limits but not all tolerances."""
     HOLDING = "holding"
-    """At the goal: nothing to do but to rest."""
+    """At rest at the goal."""
     FALLBACK = "fallback"
-    """The solve failed and the rest of the previous plan is followed."""
+    """The solve failed; the rest of the previous plan is followed."""
     RAMP_TO_REST = "ramp to rest"
-    """Nothing better is known than to stop the rotors."""
+    """No plan is known; the rotors are brought to rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Rotor speeds from now on and where they are expected to lead.
+    """Rotor speeds from now on and the states that they are predicted to lead to.
 
     Attributes
     ----------
     status : PlanStatus
-        Where the plan comes from.
+        Origin and quality of the plan.
     hold : FirstOrderHold
-        Rotor speeds [rad/s]; knot times in control time [s], the first at the sample instant.
+        Rotor speeds [rad/s]; knot times in control time [s], the first at the sampling instant.
     states : ndarray, shape (K, 6)
         Predicted states at the knots of `hold`.
     arrival : float
-        Control time at which the goal is reached [s]; nan where the strategy does not know.
+        Control time at which the goal is reached [s]; nan where the strategy does not predict it.
     cost : float
         Value of the optimal control problem, in the strategy's own units; nan where none.
     iterations : int
@@ -46,7 +46,7 @@ class Plan:
     solve_time : float
         Wall time spent [s], steady clock.
     message : str
-        One line for people: why the status is what it is.
+        One line that explains the status.
     """
 
     status: PlanStatus

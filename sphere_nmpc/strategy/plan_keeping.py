@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's problem, solved so that what is planned is carried out.
+"""The paper's problem, solved so that its plans are carried out.
 
-Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`; what differs is in
-`sphere_nmpc.strategy.both_signs`: both quaternions of the goal, and a minimisation that leaves
-alone a plan which is about to arrive. A sample takes tens of microseconds: the
-strategy for high control rates and small processors.
+Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`. The differences are in
+`sphere_nmpc.strategy.both_signs`: both quaternion signs of the goal, and a minimisation that does
+not change a plan which is about to reach the goal. A sample takes tens of microseconds: this is
+the strategy for high control rates and small processors.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ from sphere_nmpc.strategy.paper import PaperStrategy
 
 
 class PlanKeepingStrategy(PaperStrategy):
-    """See `sphere_nmpc.strategy.contract.Strategy`; parameters as for `PaperStrategy`."""
+    """Receding-horizon strategy that keeps its plans; parameters as for `PaperStrategy`."""
 
     def change(self, settings: ControllerSettings) -> None:
         """Use other weights, horizon and cap on iterations; the warm starts are kept."""

@@ -65,7 +65,7 @@ class KnotGrid:
         if self._origin is None:
             self._origin = now
 
-    def begin_anew(self, now: float) -> None:
+    def begin_again(self, now: float) -> None:
         """Begin the grid at `now` [s]."""
         self._origin = now
 

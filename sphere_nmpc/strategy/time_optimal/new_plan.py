@@ -20,7 +20,7 @@ class NewPlan:
     full, reduced : ArrivalPlanner
         Planners with the full and with a reduced limit of acceleration, for slippery floors.
     grid : KnotGrid
-        Times of the knots; it begins anew with a plan that a search found at a later sample.
+        Times of the knots; it begins again with a plan that a search found at a later sample.
     """
 
     def __init__(self, full: ArrivalPlanner, reduced: ArrivalPlanner, grid: KnotGrid) -> None:
@@ -75,7 +75,7 @@ class NewPlan:
         if found is None:
             return Searching(strict=state.strict)
         if waited > 0.0:
-            self._grid.begin_anew(now)
+            self._grid.begin_again(now)
         for delay in self._tuning.delays + self._tuning.further_delays:
             arrival = planner.solve(
                 situation, found.goal, delay * found.duration, found.hold, new_plan=True

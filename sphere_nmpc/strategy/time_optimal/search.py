@@ -4,8 +4,8 @@
 
 Initial guesses for both signs of the goal's quaternion are solved for a given duration. One that
 reaches the goal is shortened until it no longer does. After a few arrivals, most further guesses
-are perturbations of the best one, with a duration that is three per cent shorter. Guesses whose
-terminal error after a dozen iterations is larger than that of most others are given up.
+are perturbations of the best one, with a duration that is three per cent shorter. After a dozen
+iterations about a third of the guesses, those of the least terminal error, are solved further.
 """
 
 import time
@@ -147,14 +147,15 @@ class ArrivalSearch:
         first = self._solve(self._trial, goal, duration, guess)
         if first.error <= self._tolerance:
             return first
-        given_up = self._is_worse_than_most(first.error)
+        given_up = self._is_given_up(first.error)
         self._trial_errors.append(first.error)
         if given_up:
             return None
         second = self._solve(self._refining, goal, duration, first.hold)
         return second if second.error <= self._tolerance else None
 
-    def _is_worse_than_most(self, error: float) -> bool:
+    def _is_given_up(self, error: float) -> bool:
+        """Return whether the terminal error of a first solve is not among the least ones."""
         settings = self._settings
         recent = sorted(self._trial_errors[-settings.compared_guesses:])
         if len(recent) < settings.least_compared_guesses:

@@ -40,7 +40,7 @@ def test_each_solution_aims_at_its_own_sign(solvers, make_problem):
 
 
 @pytest.mark.parametrize("followed", (0, 1))
-def test_while_arriving_the_other_sign_is_not_tried(solvers, make_problem, followed):
+def test_other_sign_is_not_solved_for_just_before_the_goal(solvers, make_problem, followed):
     problem = make_problem("paper", input_in_force=np.zeros(2))
     goal = flipped_sign(problem.state) if followed else problem.state
     answer = solve_both_signs(solvers, replace(problem, goal=goal), REST, followed)
@@ -49,7 +49,7 @@ def test_while_arriving_the_other_sign_is_not_tried(solvers, make_problem, follo
     assert answer.inputs_for(1 - followed) is answer.solution.inputs
 
 
-def test_turning_to_the_other_sign_needs_no_motion_when_it_is_there(solvers, make_problem):
+def test_goal_that_is_reached_with_the_other_sign_needs_no_motion(solvers, make_problem):
     problem = make_problem("paper", input_in_force=np.zeros(2))
     problem = replace(problem, goal=flipped_sign(problem.state))
     answer = solve_both_signs(solvers, problem, REST, 0)
@@ -57,14 +57,14 @@ def test_turning_to_the_other_sign_needs_no_motion_when_it_is_there(solvers, mak
     assert answer.solution.cost == 0.0
 
 
-def test_two_failures_are_told_and_change_nothing(solvers, make_problem):
+def test_failure_with_both_signs_shows_in_the_status(solvers, make_problem):
     problem = make_problem("paper", state=np.full(6, np.nan))
     answer = solve_both_signs(solvers, problem, REST, 0)
     assert answer.solution.status is SolveStatus.NOT_FINITE
 
 
-def test_plan_in_hand_is_kept(solvers, make_problem):
-    """A plan that arrives is carried out, not traded for one of less effort and later arrival."""
+def test_plan_that_reaches_the_goal_is_kept(solvers, make_problem):
+    """It is not replaced by one with smaller inputs that reaches the goal later."""
     problem = make_problem("paper", 2, unequal=False)
     start = np.random.default_rng(0).uniform(-80.0, 80.0, (4, 2))
     inputs = np.vstack((problem.input_in_force, start))
@@ -74,7 +74,7 @@ def test_plan_in_hand_is_kept(solvers, make_problem):
     assert np.linalg.norm(kept.states[-1] - end) < 1e-2
 
 
-def test_another_goal_changes_nothing_else(make_problem):
+def test_problem_aimed_at_another_goal_differs_in_nothing_else(make_problem):
     problem = make_problem("paper", 2)
     goal = flipped_sign(problem.goal)
     found, wanted = problem.aimed_at(goal), replace(problem, goal=goal)

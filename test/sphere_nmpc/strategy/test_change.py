@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that change between two plans: the plan is kept, the new values are used."""
+"""Parameters that change between two samples: the plan is kept, the new values are used."""
 
 from dataclasses import replace
 
@@ -30,20 +30,20 @@ def situation_after(plan: Plan, time: float) -> Situation:
 
 
 def make(settings: ControllerSettings) -> tuple[Strategy, Situation]:
-    """Return a strategy with a plan in hand, and the situation a sample later."""
+    """Return a strategy that follows a plan, and the situation a sample later."""
     strategy = make_strategy(settings, ROBOT)
     return strategy, situation_after(strategy.plan(FIRST), settings.period)
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
-def test_plan_in_hand_survives_a_change(name: str) -> None:
+def test_plan_that_is_followed_survives_a_change(name: str) -> None:
     settings = ControllerSettings(strategy=name)
     strategy, second = make(settings)
     strategy.change(replace(settings, goal_tolerance=0.02))
     unchanged, _ = make(settings)
     found, expected = strategy.plan(second), unchanged.plan(second)
     np.testing.assert_array_equal(found.hold.speeds, expected.hold.speeds)
-    # A strategy without a plan in hand finds another one.
+    # A strategy without that plan finds another one.
     fresh = make_strategy(settings, ROBOT).plan(second)
     assert not np.array_equal(fresh.hold.speeds, expected.hold.speeds)
 

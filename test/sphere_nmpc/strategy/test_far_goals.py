@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The distance of a goal does not make a sample's work grow, and the way there is straight."""
+"""Far goals: the work of a sample is independent of the distance, and the path is straight."""
 
 from dataclasses import replace
 
@@ -52,38 +52,38 @@ def situation(place: Vector, goal: Vector) -> Situation:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("distance", [1e2, 1e5, 0.999 * FARTHEST])
-def test_it_sets_off_straight_whatever_the_distance(strategy, distance) -> None:
+def test_path_is_straight_from_the_start_at_every_distance(strategy, distance) -> None:
     duration = 8.0
     trajectory = run(strategy, distance, duration)
     along = float(trajectory.states[-1][POSITION] @ DIRECTION)
     aside = np.abs(trajectory.states[:, POSITION] @ np.array([-0.6, 0.8]))
     assert along > 0.5 * duration * TOP_SPEED
     assert np.max(aside) < 1.0
-    # What is integrated at each sample: without intermediate goals minutes to days.
+    # Time integrated at each sample; without intermediate goals it is minutes to days.
     longest = max(d.plan.hold.end - d.plan.hold.start for d in trajectory.decisions)
     assert longest < 3.0 * STEP / TOP_SPEED
 
 
 @pytest.mark.slow
-def test_it_rolls_on_at_top_speed_and_settles() -> None:
+def test_far_goal_is_reached_at_top_speed() -> None:
     distance = 1.5 * FAR
     trajectory = run("time_optimal", distance, distance / TOP_SPEED + 15.0)
     errors = state_errors(trajectory.states, goal_at(distance))
     index = settling_index(errors, 1e-2)
     assert index is not None
     assert trajectory.times[index] < 1.05 * distance / TOP_SPEED + 5.0
-    # Nowhere on the way it slows down for an intermediate goal.
+    # It does not slow down for intermediate goals.
     cruise = (trajectory.times > 10.0) & (trajectory.times < 0.75 * distance / TOP_SPEED)
     fastest = np.max(np.abs(trajectory.speeds[cruise]), axis=1)
     assert np.mean(fastest > 0.9 * ROBOT.max_rotor_speed) > 0.95
 
 
-def test_a_goal_within_reach_is_aimed_at_itself() -> None:
+def test_near_goal_is_aimed_at_itself() -> None:
     near = situation(np.zeros(2), goal_at(0.99 * FAR))
     assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False, False)
 
 
-def test_where_time_is_short_the_way_is_divided_earlier() -> None:
+def test_with_limited_time_intermediate_goals_begin_at_a_shorter_distance() -> None:
     limited = replace(situation(np.zeros(2), goal_at(0.5 * FAR)), time_budget=0.1)
     assert FAR_IN_TIME < 0.5 * FAR
     first, is_new, _ = IntermediateGoals(TUNING).aim(limited, 0.0)
@@ -93,7 +93,7 @@ def test_where_time_is_short_the_way_is_divided_earlier() -> None:
     assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False, False)
 
 
-def test_an_intermediate_goal_is_on_the_way_and_moves_on_before_it_is_reached() -> None:
+def test_intermediate_goal_is_on_the_straight_line_and_is_moved_on_before_it_is_reached() -> None:
     goals, far = IntermediateGoals(TUNING), situation(np.zeros(2), goal_at(500.0))
     first, is_new, is_moved_on = goals.aim(far, 0.0)
     assert is_new and not is_moved_on
@@ -108,7 +108,7 @@ def test_an_intermediate_goal_is_on_the_way_and_moves_on_before_it_is_reached() 
     np.testing.assert_allclose(turns, round(float(np.hypot(*turns))) * DIRECTION)
 
 
-def test_near_the_goal_it_is_aimed_at_itself_again() -> None:
+def test_goal_is_aimed_at_itself_again_once_it_is_near() -> None:
     goals, goal = IntermediateGoals(TUNING), goal_at(500.0)
     goals.aim(situation(np.zeros(2), goal), 0.0)
     last = situation(goal[POSITION] - 0.9 * STEP * DIRECTION, goal)

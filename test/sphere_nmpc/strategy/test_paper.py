@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1 of the paper: its problem, its cost and its warm start, as printed."""
+"""Algorithm 1 of the paper: problem, cost and warm start as printed."""
 
 import numpy as np
 import pytest
@@ -28,8 +28,8 @@ def situation(
     return Situation(time, start, PAPER_CASES[case].goal, in_force, ROBOT.lumped)
 
 
-class Watched:
-    """Passes problems on to a solver and keeps them with their first guesses."""
+class RecordingSolver:
+    """Solver that records its problems and initial guesses."""
 
     def __init__(self, strategy: PaperStrategy) -> None:
         self._solver = strategy._solver
@@ -117,42 +117,42 @@ def test_plan_is_a_local_minimum_of_eq_24(case: int) -> None:
         assert cost(np.clip(nearby, -100.0, 100.0)) > best * (1.0 - 1e-5)
 
 
-def test_first_guess_is_zero_at_first_and_then_the_shifted_plan_with_a_zero(
+def test_initial_guess_is_zero_at_first_and_then_the_shifted_plan_with_a_zero(
     strategy: PaperStrategy,
 ) -> None:
-    watched = Watched(strategy)
+    recorded = RecordingSolver(strategy)
     first = strategy.plan(situation())
-    np.testing.assert_array_equal(watched.starts[0], np.zeros((N, 2)))
+    np.testing.assert_array_equal(recorded.starts[0], np.zeros((N, 2)))
     strategy.plan(situation(T, first.states[1], first.hold.speeds[1]))
     expected = np.vstack((first.hold.speeds[2:], REST))
-    np.testing.assert_allclose(watched.starts[1], expected, atol=1e-12)
+    np.testing.assert_allclose(recorded.starts[1], expected, atol=1e-12)
 
 
-def test_missed_sample_shifts_the_first_guess_by_two(strategy: PaperStrategy) -> None:
-    watched = Watched(strategy)
+def test_missed_sample_shifts_the_initial_guess_by_two(strategy: PaperStrategy) -> None:
+    recorded = RecordingSolver(strategy)
     first = strategy.plan(situation())
     strategy.plan(situation(2 * T, first.states[2], first.hold.speeds[2]))
     expected = np.vstack((first.hold.speeds[3:], REST, REST))
-    np.testing.assert_allclose(watched.starts[1], expected, atol=1e-12)
+    np.testing.assert_allclose(recorded.starts[1], expected, atol=1e-12)
 
 
 def test_reset_forgets_the_plan_and_the_grid_of_knots(strategy: PaperStrategy) -> None:
-    watched = Watched(strategy)
+    recorded = RecordingSolver(strategy)
     strategy.plan(situation())
     strategy.reset()
     plan = strategy.plan(situation(0.2))
-    np.testing.assert_array_equal(watched.starts[1], np.zeros((N, 2)))
+    np.testing.assert_array_equal(recorded.starts[1], np.zeros((N, 2)))
     np.testing.assert_allclose(plan.hold.times, 0.2 + T * np.arange(N + 1))
 
 
 def test_solve_between_two_knots_shortens_the_first_interval_alone(
     strategy: PaperStrategy,
 ) -> None:
-    watched = Watched(strategy)
+    recorded = RecordingSolver(strategy)
     first = strategy.plan(situation())
     second = strategy.plan(situation(0.05, in_force=first.hold.at(0.05)))
     np.testing.assert_allclose(second.hold.times, [0.05, 0.5, 1.0, 1.5, 2.0])
-    np.testing.assert_allclose(watched.starts[1], first.hold.speeds[1:], atol=1e-12)
+    np.testing.assert_allclose(recorded.starts[1], first.hold.speeds[1:], atol=1e-12)
     later = strategy.plan(situation(0.5 - 1e-9, in_force=first.hold.at(0.5)))
     np.testing.assert_allclose(later.hold.times[1:], [1.0, 1.5, 2.0, 2.5])
 
@@ -170,11 +170,11 @@ def test_short_first_interval_keeps_the_limit_of_acceleration(
 
 
 def test_goal_is_aimed_at_with_the_sign_that_was_given(strategy: PaperStrategy) -> None:
-    watched = Watched(strategy)
+    recorded = RecordingSolver(strategy)
     given = situation()
     flipped = Situation(0.0, given.state, flipped_sign(given.goal), REST, ROBOT.lumped)
     strategy.plan(flipped)
-    np.testing.assert_array_equal(watched.problems[0].goal, flipped.goal)
+    np.testing.assert_array_equal(recorded.problems[0].goal, flipped.goal)
 
 
 def test_state_at_the_goal_leads_to_no_motion(strategy: PaperStrategy) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's problem with its plans kept, in closed loop."""
+"""The strategy `plan_keeping` in closed loop."""
 
 import numpy as np
 import pytest
@@ -36,8 +36,8 @@ def roll(start: Vector, goal: Vector, samples: int) -> tuple[Vector, Vector]:
 
 @pytest.mark.parametrize(("case", "latest"), [(1, 9.5), (2, 9.0), (3, 3.5), (4, 4.0)])
 def test_cases_settle_in_about_half_the_time_of_the_paper(case: int, latest: float) -> None:
-    # Algorithm 1 takes 12.3, 12.5, 6.6 and 8.7 s. Which local minimum is found is chance and worth
-    # a second: 7.4 to 8.6, 6.4 to 8.1, 2.6 and 3.0 s were seen.
+    # Algorithm 1 takes 12.3, 12.5, 6.6 and 8.7 s. Rounding decides which local minimum is found,
+    # with a difference of a second: 7.4 to 8.6, 6.4 to 8.1, 2.6 and 3.0 s were measured.
     scenario = PAPER_CASES[case]
     states, inputs = roll(scenario.start, scenario.goal, 24)
     index = settling_index(state_errors(states, scenario.goal))

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.library_threads import ONE_EACH
-from sphere_sim.atomic_write import write_atomically
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.error_text import in_words
-from sphere_sim.optional_figure import draw_or_warn
-from sphere_sim.result_folder import prepare_folder
+from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.error_text import in_words
+from sphere_sim.output.optional_figure import draw_or_warn
+from sphere_sim.output.result_folder import prepare_folder
 
 _FILE_WIDTH = 160
 """Columns of a table that is not printed on a terminal."""

@@ -16,8 +16,8 @@ from sphere_sim.cli.arguments import finite, not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.plan import DemoPlan, make_plan
 from sphere_sim.demo.run import run_demo
+from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.recording.errors import BagError
-from sphere_sim.result_folder import prepare_folder
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

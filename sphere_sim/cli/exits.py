@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 
 from sphere_sim.cli.signals import Signals
-from sphere_sim.error_text import in_words
+from sphere_sim.output.error_text import in_words
 
 _REMAINS = "remains_after_interrupt"
 

@@ -23,7 +23,7 @@ from sphere_sim.cli.arguments import whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
 from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
-from sphere_sim.result_folder import prepare_folder
+from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.ros.faults.fault_session import SessionSettings, fault_session
 from sphere_sim.ros.faults.machine_faults import MACHINE_FAULTS, MachineFault
 from sphere_sim.ros.faults.trial import Trial

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_sim.atomic_write import write_atomically
-from sphere_sim.printable_path import printable
+from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.printable_path import printable
+from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
 from sphere_sim.recording.run_reader import read_run
@@ -24,7 +25,6 @@ from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import describe, write_page
 from sphere_sim.report.series import motion_table, solve_table, write_csv, write_parquet
-from sphere_sim.result_folder import prepare_folder
 
 FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
     "panels": (

@@ -11,7 +11,7 @@ from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.result_folder import prepare_folder
+from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.world.settings import PLANTS
 
 if TYPE_CHECKING:

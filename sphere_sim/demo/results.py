@@ -10,11 +10,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from sphere_sim.atomic_write import write_atomically
 from sphere_sim.demo.comparison import compute_other
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.demo.summary import summarise, table
-from sphere_sim.optional_figure import draw_or_warn
+from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.optional_figure import draw_or_warn
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
 from sphere_sim.recording.run_reader import read_run

@@ -8,7 +8,7 @@ ROS is installed; ``sphere_nmpc.ros.conversions`` is the counterpart for ROS mes
 
 from pathlib import Path
 
-from sphere_sim.printable_path import printable
+from sphere_sim.output.printable_path import printable
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.goals import read_goals

@@ -9,8 +9,8 @@ from html import escape
 from pathlib import Path
 
 from sphere_nmpc import __version__
-from sphere_sim.atomic_write import write_atomically
 from sphere_sim.evaluation.metrics import Metrics
+from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.recording.run import Run
 
 _STYLE = """

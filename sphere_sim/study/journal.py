@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
-from sphere_sim.result_folder import ResultFolderError
+from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.study.errors import NotWrittenError
 from sphere_sim.study.fingerprint import differences
 from sphere_sim.study.record import RunRecord

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sphere_sim.optional_figure import draw_or_warn
-from sphere_sim.result_folder import ResultFolderError
+from sphere_sim.output.optional_figure import draw_or_warn
+from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES, draw

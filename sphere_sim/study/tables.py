@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sphere_sim.atomic_write import write_atomically
+from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.errors import NotWrittenError

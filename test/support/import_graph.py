@@ -28,8 +28,7 @@ FLOORS = {
         ("viewer", "report"),
         ("study", "benchmark", "recording"),
         ("evaluation",),
-        ("world", "scenario", "faults", "optional_figure"),
-        ("atomic_write", "error_text", "printable_path", "result_folder"),
+        ("world", "scenario", "faults", "output"),
     ),
     "sphere_nmpc": (
         ("ros",),

@@ -10,13 +10,13 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_sim.atomic_write import write_atomically
 from sphere_sim.evaluation.metrics import (
     angle_errors,
     position_errors,
     settling_index,
     state_errors,
 )
+from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.floor_view import Camera, paint_ball
 from sphere_sim.report.figures.style import BLUE, GREY, VERMILION

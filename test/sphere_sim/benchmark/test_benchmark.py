@@ -25,7 +25,7 @@ from sphere_sim.benchmark.problem import paper_problem
 from sphere_sim.benchmark.random_problems import Comparison, compare
 from sphere_sim.benchmark.report import as_numbers
 from sphere_sim.cli.benchmark import main
-from sphere_sim.result_folder import ResultFolderError
+from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 

@@ -15,7 +15,7 @@ import pytest
 from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
 from sphere_sim.cli.exits import guarded, if_interrupted
 from sphere_sim.cli.signals import Signals
-from sphere_sim.error_text import in_words
+from sphere_sim.output.error_text import in_words
 
 COMMAND = """
 import sys

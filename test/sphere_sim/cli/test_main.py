@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sphere_sim.cli import main as cli
-from sphere_sim.error_text import EXTRAS
+from sphere_sim.output.error_text import EXTRAS
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphere_sim.result_folder import ResultFolderError
+from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.fingerprint import fingerprint

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sphere_sim.result_folder import ResultFolderError
+from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios, read_scenarios
 from sphere_sim.study.conditions import StudyConditions

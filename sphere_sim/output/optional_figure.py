@@ -5,7 +5,7 @@
 import logging
 from collections.abc import Callable
 
-from sphere_sim.error_text import in_words
+from sphere_sim.output.error_text import in_words
 
 _log = logging.getLogger("sphere_nmpc")
 

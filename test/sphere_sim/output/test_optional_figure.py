@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sphere_sim.optional_figure import draw_or_warn
+from sphere_sim.output.optional_figure import draw_or_warn
 
 
 def test_drawn_figure_is_no_warning(tmp_path, caplog) -> None:

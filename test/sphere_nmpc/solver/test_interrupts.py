@@ -11,6 +11,7 @@ import time
 import pytest
 
 from sphere_nmpc.cache import CACHE_VARIABLE
+from sphere_sim.ros.session.child_process import verb_command
 
 HEARD_WITHIN = 10.0  # s; on an idle machine well below one
 
@@ -78,11 +79,10 @@ def test_no_interrupt_is_swallowed_by_a_solve():
 @pytest.mark.slow
 @pytest.mark.parametrize("jobs", (1, 2))
 def test_study_without_compiler_ends_at_ctrl_c(tmp_path, jobs):
-    command = [
-        sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "study",
-        "--draw", str(jobs), "--seed", "1",
-        "--jobs", str(jobs), "--duration", "60", "--no-bound", "--out", str(tmp_path / "out"),
-    ]
+    command = verb_command(
+        "study", "--draw", str(jobs), "--seed", "1", "--jobs", str(jobs), "--duration", "60",
+        "--no-bound", "--out", str(tmp_path / "out"),
+    )
     environment = {
         **os.environ, "CC": "nonesuch", CACHE_VARIABLE: str(tmp_path / "cache"),
         "TMPDIR": str(tmp_path),

@@ -7,7 +7,6 @@ import os
 import re
 import resource
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import FIGURES, main
 from sphere_sim.recording.bag_writer import BagWriter
+from sphere_sim.ros.session.child_process import verb_command
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -132,7 +132,7 @@ def report(*arguments: str, limit: int | None = None, **environment: str):
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     return subprocess.run(
-        [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "report", *arguments],
+        verb_command("report", *arguments),
         capture_output=True, text=True, timeout=120.0, preexec_fn=restrict,
         env={**os.environ, **environment},
     )

@@ -10,10 +10,8 @@ rounding may differ.
 
 import dataclasses
 import json
-import os
 import sqlite3
 import subprocess
-import sys
 from itertools import product
 from pathlib import Path
 
@@ -29,6 +27,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from sphere_sim.cli.report import main
 from sphere_sim.recording.run_reader import read_run
+from sphere_sim.ros.session.child_process import verb_command
 
 pytestmark = pytest.mark.slow
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -39,7 +38,7 @@ TOPICS = (
     "/pose", "/joint_states", "/goal_pose", "/rotor_trajectory", "/controller/active_goal",
     "/controller/status",
 )
-DEMO = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "demo", "--no-viewer"]
+DEMO = verb_command("demo", "--no-viewer")
 KINDS = list(product(("sqlite3", "mcap"), ("", "file", "message")))
 
 

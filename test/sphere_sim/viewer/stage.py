@@ -4,11 +4,9 @@
 
 import contextlib
 import io
-import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -17,12 +15,13 @@ import numpy as np
 from browser import PATIENCE, Browser
 from PIL import Image
 
+from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT
 
 
 def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
     """Start ``sphere_nmpc VERB``; what it says goes to a file."""
-    command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments]
+    command = verb_command(verb, *arguments)
     with (folder / f"{verb}.log").open("wb") as log:
         return subprocess.Popen(command, stdout=log, stderr=log)
 

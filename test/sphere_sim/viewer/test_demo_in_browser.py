@@ -6,7 +6,6 @@ import os
 import re
 import select
 import subprocess
-import sys
 import time
 
 import psutil
@@ -23,6 +22,7 @@ from stage import insist
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros
+from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 BROWSER = find_browser()
@@ -89,11 +89,8 @@ def _pick_a_goal(page: Browser) -> None:
 def test_demo_shows_the_run_and_leaves_the_sphere_to_who_watches(
     tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parent = str(os.getpid())
-    terminal = Terminal(
-        sys.executable, "-m", "sphere_sim.cli.child", parent, "demo", "--case", "3",
-        "--no-compare", "--out", str(tmp_path / "out"),
-    )
+    own = ["--case", "3", "--no-compare", "--out", str(tmp_path / "out")]
+    terminal = Terminal(*verb_command("demo", *own))
     home = tmp_path / "browser"
     home.mkdir()
     try:

@@ -8,7 +8,6 @@ import re
 import resource
 import socket
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -27,6 +26,7 @@ from test_replay_in_browser import write_bag
 from websockets.exceptions import ConnectionClosed
 
 from sphere_nmpc.model.state import make_state
+from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.viewer.frame import Frame, Offers, Request, SetGoal
 from sphere_sim.viewer.viewer import Viewer
 
@@ -99,8 +99,7 @@ class Process:
         bag = folder / "bag"
         if not bag.exists():
             write_bag(bag)
-        command = [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "viewer",
-                   "--port", "0", "--replay", str(bag)]
+        command = verb_command("viewer", "--port", "0", "--replay", str(bag))
         with (folder / "viewer.log").open("wb") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log, preexec_fn=limit)
 

@@ -3,11 +3,9 @@
 """What is left of a run of real nodes whose recorder was killed: report and viewer take it."""
 
 import json
-import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +16,7 @@ from geometry_msgs.msg import PoseStamped
 from sphere_nmpc.ros.conversions import seconds, stamp_from_ros
 from sphere_sim.cli.main import main as command
 from sphere_sim.recording.run_reader import read_run
+from sphere_sim.ros.session.child_process import verb_command
 
 LOST = 1.5
 """What a recorder that is killed may lose [s]."""
@@ -26,7 +25,7 @@ LOST = 1.5
 def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
     with (folder / f"{verb}.log").open("wb") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), verb, *arguments],
+            verb_command(verb, *arguments),
             stdout=log, stderr=log,
         )
 

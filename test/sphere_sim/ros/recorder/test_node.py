@@ -3,10 +3,8 @@
 """The recorder over real DDS: what it hears, when it may start, and how it ends."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -24,6 +22,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from sphere_nmpc.ros.conversions import stamp_to_ros
+from sphere_sim.ros.session.child_process import verb_command
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -36,8 +35,7 @@ class Recording:
         self.folder = folder
         self._graph = graph
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "sphere_sim.cli.child", str(os.getpid()), "recorder",
-             "--ros-args", "-p", f"output:={folder}", *arguments],
+            verb_command("recorder", "--ros-args", "-p", f"output:={folder}", *arguments),
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )
 

@@ -78,7 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
     runs = len(scenarios) * len(strategies)
     jobs = arguments.jobs or cores()
     with Workers(jobs, arguments.scheduler) as workers, StudyProgress(runs) as progress:
-        summaries = study.run(workers, None if arguments.no_bound else search, progress.saw)
+        summaries = study.run(workers, None if arguments.no_bound else search, progress.count)
     for summary in summaries.values():
         print(f"{headline(summary)} -> {arguments.out}")
     return 1 if any(summary["crashed"] for summary in summaries.values()) else 0

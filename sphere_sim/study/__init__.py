@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Many closed loops on all cores: what is run, where it is kept and what it comes down to."""
+"""Studies: many closed loops on all cores, their records, tables and figures."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Everything besides the scenario that decides how a run goes."""
+"""Conditions of a study: all settings of a run except its scenario."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -14,23 +14,23 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 
-_OF_THE_SCENARIO = ("initial_state", "seed")
+_SCENARIO_SETTINGS = ("initial_state", "seed")
 
 
 @dataclass(frozen=True)
 class StudyConditions:
-    """What all runs of a study share.
+    """Settings that all runs of a study share.
 
     Attributes
     ----------
     controller : ControllerSettings
-        The controller, its strategy among them.
+        Settings of the controller, including its strategy.
     simulator : SimulatorSettings
-        The world; start and seed come from the scenario.
+        Settings of the simulator; start and seed come from the scenario.
     robot : RobotParameters
-        What the controller believes.
+        Nominal parameters of the robot, which the controller has.
     rigid_body : RigidBodySettings
-        What the plant of that name is like.
+        Settings of the plant ``rigid_body``.
 
     Raises
     ------
@@ -54,40 +54,40 @@ class StudyConditions:
         validate(self)
 
     def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
-        """Return conditions in which some settings have other values.
+        """Return the conditions with other values of some settings.
 
         Parameters
         ----------
         assignments : iterable of (str, str)
-            Names and values as text. A name that only one of controller, simulator, robot and
-            rigid_body has may stand alone; ``simulator.sample_period`` is always clear.
+            Names and values as text. A name that occurs in only one of controller, simulator,
+            robot and rigid_body needs no prefix such as in ``simulator.sample_period``.
 
         Raises
         ------
         InvalidParameterError
-            If there is no such setting, the name is not clear, or the value is not in its range.
+            If there is no such setting, the name is ambiguous, or the value is not in its range.
         """
         conditions = self
         for name, text in assignments:
             group, _, setting = name.rpartition(".")
-            homes = [group] if group else _homes(setting)
-            if len(homes) > 1:
+            groups = [group] if group else _groups_with(setting)
+            if len(groups) > 1:
                 raise InvalidParameterError(
-                    name, text, " or ".join(f"{home}.{setting}" for home in homes)
+                    name, text, " or ".join(f"{one}.{setting}" for one in groups)
                 )
-            known = _defaults(homes[0]) if homes else {}
+            known = _defaults(groups[0]) if groups else {}
             if setting not in known:
                 raise InvalidParameterError(name, text, "the name of a setting")
-            if setting in _OF_THE_SCENARIO:
+            if setting in _SCENARIO_SETTINGS:
                 raise InvalidParameterError(name, text, "to be left to the scenarios")
-            settings = getattr(conditions, homes[0])
+            settings = getattr(conditions, groups[0])
             value = _parse(name, text, known[setting])
             changed = dataclasses.replace(settings, **{setting: value})
-            conditions = dataclasses.replace(conditions, **{homes[0]: changed})
+            conditions = dataclasses.replace(conditions, **{groups[0]: changed})
         return conditions
 
 
-def _homes(setting: str) -> list[str]:
+def _groups_with(setting: str) -> list[str]:
     return [group for group in _GROUPS if setting in _defaults(group)]
 
 
@@ -105,7 +105,7 @@ _GROUPS: dict[str, Any] = {
 
 
 def _parse(name: str, text: str, default: Any) -> Any:
-    """Turn the text of a setting into the type of its default."""
+    """Convert the text of a setting into the type of its default."""
     try:
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A study on one page."""
+"""Figure of a study on one page."""
 
 import io
 from collections.abc import Mapping
@@ -11,6 +11,7 @@ import numpy as np
 
 from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
+from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.summary import Results, column, headline
 from sphere_sim.study.tables import replace_file
 
@@ -18,9 +19,10 @@ _PAGE = (8.27, 11.69)
 """A4 [inch]."""
 
 _LISTED = 12
-"""Failures listed for each strategy."""
+"""Largest number of failed runs listed for each strategy."""
 
 FIGURES = ("figure.pdf", "figure.png")
+"""File names, one to print and one for the screen."""
 
 
 def draw(
@@ -29,20 +31,25 @@ def draw(
     summaries: Mapping[str, dict[str, Any]],
     about: str,
 ) -> None:
-    """Draw settling times, ratios to the bound, error floor and failures.
+    """Draw settling times, their ratios to the best known times, final errors and failures.
 
     Parameters
     ----------
     folder : Path
-        Where the figure is written, to be printed and to be looked at.
+        Where the files `FIGURES` are written.
     results : mapping of str to sequence of dict
-        For each strategy what each run came to.
+        Results of each run, by strategy.
     summaries : mapping of str to dict
-        Their summaries.
+        Summaries by strategy.
     about : str
-        Under which conditions they were made.
+        Description of the conditions.
+
+    Raises
+    ------
+    NotWrittenError
+        If a file cannot be written.
     """
-    # No pyplot: it would look for a display and keep the figure.
+    # Not pyplot, which would look for a display and keep the figure in memory.
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -57,28 +64,39 @@ def draw(
         axes[0, 1].hist(column(found, "settle_time_s"), bins=bins, alpha=0.5, label=name)
         _share(axes[1, 0], column(found, "ratio"), runs, name)
         _share(axes[1, 1], column(found, "final_error"), runs, name)
-    _name(axes[0, 0], "settling time [s]", "share of all runs settled")
-    _name(axes[0, 1], "settling time [s]", "runs")
-    _name(axes[1, 0], "settling time / best known time", "share of all runs")
-    _name(axes[1, 1], "error at the end, ||x - x_d||", "share of all runs")
+    _label_axes(axes[0, 0], "settling time [s]", "share of all runs settled")
+    _label_axes(axes[0, 1], "settling time [s]", "runs")
+    _label_axes(axes[1, 0], "settling time / best known time", "share of all runs")
+    _label_axes(axes[1, 1], "error at the end, ||x - x_d||", "share of all runs")
     if any(np.any(column(found, "final_error") > 0.0) for found in results.values()):
         axes[1, 1].set_xscale("log")
     axes[1, 1].axvline(SETTLED_ERROR, color="grey", linewidth=0.8)
     if not any(column(found, "ratio").size for found in results.values()):
         axes[1, 0].set_xticks([])
-        _write(axes[1, 0], "best known times are not part of this study", 0.5)
+        _write_text(axes[1, 0], "best known times are not part of this study", 0.5)
     axes[0, 0].set_xlim(left=0.0)
     for axis in axes[2]:
         axis.remove()
     text = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
     text.set_axis_off()
-    _write(text, "\n".join(_words(summaries)), 1.0)
+    _write_text(text, "\n".join(_text_lines(summaries)), 1.0)
     for file_name in FIGURES:
         path, page = folder / file_name, io.BytesIO()
-        # Without its date the same study makes the same file.
+        # Without a date the same study makes the same file.
         metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
         figure.savefig(page, format=path.suffix[1:], dpi=110, metadata=metadata)
         replace_file(path, page.getvalue())
+
+
+def describe(conditions: StudyConditions, runs: int) -> str:
+    """Return a description of the conditions of a study in two lines."""
+    simulator = conditions.simulator
+    return (
+        f"{runs} scenarios of {conditions.duration:g} s, plant {simulator.plant}, parameters "
+        f"+-{conditions.perturbation:g} %, process noise {simulator.process_noise:g} a sample,\n"
+        f"pose noise {simulator.position_noise:g} m and {simulator.orientation_noise:g} rad, "
+        f"latency {conditions.latency:g} s"
+    )
 
 
 def _share(axis: Any, values: Vector, runs: int, label: str) -> None:
@@ -87,33 +105,33 @@ def _share(axis: Any, values: Vector, runs: int, label: str) -> None:
     axis.set_ylim(0.0, 1.02)
 
 
-def _name(axis: Any, horizontal: str, vertical: str) -> None:
+def _label_axes(axis: Any, horizontal: str, vertical: str) -> None:
     axis.set_xlabel(horizontal)
     axis.set_ylabel(vertical)
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
 
 
-def _write(axis: Any, words: str, height: float) -> None:
-    axis.text(0.01, height, words, transform=axis.transAxes, fontsize=7.5, va="top")
+def _write_text(axis: Any, text: str, height: float) -> None:
+    axis.text(0.01, height, text, transform=axis.transAxes, fontsize=7.5, va="top")
 
 
 def _scientific(number: float | None) -> str:
     return "not finite" if number is None else f"{number:.2e}"
 
 
-def _words(summaries: Mapping[str, dict[str, Any]]) -> list[str]:
-    words = []
+def _text_lines(summaries: Mapping[str, dict[str, Any]]) -> list[str]:
+    lines = []
     for summary in summaries.values():
-        words.append(headline(summary))
+        lines.append(headline(summary))
         failures = summary["failures"]
-        words += [
+        lines += [
             f"    run {f['run']}, seed {f['seed']}: "
             + (f["crash"] or f"error {_scientific(f['final_error'])} at the end")
             for f in failures[:_LISTED]
         ]
         if len(failures) > _LISTED:
-            words.append(f"    and {len(failures) - _LISTED} more failures, see summary.json")
+            lines.append(f"    and {len(failures) - _LISTED} more failures, see summary.json")
         if not failures:
-            words.append("    no failures")
-    return words
+            lines.append("    no failures")
+    return lines

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The rotor speeds of a whole run as one first-order hold."""
+"""Rotor speeds commanded over a whole run, as one first-order hold."""
 
 from collections.abc import Iterable
 
@@ -11,12 +11,13 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 
 def followed_inputs(holds: Iterable[FirstOrderHold], duration: float) -> FirstOrderHold:
-    """Return what the robot was told to follow from 0 to `duration` [s].
+    """Join all commands of a run into one hold from 0 to `duration` [s].
 
     Parameters
     ----------
     holds : iterable of FirstOrderHold
-        In the order in which they took effect; each replaces what comes after its first knot.
+        In the order in which they took effect; each replaces the previous ones from its first knot
+        on.
     duration : float
         Length of the run [s].
 
@@ -37,7 +38,7 @@ def followed_inputs(holds: Iterable[FirstOrderHold], duration: float) -> FirstOr
         return FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
     whole = FirstOrderHold(np.array(times), np.array(speeds))
     if whole.start > 0.0:
-        # Until the first command the rotors stand still.
+        # Before the first command the rotors are at rest.
         times.insert(0, 0.0)
         speeds.insert(0, np.zeros(INPUT_SIZE))
     inside = [i for i, time in enumerate(times) if time < duration - 1e-9]

@@ -1,10 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The memory of a study: a line a run, written as soon as it is known.
+"""Journal of a study: one line for each run, written as soon as the run is made.
 
-``journal.jsonl`` starts with the fingerprint of the study. Whatever stops a study, the runs that
-were made are in there, and the same command goes on from them. Lines that are damaged are passed
-over and left as they are.
+The first line of ``journal.jsonl`` is the fingerprint of the study. After any interruption the
+same command continues from the runs in the journal. Damaged lines are skipped and stay.
 """
 
 import contextlib
@@ -26,22 +25,23 @@ from sphere_sim.study.record import RunRecord
 NAME = "journal.jsonl"
 _RESULTS = ("runs.csv", "inputs.npz", "summary.json")
 _LONGEST_LINE = 2**28
-"""Bytes; a run of a day has fewer. After a power cut a file may end in any number of zeros."""
+"""Longest line that is read [bytes]; a run of a day has fewer. After a power failure a file may
+end in any number of zeros."""
 _LISTED = 5
-"""Damaged lines that are told by their number."""
+"""Largest number of damaged lines whose numbers a warning lists."""
 
 _log = logging.getLogger("sphere_nmpc")
 
 
 class Journal:
-    """Runs recorded in a folder; a context manager that keeps other studies out of it.
+    """Runs recorded in a folder; a context manager that locks the folder for other studies.
 
     Parameters
     ----------
     folder : Path
-        Made if it does not exist.
+        Created if it does not exist.
     fingerprint : dict
-        Of the study that wants to write here.
+        Fingerprint of the study.
 
     Raises
     ------
@@ -56,7 +56,7 @@ class Journal:
         """Runs made so far, by number."""
         self._file = self._open()
         try:
-            self._recall(fingerprint)
+            self._read(fingerprint)
         except BaseException:
             self._file.close()
             raise
@@ -74,7 +74,7 @@ class Journal:
             self._file.close()
 
     def append(self, index: int, record: RunRecord) -> None:
-        """Remember run `index`."""
+        """Record run `index`."""
         self._write(record.as_json(index))
         self.records[index] = record
 
@@ -82,8 +82,8 @@ class Journal:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             if not self._path.exists():
-                self._refuse_foreign_results()
-            # What a buffer holds on a full disk would be written again at its end, and fail again.
+                self._refuse_other_results()
+            # On a full disk a buffer would be written again when it is closed, and fail again.
             file = self._path.open("ab", buffering=0)
         except OSError as error:
             reason = f"cannot be written: {(error.strerror or str(error)).lower()}"
@@ -97,23 +97,23 @@ class Journal:
             ) from None
         return file
 
-    def _refuse_foreign_results(self) -> None:
+    def _refuse_other_results(self) -> None:
         for name in _RESULTS:
             if (self._folder / name).exists():
                 raise ResultFolderError(
-                    self._folder, f"holds {name} of something else; choose another folder"
+                    self._folder, f"holds {name} of another origin; choose another folder"
                 )
 
-    def _recall(self, fingerprint: dict[str, Any]) -> None:
+    def _read(self, fingerprint: dict[str, Any]) -> None:
         end, damaged = 0, []
         with self._path.open("rb") as file:
             for number, line in enumerate(_whole_lines(file), start=1):
                 if number == 1:
                     self._compare(line, fingerprint)
-                elif not self._take(line, fingerprint["runs"]):
+                elif not self._add(line, fingerprint["runs"]):
                     damaged.append(number)
                 end += len(line)
-        # A line that was being written when the power went is no run that was made.
+        # A last line without an end was being written when the study was stopped.
         self._file.truncate(end)
         if end == 0:
             self._write(json.dumps(fingerprint))
@@ -121,8 +121,8 @@ class Journal:
             listed = ", ".join(map(str, damaged[:_LISTED]))
             more = "" if len(damaged) <= _LISTED else f" and {len(damaged) - _LISTED} more"
             _log.warning(
-                "sphere_nmpc study: %s: passed over what is no run of this study (line %s%s); "
-                "runs that are missing are made again", self._path, listed, more,
+                "sphere_nmpc study: %s: skipped what is no run of this study (line %s%s); "
+                "missing runs are made again", self._path, listed, more,
             )
 
     def _compare(self, line: bytes, fingerprint: dict[str, Any]) -> None:
@@ -142,8 +142,8 @@ class Journal:
                 f"holds another study ({'; '.join(found[:3])}{more}); choose another folder",
             )
 
-    def _take(self, line: bytes, runs: int) -> bool:
-        """Take the record of a line; False where it is none of this study."""
+    def _add(self, line: bytes, runs: int) -> bool:
+        """Add the run of a line; return False where the line holds none of this study."""
         try:
             index, record = RunRecord.from_json(line.decode())
         except ValueError:
@@ -164,7 +164,7 @@ class Journal:
 
 
 def _whole_lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield the lines of a file but a last one that does not end; overlong ones in pieces."""
+    """Yield all lines but a last one without an end; too long ones in pieces."""
     while line := file.readline(_LONGEST_LINE):
         if line.endswith(b"\n") or len(line) == _LONGEST_LINE:
             yield line

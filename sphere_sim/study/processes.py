@@ -1,15 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Calls spread over processes of this machine, none of which outlives its parent.
+"""Pool of processes on this machine, none of which outlives its parent.
 
-The pool of `concurrent.futures` does not serve: its processes outlive a parent that is killed, and
-when one of them dies it does not tell over which call, and gives up all of them.
+The pool of `concurrent.futures` is not used: its processes outlive a parent that is killed, and
+when one of them dies it does not report during which call, and cancels all calls.
 """
 
 import contextlib
 import logging
 import multiprocessing
-import os
 import signal
 import threading
 from collections import Counter, deque
@@ -20,12 +19,11 @@ from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_sim.study.errors import WorkersError
+from sphere_sim.study.worker_process import serve
 
 TRIES = 3
-"""How often a call is made anew whose process died over it."""
-
+"""How often a call is made whose process dies during it."""
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -36,19 +34,19 @@ Task = tuple[Any, tuple[Any, ...]]
 class Processes:
     """Make calls in processes; a context manager, at whose end all of them are killed.
 
-    Processes are started when they are needed. They do not hear Ctrl-C, which is for their parent
-    to answer, and end when the parent does, however that happens. A call whose process dies is
-    made again in another one.
+    Processes are started when they are needed. They ignore Ctrl-C, which the parent handles, and
+    end when the parent does, however that happens. A call whose process dies is made again in
+    another one.
 
     Parameters
     ----------
     jobs : int
-        How many; with 1 the calls are made in this very process.
+        Number of processes; with 1 the calls are made in this process.
     """
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        # Fresh interpreters: a fork would copy the threads of whoever calls.
+        # New interpreters: a fork would copy the locks of other threads of this process.
         self._context = multiprocessing.get_context("spawn")
         self._processes: dict[Connection, BaseProcess] = {}
 
@@ -64,7 +62,7 @@ class Processes:
         for process in self._processes.values():
             process.kill()
         for link in list(self._processes):
-            self._bury(link)
+            self._remove(link)
 
     def run(
         self, call: Callable[..., Any], tasks: Iterable[Task], what: str
@@ -83,7 +81,7 @@ class Processes:
         Raises
         ------
         WorkersError
-            If no process can be started, a call raises, or its process dies again and again.
+            If no process can be started, a call raises, or its process dies `TRIES` times.
         """
         waiting = deque(tasks)
         if min(self._jobs, len(waiting)) <= 1:
@@ -95,7 +93,7 @@ class Processes:
 
         def hand_out(link: Connection) -> None:
             busy[link] = waiting.popleft()
-            # A dead process is met when its answer is waited for.
+            # That a process has died is found out when its answer is read.
             with contextlib.suppress(OSError):
                 link.send((call, busy[link][1]))
 
@@ -109,10 +107,10 @@ class Processes:
                 assert isinstance(ready, Connection)
                 task = name, _ = busy.pop(ready)
                 try:
-                    result, trouble = ready.recv()
+                    result, failure = ready.recv()
                 except (EOFError, OSError):
                     deaths[name] += 1
-                    reason = self._bury(ready)
+                    reason = self._remove(ready)
                     if deaths[name] == TRIES:
                         raise WorkersError(
                             f"{what} {name}: its process died {TRIES} times ({reason}); is there "
@@ -120,19 +118,22 @@ class Processes:
                         ) from None
                     waiting.appendleft(task)
                     continue
-                if trouble is not None:
-                    raise WorkersError(f"{what} {name} could not be made: {trouble}")
+                if failure is not None:
+                    raise WorkersError(f"{what} {name} could not be made: {failure}")
                 if waiting:
                     hand_out(ready)
                 yield name, result
 
     def _start(self) -> Connection | None:
-        """Start a process; None, and fewer from now on, where no further one can be had."""
+        """Return the connection to a new process; None where the system allows no further one.
+
+        The number of processes is then reduced to those that run.
+        """
         try:
-            resource_tracker.ensure_running()  # which would undo the blocking below
-            with _interrupts_later():
+            resource_tracker.ensure_running()  # its start would unblock the signal below
+            with _interrupts_deferred():
                 ours, theirs = self._context.Pipe()
-                process = self._context.Process(target=_serve, args=(theirs,), daemon=True)
+                process = self._context.Process(target=serve, args=(theirs,), daemon=True)
                 with theirs:
                     process.start()
                 self._processes[ours] = process
@@ -149,8 +150,8 @@ class Processes:
             return None
         return ours
 
-    def _bury(self, link: Connection) -> str:
-        """Forget a process that has died, and return how."""
+    def _remove(self, link: Connection) -> str:
+        """Remove a process that has died and return how it died."""
         process = self._processes.pop(link)
         link.close()
         process.join()
@@ -160,54 +161,24 @@ class Processes:
 
 
 @contextlib.contextmanager
-def _interrupts_later() -> Iterator[None]:
-    """Let processes started meanwhile never hear Ctrl-C; this one hears it afterwards.
+def _interrupts_deferred() -> Iterator[None]:
+    """Block Ctrl-C for processes that are started meanwhile, and defer it for this one.
 
-    A process that is started inherits which signals are blocked. For this process that is not
-    enough, as another thread may take the signal and have it handled in the main one, which would
-    leave half a process.
+    A new process inherits which signals are blocked. For this process blocking is not enough:
+    another thread may take the signal and have it handled in the main thread, in the middle of the
+    start.
     """
-    heard: list[int] = []
+    received: list[int] = []
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     handlers = {}
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
-            handlers[number] = signal.signal(number, lambda number, _: heard.append(number))
+            handlers[number] = signal.signal(number, lambda number, _: received.append(number))
     try:
         yield
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for caught in heard:
+        for caught in received:
             signal.raise_signal(caught)
-
-
-def _serve(link: Connection) -> None:
-    """Answer calls until the parent is gone."""
-    limit_library_threads()
-    # What there is to tell the parent has told.
-    logging.getLogger("sphere_nmpc").setLevel(logging.ERROR)
-    with contextlib.suppress(RuntimeError):  # no thread to be had: it ends after its call
-        threading.Thread(target=_end_with_parent, daemon=True).start()
-    with contextlib.suppress(EOFError, ConnectionError):
-        while True:
-            link.send(_answer(link))
-
-
-def _answer(link: Connection) -> tuple[Any, str | None]:
-    try:
-        # What the call needs is imported here.
-        call, arguments = link.recv()
-        return call(*arguments), None
-    except (EOFError, ConnectionError):
-        raise
-    except Exception as error:
-        return None, f"{type(error).__name__}: {error}"
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)

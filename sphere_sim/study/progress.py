@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a study has come, for people who wait for it."""
+"""Progress bar of a study."""
 
 import contextlib
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from sphere_sim.study.record import RunRecord
 
 @contextlib.contextmanager
 def shown(progress: Progress) -> Iterator[Progress]:
-    """Show a progress bar, where the machine has a thread left for it."""
+    """Show a progress bar; nothing is shown where no further thread can be started."""
     with contextlib.suppress(RuntimeError):
         progress.start()
     try:
@@ -31,12 +31,12 @@ def shown(progress: Progress) -> Iterator[Progress]:
 
 
 class StudyProgress:
-    """A bar on standard error: runs done, settled so far, time to go.
+    """Bar on standard error: runs made, runs settled, remaining time.
 
     Parameters
     ----------
     runs : int
-        How many there will be.
+        Number of runs.
     """
 
     def __init__(self, runs: int) -> None:
@@ -68,10 +68,10 @@ class StudyProgress:
         self.close()
 
     def close(self) -> None:
-        """Leave the bar as it is; another one may follow."""
+        """Stop the bar, which stays visible; another one may follow."""
         self._shown.close()
 
-    def saw(self, record: RunRecord) -> None:
+    def count(self, record: RunRecord) -> None:
         """Count a run."""
         self._done += 1
         self._settled += bool(record.results["settled"])

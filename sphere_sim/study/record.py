@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is kept of a run."""
+"""Record of a run: its results and rotor speeds."""
 
 import json
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 Value = bool | int | float | str | None
-"""Content of a cell; None where there is nothing to say."""
+"""Content of a table cell; None where the run has no such result."""
 
 RESULT_COLUMNS = (
     "strategy",
@@ -36,24 +36,24 @@ RESULT_COLUMNS = (
     "stability_violations",
     "crash",
 )
-"""Columns of runs.csv that a run fills, in order."""
+"""Columns of runs.csv with results, in order."""
 
 TIMING_COLUMNS = ("solve_ms_p50", "solve_ms_p99", "solve_ms_max")
-"""Those that depend on the machine and its load; all others do not."""
+"""The columns that depend on the machine and its load."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """A run that was made.
+    """Results of one run.
 
     Attributes
     ----------
     results : dict of str to Value
-        By the names of `RESULT_COLUMNS`, apart from what compares runs with the bound.
+        By the names of `RESULT_COLUMNS`, without those that compare with the best known time.
     times : ndarray, shape (K,)
-        Knots of the rotor speeds [s]; empty for a run that crashed.
+        Knot times of the rotor speeds [s]; empty for a run that crashed.
     speeds : ndarray, shape (K, 2)
-        Rotor speeds there [rad/s].
+        Rotor speeds at the knots [rad/s].
     """
 
     results: dict[str, Value]
@@ -80,19 +80,19 @@ class RunRecord:
         Raises
         ------
         ValueError
-            If the line is not what `as_json` writes, for instance cut short.
+            If the line is not one that `as_json` writes, for instance incomplete.
         """
         try:
             content = json.loads(line)
             index, results = content["run"], content["results"]
             times, speeds = (_numbers(content[name]) for name in "tu")
             speeds = speeds if speeds.size else speeds.reshape(0, INPUT_SIZE)
-            sound = times.ndim == 1 and speeds.shape == (times.size, INPUT_SIZE)
-            sound = sound and type(index) is int and {"strategy", "settled"} <= results.keys()
-            sound = sound and all(map(_is_sound, results, results.values()))
+            valid = times.ndim == 1 and speeds.shape == (times.size, INPUT_SIZE)
+            valid = valid and type(index) is int and {"strategy", "settled"} <= results.keys()
+            valid = valid and all(map(_is_valid, results, results.values()))
         except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(f"not the record of a run: {error}") from None
-        if not sound:
+        if not valid:
             raise ValueError("not the record of a run")
         return index, cls(results, times, speeds)
 
@@ -105,8 +105,8 @@ def _numbers(content: Any) -> Vector:
     return array.astype(float)
 
 
-def _is_sound(name: str, value: Any) -> bool:
-    """Tell whether a result is of its kind."""
+def _is_valid(name: str, value: Any) -> bool:
+    """Return whether a result has the type of its column."""
     if name == "settled":
         return isinstance(value, bool)
     if name in ("strategy", "crash"):
@@ -115,7 +115,7 @@ def _is_sound(name: str, value: Any) -> bool:
 
 
 def finite(value: Any) -> Value:
-    """Return the value, None in place of a number that is not finite."""
+    """Return the value, or None for a number that is not finite."""
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     result: Value = value

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One scenario, from start to record; the same wherever it is run."""
+"""One run of a study: the closed loop of a scenario and its results."""
 
 from dataclasses import asdict, replace
 
@@ -21,15 +21,21 @@ from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 
 LOOSELY_SETTLED = 5e-2
-"""Error within which a run under noise can be expected to stay [mixed units]."""
+"""Error within which a run with process noise can be expected to stay [mixed units]."""
 
 
 def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
-    """Build the world and the controller of a run, which does not know the world's parameters."""
+    """Return simulator and controller of a run; the controller has the nominal parameters.
+
+    Raises
+    ------
+    InvalidParameterError, MissingEngineError
+        If the settings do not fit together or the plant's package is not installed.
+    """
     simulation = replace(
         conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
     )
-    # The simulator's own streams end in 0 and 1.
+    # Streams 0, 1 and 3 of this seed belong to the simulator.
     rng = np.random.default_rng([scenario.seed, 2])
     robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
     plant = make_plant(simulation.plant, robot, scenario.start, conditions.rigid_body)
@@ -37,14 +43,14 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
 
 
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
-    """Run a scenario and measure it.
+    """Run a scenario and evaluate the run.
 
-    A run that crashes says so in its record: the others of a long study are not lost by it.
+    A run that crashes is recorded as such, so that the study continues with the others.
 
     Raises
     ------
     MemoryError, OSError
-        If the machine cannot make it, which would be no result of the run.
+        If the machine cannot make the run; that is no result of the run.
     """
     strategy = conditions.controller.strategy
     try:
@@ -85,7 +91,8 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     results["max_rotor_speed"] = _rounded(float(np.max(np.abs(speeds))))
     results["max_rotor_acceleration"] = _rounded(
         max(
-            _steepest(inputs.times, inputs.speeds), _steepest(trajectory.times, trajectory.speeds)
+            _largest_slope(inputs.times, inputs.speeds),
+            _largest_slope(trajectory.times, trajectory.speeds),
         )
     )
     if planned:
@@ -93,7 +100,7 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     return results
 
 
-def _steepest(times: Vector, speeds: Vector) -> float:
+def _largest_slope(times: Vector, speeds: Vector) -> float:
     if times.size < 2:
         return 0.0
     slopes = np.diff(speeds, axis=0) / np.diff(times)[:, None]
@@ -101,5 +108,5 @@ def _steepest(times: Vector, speeds: Vector) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Return the value without the last digits, in which the difference quotients err."""
+    """Return the value without the digits in which difference quotients are inaccurate."""
     return float(f"{value:.9g}")

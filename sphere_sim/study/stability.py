@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How steadily a run came nearer to its goal, by the Lyapunov function of its strategy."""
+"""Decrease of the Lyapunov function of a strategy along a run."""
 
 import itertools
 import math
@@ -17,16 +17,16 @@ _ROUNDING = 1e-9
 def stability_of(
     decisions: list[Decision], goal: Vector, conditions: StudyConditions
 ) -> dict[str, Value]:
-    """Count the steps that broke the decrease that the stability argument needs.
+    """Count the steps that violate the decrease required by the proof of stability.
 
-    The strategy ``paper`` has the value function of Theorem 3, which has to fall by the stage cost
-    (Eq. 42) outside the neighbourhood D. ``time_optimal`` has the time left to the arrival, which
-    has to fall by the time that passes.
+    The strategy ``paper`` has the value function of Theorem 3, which has to decrease by the stage
+    cost (Eq. 42) outside the neighbourhood D. ``time_optimal`` has the remaining time to the
+    arrival, which has to decrease by the time that passes.
 
     Parameters
     ----------
     decisions : list of Decision
-        One a sample instant.
+        One for each sampling instant.
     goal : ndarray, shape (6,)
         Goal of the run.
     conditions : StudyConditions
@@ -35,7 +35,7 @@ def stability_of(
     Returns
     -------
     dict
-        ``stability_steps`` that could be judged and ``stability_violations`` among them.
+        ``stability_steps`` that could be evaluated and ``stability_violations`` among them.
     """
     if conditions.controller.strategy == "paper":
         return _value_decrease(decisions, goal, conditions)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study comes down to."""
+"""Summary of a study: shares, distributions and peaks over all runs."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.record import Value
 
 Results = Sequence[dict[str, Value]]
-"""For each run what it came to, by names of `RESULT_COLUMNS`."""
+"""Results of each run by the names of `RESULT_COLUMNS`."""
 
 _DISTRIBUTIONS = (
     "settle_time_s",
@@ -27,17 +27,44 @@ _DISTRIBUTIONS = (
 _PEAKS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque_nm")
 
 
+def with_ratios(
+    results: Results, best_known: Sequence[float] | None
+) -> list[dict[str, Value]]:
+    """Return the results with best known time and ratio to it where there are such.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        Of each run.
+    best_known : sequence of float, optional
+        Best known time of each scenario [s]; nan where no motion was found, 0 where the start is
+        at the goal.
+    """
+    if best_known is None:
+        return [dict(found) for found in results]
+    extended = []
+    for found, seconds in zip(results, map(float, best_known), strict=True):
+        added: dict[str, Value] = {}
+        if seconds > 0.0:
+            added["bound_s"] = seconds
+            settling = found.get("settle_time_s")
+            if isinstance(settling, float):
+                added["ratio"] = settling / seconds
+        extended.append({**found, **added})
+    return extended
+
+
 def column(results: Results, name: str) -> Vector:
-    """Return the numbers of a column, in order of the runs, without those that are missing."""
+    """Return the numbers of a column in the order of the runs, missing ones left out."""
     values = (found.get(name) for found in results)
     return np.array([value for value in values if isinstance(value, (int, float))], dtype=float)
 
 
 def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]:
-    """Return the figures of a study as JSON content.
+    """Return the summary of a study as JSON content.
 
-    Distributions are over the runs that have the figure; ``failures`` lists each run that did not
-    settle, ``timing`` is all that depends on the machine.
+    Distributions are over the runs that have the quantity; ``failures`` lists each run that did
+    not settle, ``timing`` holds all that depends on the machine.
     """
     return {
         "strategy": results[0]["strategy"],
@@ -67,7 +94,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
 
 
 def headline(summary: dict[str, Any]) -> str:
-    """Return the line that tells a study to people."""
+    """Return the summary as one line of text."""
     parts = [f"{summary['strategy']}: {summary['settled']} of {summary['runs']} settled"]
     settling, ratio = summary["settle_time_s"], summary["ratio"]
     if settling["count"]:

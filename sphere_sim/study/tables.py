@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Results as files: a row a run, and the rotor speeds of every run."""
+"""Result files: a table with one row for each run, and the rotor speeds of all runs."""
 
 import csv
 import io
@@ -18,7 +18,7 @@ from sphere_sim.study.record import RESULT_COLUMNS, RunRecord, Value
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> None:
-    """Write a file in one go: where that fails, what was there before is there still.
+    """Replace a file; where that fails, the previous one is kept.
 
     Raises
     ------
@@ -43,9 +43,9 @@ def write_runs(
     scenarios : sequence of Scenario
         In the order of the rows.
     results : iterable of sequences of dict
-        For each strategy the results of all scenarios, by names of `RESULT_COLUMNS`.
+        Results of all scenarios by the names of `RESULT_COLUMNS`, for each strategy.
     """
-    # A table of results may serve as scenario file; its old results give way to the new ones.
+    # A table of results may be the scenario file; its previous results are replaced.
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
     extras = [name for name in names if name not in RESULT_COLUMNS]
     table = io.StringIO()
@@ -67,7 +67,7 @@ def write_runs(
 
 
 def write_inputs(path: Path, records: Sequence[RunRecord]) -> None:
-    """Write the knots of run i as ``t_i`` [s], shape (K,), and ``u_i`` [rad/s], shape (K, 2)."""
+    """Write times ``t_i`` [s], shape (K,), and rotor speeds ``u_i`` [rad/s], (K, 2), of run i."""
     arrays: dict[str, Any] = {}
     for i, record in enumerate(records):
         arrays |= {f"t_{i}": record.times, f"u_{i}": record.speeds}

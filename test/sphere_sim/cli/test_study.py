@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The verb ``study``: what it says and the exit code it leaves."""
+"""The verb ``study``: its output and its exit codes."""
 
 import os
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ def same_environment() -> Iterator[None]:
     os.environ.update(before)
 
 
-def test_study_tells_the_figure_that_matters_and_exits_0(tmp_path, capsys) -> None:
+def test_study_prints_how_many_runs_settled_and_exits_0(tmp_path, capsys) -> None:
     out = tmp_path / "out"
     assert main(["--draw", "2", "--seed", "1", "--out", str(out), *BRIEF]) == 0
     assert "of 2 settled" in capsys.readouterr().out.splitlines()[0]
@@ -57,7 +57,7 @@ def test_study_tells_the_figure_that_matters_and_exits_0(tmp_path, capsys) -> No
         (["--draw", "2", "--process-noise", "1e9"], "process_noise: given 1000000000.0"),
     ],
 )
-def test_what_cannot_be_run_exits_2_and_leaves_no_folder(
+def test_invalid_study_exits_2_and_leaves_no_folder(
     tmp_path, capsys, arguments, words
 ) -> None:
     out = tmp_path / "out"
@@ -106,7 +106,7 @@ def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) 
     ],
     ids=" ".join,
 )
-def test_arguments_that_make_no_sense_exit_2(tmp_path, arguments) -> None:
+def test_invalid_arguments_exit_2(tmp_path, arguments) -> None:
     with pytest.raises(SystemExit) as caught:
         main([*arguments, "--out", str(tmp_path / "out")])
     assert caught.value.code == 2
@@ -124,8 +124,9 @@ def test_bad_scenario_is_named_by_line_and_column(tmp_path, capsys) -> None:
 def test_folder_that_cannot_be_written_is_one_line_and_exits_2(tmp_path, capsys, name) -> None:
     (tmp_path / "file").write_text("")
     assert main(["--draw", "1", "--out", str(tmp_path / name), *BRIEF]) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert f"{tmp_path / name}: " in told and "choose a folder that can be written" in told
+    (message,) = capsys.readouterr().err.splitlines()
+    assert f"{tmp_path / name}: " in message
+    assert "choose a folder that can be written" in message
 
 
 @pytest.fixture

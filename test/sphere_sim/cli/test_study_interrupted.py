@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The verb ``study`` stopped by a signal or a full disk: what was made is kept and goes on."""
+"""The verb ``study`` stopped by a signal or a full disk: runs are kept, and it continues."""
 
 import csv
 import json
@@ -31,19 +31,19 @@ def start(*arguments: str, **options: object) -> subprocess.Popen:
 def stop(
     process: subprocess.Popen, ready: Callable[[], bool], number: int, all_of_them: bool
 ) -> str:
-    """Send a signal once it is time; return what was told when all processes are gone."""
+    """Send a signal when `ready`; return standard error when all processes have ended."""
     try:
         while not ready():
             assert process.poll() is None, process.communicate()
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
         (os.killpg if all_of_them else os.kill)(process.pid, number)
-        _, told = process.communicate(timeout=150.0)
+        _, message = process.communicate(timeout=150.0)
     finally:
         process.kill()
     _, alive = psutil.wait_procs(children, timeout=20.0)
     assert children and not alive
-    return told
+    return message
 
 
 def lines(path: Path) -> int:
@@ -55,14 +55,14 @@ def lines(path: Path) -> int:
     [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143)],
     ids=["Ctrl-C in a terminal, which reaches the workers too", "kill"],
 )
-def test_interrupt_leaves_a_folder_that_goes_on(tmp_path, number, all_of_them, code) -> None:
+def test_interrupted_study_keeps_its_runs(tmp_path, number, all_of_them, code) -> None:
     runs, journal = 500, tmp_path / "journal.jsonl"
     process = start(
         "--draw", str(runs), "--seed", "2", "--out", str(tmp_path), "--jobs", "2", "--no-bound"
     )
-    told = stop(process, lambda: lines(journal) > 2, number, all_of_them)
+    message = stop(process, lambda: lines(journal) > 2, number, all_of_them)
     assert process.returncode == code
-    assert "interrupted" in told and "Traceback" not in told
+    assert "interrupted" in message and "Traceback" not in message
     assert 2 < lines(journal) < runs
 
 
@@ -71,7 +71,7 @@ def test_killed_study_leaves_no_process(tmp_path) -> None:
     stop(process, lambda: lines(tmp_path / "journal.jsonl") > 2, signal.SIGKILL, False)
 
 
-def test_interrupt_in_the_search_for_bounds_leaves_all_other_results(tmp_path) -> None:
+def test_interrupted_search_for_best_known_times_leaves_all_other_results(tmp_path) -> None:
     out = tmp_path / "out"
     process = start(
         "--draw", "60", "--duration", "0.5", "--out", str(out), "--jobs", "2",
@@ -79,9 +79,9 @@ def test_interrupt_in_the_search_for_bounds_leaves_all_other_results(tmp_path) -
         env={**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")},
     )
     kept = tmp_path / "cache" / "best_known_times.jsonl"
-    told = stop(process, lambda: lines(kept) > 0, signal.SIGINT, True)
+    message = stop(process, lambda: lines(kept) > 0, signal.SIGINT, True)
     assert process.returncode == 130
-    assert "all results but the best known times" in told and "Traceback" not in told
+    assert "all results but the best known times" in message and "Traceback" not in message
     with (out / "runs.csv").open(encoding="utf-8", newline="") as file:
         assert len(list(csv.DictReader(file))) == 60
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == 60
@@ -89,7 +89,7 @@ def test_interrupt_in_the_search_for_bounds_leaves_all_other_results(tmp_path) -
 
 
 @pytest.mark.slow
-def test_full_disk_keeps_the_runs_and_goes_on_when_there_is_room(tmp_path) -> None:
+def test_study_on_a_full_disk_keeps_its_runs_and_continues(tmp_path) -> None:
     """A limit on the size of files makes a write fail as a full disk does."""
     journal = tmp_path / "journal.jsonl"
     study = [
@@ -101,9 +101,9 @@ def test_full_disk_keeps_the_runs_and_goes_on_when_there_is_room(tmp_path) -> No
             *study, "--out", str(tmp_path),
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
         )
-        _, told = process.communicate(timeout=150.0)
-        assert "Traceback" not in told and "Exception ignored" not in told
-        return process.returncode, [line for line in told.splitlines() if "study:" in line]
+        _, message = process.communicate(timeout=150.0)
+        assert "Traceback" not in message and "Exception ignored" not in message
+        return process.returncode, [line for line in message.splitlines() if "study:" in line]
 
     def cannot(name: str) -> list[str]:
         reason = "cannot be written: file too large; the same command goes on from the runs made"
@@ -120,6 +120,6 @@ def test_full_disk_keeps_the_runs_and_goes_on_when_there_is_room(tmp_path) -> No
     assert (tmp_path / "runs.csv").read_bytes() == before
     assert not list(tmp_path.glob(".*"))
     # Room for everything but the figure.
-    code, told = run(10**4)
+    code, messages = run(10**4)
     assert code == 0 and lines(journal) == 5
-    assert any("figure.png not drawn: " in line for line in told)
+    assert any("figure.png not drawn: " in line for line in messages)

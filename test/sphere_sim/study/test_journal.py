@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A journal with damage: sound lines count, what is missing is made again."""
+"""A damaged journal: valid lines count, missing runs are made again."""
 
 import json
 from pathlib import Path
@@ -72,27 +72,27 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_bad_line_is_passed_over_told_and_left(tmp_path, lines, records, caplog, what) -> None:
+def test_bad_line_is_one_warning_and_stays(tmp_path, lines, records, caplog, what) -> None:
     bad = BAD[what](lines[2])
     assert bad != lines[2]
     found = opened(tmp_path, [*lines[:2], bad, *lines[3:]])
     assert found == {i: record for i, record in enumerate(records) if i != 1}
-    (told,) = caplog.messages
-    assert str(tmp_path / NAME) in told and "(line 3)" in told
+    (warning,) = caplog.messages
+    assert str(tmp_path / NAME) in warning and "(line 3)" in warning
     assert (tmp_path / NAME).read_text().splitlines()[2] == bad
 
 
-def test_many_bad_lines_are_told_in_one(tmp_path, lines, caplog) -> None:
+def test_many_bad_lines_are_one_warning(tmp_path, lines, caplog) -> None:
     opened(tmp_path, [*lines, *["rubbish"] * 100])
     assert "(line 6, 7, 8, 9, 10 and 95 more)" in caplog.text and len(caplog.messages) == 1
 
 
-def test_record_that_is_there_twice_counts_once(tmp_path, lines, records, caplog) -> None:
+def test_run_that_is_recorded_twice_counts_once(tmp_path, lines, records, caplog) -> None:
     assert opened(tmp_path, [*lines, *lines[1:]]) == dict(enumerate(records))
     assert not caplog.messages
 
 
-def test_runs_are_added_behind_damage(tmp_path, lines, records) -> None:
+def test_runs_are_added_after_damaged_lines(tmp_path, lines, records) -> None:
     (tmp_path / NAME).write_text("\n".join([*lines[:2], "rubbish", lines[3], lines[4][:50]]))
     with Journal(tmp_path, FINGERPRINT) as journal:
         assert journal.records.keys() == {0, 2}
@@ -103,7 +103,7 @@ def test_runs_are_added_behind_damage(tmp_path, lines, records) -> None:
 
 
 @pytest.mark.parametrize("first", ["", "rubbish", "[]", "1", "{", "[" * 100_000])
-def test_journal_without_settings_is_refused_and_left(tmp_path, lines, first) -> None:
+def test_journal_without_settings_is_refused_and_stays(tmp_path, lines, first) -> None:
     with pytest.raises(ResultFolderError, match=r"journal.jsonl, line 1: .* another folder"):
         opened(tmp_path, [first, *lines[1:]])
     assert len((tmp_path / NAME).read_text().splitlines()) == 5

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that die, cannot be started, or lose their parent."""
+"""Processes that die or cannot be started, and the end of their parent."""
 
 import math
 import os
@@ -16,11 +16,11 @@ import pytest
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.processes import TRIES, Processes
 
-FOR_EVER = """
+LONG_CALLS = """
 import threading, time
 from sphere_sim.study.processes import Processes
 if __name__ == "__main__":
-    # It may take a signal, which is then handled in the main one.
+    # This thread may take a signal, which is then handled in the main thread.
     threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
     with Processes(2) as processes:
         list(processes.run(time.sleep, [(i, (600,)) for i in range(9)], "nap"))
@@ -41,7 +41,7 @@ if __name__ == "__main__":
 
 
 def workers(parent: psutil.Process) -> list[psutil.Process]:
-    """Return those that are at work: they have a second thread, which watches the parent."""
+    """Return the worker processes that run; their second thread watches the parent."""
     children = [child for child in parent.children() if "spawn_main" in " ".join(child.cmdline())]
     return [child for child in children if child.num_threads() == 2]
 
@@ -49,7 +49,7 @@ def workers(parent: psutil.Process) -> list[psutil.Process]:
 @pytest.fixture
 def starting(tmp_path):
     """Start a program that starts two processes, which are then busy for ten minutes."""
-    (tmp_path / "naps.py").write_text(FOR_EVER)
+    (tmp_path / "naps.py").write_text(LONG_CALLS)
     process = subprocess.Popen(
         [sys.executable, str(tmp_path / "naps.py")], start_new_session=True, text=True,
         stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
@@ -67,7 +67,7 @@ def napping(starting):
     return starting
 
 
-def test_calls_are_answered_by_name() -> None:
+def test_results_come_with_the_names_of_their_tasks() -> None:
     tasks = [(i, (i,)) for i in range(20)]
     with Processes(2) as processes:
         assert dict(processes.run(math.sqrt, tasks, "root")) == {i: i**0.5 for i in range(20)}
@@ -88,7 +88,7 @@ def test_call_whose_process_is_killed_is_made_again() -> None:
     assert killed and sorted(seen) == [0, 1, 2, 3, 4]
 
 
-def test_call_that_kills_its_process_ends_the_work() -> None:
+def test_call_whose_process_dies_each_time_is_an_error() -> None:
     words = rf"run \d: its process died {TRIES} times \(exit code 7\)"
     with Processes(2) as processes, pytest.raises(WorkersError, match=words):
         list(processes.run(os._exit, [(i, (7,)) for i in range(3)], "run"))
@@ -99,7 +99,7 @@ def test_call_that_raises_is_named() -> None:
         list(processes.run(math.sqrt, [(0, (1.0,)), (1, (-1.0,))], "run"))
 
 
-def test_no_process_to_be_had_is_one_error(tmp_path) -> None:
+def test_process_that_cannot_be_started_is_one_error(tmp_path) -> None:
     (tmp_path / "full.py").write_text(WITHOUT_DESCRIPTORS)
     done = subprocess.run(
         [sys.executable, str(tmp_path / "full.py")], capture_output=True, text=True, check=False,
@@ -110,26 +110,26 @@ def test_no_process_to_be_had_is_one_error(tmp_path) -> None:
     )
 
 
-def test_interrupt_ends_all_at_once_and_only_the_parent_speaks(napping) -> None:
+def test_interrupt_ends_all_processes_and_only_the_parent_reports(napping) -> None:
     children = workers(psutil.Process(napping.pid))
     os.killpg(napping.pid, signal.SIGINT)
-    _, told = napping.communicate(timeout=60)  # of 600 s that the calls take
-    assert told.count("Traceback") == 1 and told.endswith("KeyboardInterrupt\n")
+    _, message = napping.communicate(timeout=60)  # of 600 s that the calls take
+    assert message.count("Traceback") == 1 and message.endswith("KeyboardInterrupt\n")
     assert not any(child.is_running() for child in children)
 
 
 @pytest.mark.parametrize("attempt", range(5))
-def test_interrupt_while_processes_start_leaves_none_half_started(starting, attempt) -> None:
+def test_interrupt_while_processes_start_is_one_traceback(starting, attempt) -> None:
     children = Path(f"/proc/{starting.pid}/task/{starting.pid}/children")
-    # The tracker of resources, and the first of those that work.
+    # The resource tracker and the first worker.
     while len(children.read_text().split()) < 2:
         assert starting.poll() is None
     os.killpg(starting.pid, signal.SIGINT)
-    _, told = starting.communicate(timeout=60)
-    assert told.count("Traceback") == 1 and told.endswith("KeyboardInterrupt\n")
+    _, message = starting.communicate(timeout=60)
+    assert message.count("Traceback") == 1 and message.endswith("KeyboardInterrupt\n")
 
 
-def test_nothing_is_left_when_the_parent_is_killed(napping) -> None:
+def test_no_process_outlives_a_killed_parent(napping) -> None:
     children = workers(psutil.Process(napping.pid))
     napping.kill()
     _, alive = psutil.wait_procs(children, timeout=60)

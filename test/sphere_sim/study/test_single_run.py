@@ -77,18 +77,18 @@ def test_results_agree_with_the_run() -> None:
     assert set(results) <= set(RESULT_COLUMNS)
 
 
-def test_record_survives_its_line_to_the_bit() -> None:
+def test_record_is_read_back_to_the_bit() -> None:
     record = run_scenario(SHORT, SCENARIO)
     assert RunRecord.from_json(record.as_json(3)) == (3, record)
 
 
 @pytest.mark.parametrize("line", ["", "{}", "[]", "1", '{"run": 1, "results": {}, "t": [0], "u"'])
-def test_line_cut_short_is_told(line) -> None:
+def test_incomplete_line_is_an_error(line) -> None:
     with pytest.raises(ValueError):
         RunRecord.from_json(line)
 
 
-def test_a_run_that_crashes_says_so(monkeypatch) -> None:
+def test_run_that_crashes_is_recorded_as_such(monkeypatch) -> None:
     def fail(self: object, end: object, duration: float) -> None:
         raise ArithmeticError("no longer finite")
 
@@ -98,7 +98,7 @@ def test_a_run_that_crashes_says_so(monkeypatch) -> None:
     assert record.results["settled"] is False
 
 
-def test_perturbed_world_is_not_what_the_controller_believes() -> None:
+def test_controller_has_the_nominal_parameters_of_a_perturbed_robot() -> None:
     nominal = run_scenario(SHORT, SCENARIO)
     perturbed = replace(SHORT, perturbation=3.0)
     assert run_scenario(perturbed, SCENARIO) != nominal
@@ -114,16 +114,16 @@ def test_perturbed_world_is_not_what_the_controller_believes() -> None:
         ("sample_period", "0.25"),
         ("nothing", "1"),
         ("robot.nothing", "1"),
-        ("nobody.horizon", "1"),
+        ("unknown.horizon", "1"),
         ("simulator.seed", "1"),
     ],
 )
-def test_setting_that_cannot_be_is_refused(name, value) -> None:
+def test_unknown_or_invalid_setting_is_refused(name, value) -> None:
     with pytest.raises(InvalidParameterError):
         SHORT.with_settings([(name, value)])
 
 
-def test_settings_find_their_home() -> None:
+def test_settings_are_found_by_their_name_or_with_a_prefix() -> None:
     changed = SHORT.with_settings(
         [("horizon", "6"), ("simulator.sample_period", "0.1"), ("shell_mass", "2.5")]
     )

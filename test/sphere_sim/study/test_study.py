@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of results: its formats, going on after a stop, and what it refuses."""
+"""A folder of results: its formats, how a study continues, and what is refused."""
 
 import csv
 import json
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios, read_scenarios
@@ -20,7 +21,9 @@ from sphere_sim.study.record import RESULT_COLUMNS, TIMING_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
 
-SCENARIOS = draw_scenarios(3, 1)
+SCENARIOS = draw_scenarios(2, 1)
+SCENARIOS += [replace(SCENARIOS[0], goal=SCENARIOS[0].start)]
+"""Two that do not settle in time, and one that starts at its goal."""
 SHORT = StudyConditions(duration=2.0).with_settings([("controller.strategy", "paper")])
 
 
@@ -42,12 +45,12 @@ def repeatable(row: dict[str, str]) -> dict[str, str]:
 def stop_after(runs: int):
     seen = []
 
-    def watch(record: RunRecord) -> None:
+    def observe(record: RunRecord) -> None:
         seen.append(record)
         if len(seen) == runs:
             raise KeyboardInterrupt
 
-    return watch
+    return observe
 
 
 @pytest.fixture(autouse=True)
@@ -70,10 +73,10 @@ def test_table_has_a_row_a_run_in_order(done) -> None:
         values = [float(row[name]) for name in STATE_COLUMNS]
         np.testing.assert_array_equal(values, [*scenario.start, *scenario.goal])
         assert int(row["seed"]) == scenario.seed
-        assert row["settled"] in ("True", "False")
-        assert (row["settle_time_s"] != "") == (row["settled"] == "True")
-        assert float(row["final_error"]) > 0.0
         assert row["bound_s"] == row["ratio"] == row["crash"] == ""
+    assert [row["settled"] for row in found] == ["False", "False", "True"]
+    assert [row["settle_time_s"] for row in found] == ["", "", "0.0"]
+    assert [float(row["final_error"]) > SETTLED_ERROR for row in found] == [True, True, False]
 
 
 def test_inputs_are_knots_of_each_run(done) -> None:
@@ -85,13 +88,11 @@ def test_inputs_are_knots_of_each_run(done) -> None:
             assert (times[0], times[-1]) == (0.0, 2.0) and np.all(np.diff(times) > 0.0)
 
 
-def test_summary_counts_what_the_table_holds(done) -> None:
+def test_summary_counts_and_lists_the_runs_of_the_table(done) -> None:
     summary = json.loads((done / "summary.json").read_text())
-    settled = [row["settled"] == "True" for row in rows(done)]
-    assert (summary["runs"], summary["settled"]) == (3, sum(settled))
-    assert [f["seed"] for f in summary["failures"]] == [
-        s.seed for s, ok in zip(SCENARIOS, settled, strict=True) if not ok
-    ]
+    assert (summary["runs"], summary["settled"]) == (3, 1)
+    assert [f["run"] for f in summary["failures"]] == [0, 1]
+    assert [f["seed"] for f in summary["failures"]] == [s.seed for s in SCENARIOS[:2]]
 
 
 def test_figure_is_written_to_print_and_to_look_at(done) -> None:
@@ -114,9 +115,9 @@ def test_table_of_results_can_be_run_again(done, tmp_path) -> None:
         assert float(row["final_error"]) == pytest.approx(float(before["final_error"]), rel=1e-6)
 
 
-def test_stopped_study_goes_on_and_ends_the_same(done, tmp_path) -> None:
+def test_stopped_study_continues_with_the_same_results(done, tmp_path) -> None:
     with pytest.raises(KeyboardInterrupt), Workers() as workers:
-        Study(SCENARIOS, SHORT, tmp_path).run(workers, watch=stop_after(2))
+        Study(SCENARIOS, SHORT, tmp_path).run(workers, observer=stop_after(2))
     assert not (tmp_path / "runs.csv").exists()
     journal = tmp_path / "journal.jsonl"
     assert len(journal.read_bytes().splitlines()) == 3
@@ -124,7 +125,7 @@ def test_stopped_study_goes_on_and_ends_the_same(done, tmp_path) -> None:
     journal.write_bytes(journal.read_bytes()[:-40])
     seen = []
     with Workers() as workers:
-        Study(SCENARIOS, SHORT, tmp_path).run(workers, watch=seen.append)
+        Study(SCENARIOS, SHORT, tmp_path).run(workers, observer=seen.append)
     assert len(seen) == 3
     assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
     assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
@@ -145,7 +146,7 @@ def test_finished_study_is_not_made_again(done, monkeypatch) -> None:
         ({"conditions": replace(SHORT, perturbation=1.0)}, "perturbation: given 1.0, recorded 0"),
         ({"scenarios": SCENARIOS[:2]}, "runs: given 2, recorded 3"),
         ({"scenarios": draw_scenarios(3, 2)}, "other scenarios"),
-        ({"strategies": ("paper", "time_optimal")}, "something else"),
+        ({"strategies": ("paper", "time_optimal")}, "other results"),
     ],
 )
 def test_other_study_in_the_folder_is_refused_and_nothing_lost(done, changes, words) -> None:
@@ -155,19 +156,23 @@ def test_other_study_in_the_folder_is_refused_and_nothing_lost(done, changes, wo
     assert before == {path.name: path.read_bytes() for path in done.iterdir()}
 
 
-def test_results_of_something_else_are_not_overwritten(tmp_path) -> None:
+def test_results_without_a_journal_are_not_overwritten(tmp_path) -> None:
     (tmp_path / "runs.csv").write_text("mine")
-    with pytest.raises(ResultFolderError, match="something else"):
+    with pytest.raises(ResultFolderError, match="another origin"):
         make(tmp_path)
 
 
 def test_two_studies_do_not_write_into_one_folder(tmp_path) -> None:
+    refused = []
+
     def second(record: RunRecord) -> None:
-        with pytest.raises(ResultFolderError, match="another study is writing"):
+        with pytest.raises(ResultFolderError, match="another study is writing") as caught:
             make(tmp_path)
+        refused.append(caught.value)
 
     with Workers() as workers:
-        Study(SCENARIOS[:1], SHORT, tmp_path).run(workers, watch=second)
+        Study(SCENARIOS[:1], SHORT, tmp_path).run(workers, observer=second)
+    assert len(refused) == 1
 
 
 def test_strategies_side_by_side_keep_the_layout_of_one(done, tmp_path) -> None:
@@ -180,35 +185,35 @@ def test_strategies_side_by_side_keep_the_layout_of_one(done, tmp_path) -> None:
     assert [repeatable(row) for row in both[:3]] == paper
 
 
-def test_bound_gives_the_ratio_where_it_is_known(tmp_path) -> None:
-    def bounds(scenarios: list[Scenario]) -> list[float]:
+def test_ratio_is_to_the_best_known_time_where_there_is_one(tmp_path) -> None:
+    def best_known(scenarios: list[Scenario]) -> list[float]:
         return [0.5, float("nan"), 0.0]
 
     # Goals that are the start settle at once.
     rest = [replace(s, goal=s.start) for s in SCENARIOS]
     with Workers() as workers:
-        Study(rest, SHORT, tmp_path).run(workers, bounds)
+        Study(rest, SHORT, tmp_path).run(workers, best_known)
     assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "", ""]
     assert [row["ratio"] for row in rows(tmp_path)] == ["0.0", "", ""]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
-def test_what_stops_the_search_for_bounds_leaves_all_other_results(done, tmp_path, error) -> None:
-    def bounds(scenarios: list[Scenario]) -> list[float]:
+def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path, error) -> None:
+    def best_known(scenarios: list[Scenario]) -> list[float]:
         raise error
 
     with pytest.raises((KeyboardInterrupt, OSError)), Workers() as workers:
-        Study(SCENARIOS, SHORT, tmp_path).run(workers, bounds)
+        Study(SCENARIOS, SHORT, tmp_path).run(workers, best_known)
     assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
     assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 3
     assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
 
 
-def test_figure_that_cannot_be_drawn_is_told_and_no_more(tmp_path, monkeypatch, caplog) -> None:
+def test_figure_that_cannot_be_drawn_is_one_warning(tmp_path, monkeypatch, caplog) -> None:
     monkeypatch.undo()
     # A folder of this name stands where the figure should be.
     (tmp_path / FIGURES[0]).mkdir()
     make(tmp_path)
-    (told,) = caplog.messages
-    assert str(tmp_path / FIGURES[0]) in told and "\n" not in told
+    (warning,) = caplog.messages
+    assert str(tmp_path / FIGURES[0]) in warning and "\n" not in warning
     assert len(rows(tmp_path)) == 3 and (tmp_path / "summary.json").exists()

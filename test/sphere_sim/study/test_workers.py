@@ -75,20 +75,20 @@ def test_workers_with_other_code_are_refused(cluster, monkeypatch) -> None:
         make(Workers(scheduler=cluster.scheduler_address))
 
 
-def test_scheduler_out_of_reach_is_told(monkeypatch) -> None:
+def test_unreachable_scheduler_is_an_error(monkeypatch) -> None:
     monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", 0.5)
     with pytest.raises(WorkersError, match="cannot be reached"):
         make(Workers(scheduler="tcp://127.0.0.1:1"))
 
 
-def test_cluster_that_goes_away_is_one_error() -> None:
+def test_cluster_that_ends_is_one_error() -> None:
     with LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=None, memory_limit=0,
         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-    ) as passing, Workers(scheduler=passing.scheduler_address) as workers:
+    ) as closing, Workers(scheduler=closing.scheduler_address) as workers:
         runs = workers.run(run_scenario, TASKS, "run")
         next(runs)
-        passing.close()
+        closing.close()
         with pytest.raises(WorkersError, match=r"run \d+ .*the scheduler is gone"):
             list(runs)
 

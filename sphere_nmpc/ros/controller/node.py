@@ -156,7 +156,7 @@ class ControllerNode(RunnableNode):
         restored = self._stored_goal.restore()
         if restored is not None:
             goal, age = restored
-            self.get_logger().info(f"going on to the goal in force {age:.0f} s ago (goal_memory)")
+            self.get_logger().info(f"continuing to the goal of {age:.0f} s ago (goal_memory)")
             self._set_goal(goal)
 
     def _save_goal(self) -> None:

@@ -25,14 +25,14 @@ class StoredGoal:
         How long after the end of a run its goal is restored [s, wall].
     clock : ControlClock
         Clock on which the goal is in force.
-    faults : FaultLog
+    fault_log : FaultLog
         Log of a file that cannot be written.
     """
 
-    def __init__(self, node: Node, keep: float, clock: ControlClock, faults: FaultLog) -> None:
+    def __init__(self, node: Node, keep: float, clock: ControlClock, fault_log: FaultLog) -> None:
         self._memory: GoalMemory | None = GoalMemory(goal_file(node), keep)
         self._clock = clock
-        self._faults = faults
+        self._fault_log = fault_log
         self.is_settled = False
         """Whether the stored goal has been restored or is superseded by a new one."""
 
@@ -60,7 +60,9 @@ class StoredGoal:
             self._memory.save(goal, self._clock.stamp(), self._clock.simulated)
         except OSError as error:
             self._memory = None
-            self._faults.report("goal not kept", f"{error}; a restart will begin without a goal")
+            self._fault_log.report(
+                "goal not kept", f"{error}; a restart will begin without a goal"
+            )
 
 
 def goal_file(node: Node) -> Path:

@@ -160,7 +160,7 @@ class SimulatorNode(RunnableNode):
             self._set_epoch(self._epoch + jump)
             self._fault_log.report(
                 "system clock jumped", f"given a jump of {jump * 1e-9:.3f} s, expected a clock "
-                "that is slewed; stamps jump with it",
+                "that is adjusted gradually; stamps jump with it",
             )
 
     def _advance(self) -> None:
@@ -217,7 +217,7 @@ class SimulatorNode(RunnableNode):
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if self._settings.is_on_system_clock:
-            response.message = "given clock: system, which nobody can stop, expected simulated"
+            response.message = "given clock: system, which cannot be paused, expected simulated"
             return response
         if request.data:
             self._simulated_clock.pause()
@@ -270,7 +270,7 @@ class SimulatorNode(RunnableNode):
         if clock.awaited is not None and achieved == 0.0:
             return WARN, "waiting for rotor_trajectory", values
         if not clock.lockstep and achieved < _SLOW * wanted:
-            return WARN, f"slower than asked for: {achieved:.3g} of {wanted:g}", values
+            return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
 
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:

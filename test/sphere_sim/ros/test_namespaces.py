@@ -15,8 +15,8 @@ from ros_graph import started
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 
-from sphere_nmpc.model.state import as_state
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.model.state import as_state, state_error
+from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -67,13 +67,19 @@ def test_two_robots_reach_their_goals_at_the_same_time(graph) -> None:
     places = ((), ("-r", "__ns:=/second"))
     prefixes = ("", "second/")
     arrivals = [graph.hear(Bool, f"{prefix}controller/at_goal", LATCHED) for prefix in prefixes]
+    poses = [graph.hear(PoseStamped, f"{prefix}pose") for prefix in prefixes]
     with started("simulator", *places[0]), started("simulator", *places[1]), started(
         "controller", "-p", "use_sim_time:=true", *places[0]
     ) as first, started("controller", "-p", "use_sim_time:=true", *places[1]) as second:
         for prefix, goal in zip(prefixes, GOALS, strict=True):
-            goal = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
-            graph.speaker(PoseStamped, f"{prefix}goal_pose").publish(goal)
-        graph.until(lambda: all(heard and heard[-1].data for heard in arrivals), 60.0)
+            message = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
+            graph.speaker(PoseStamped, f"{prefix}goal_pose").publish(message)
+        graph.until(lambda: all(received and received[-1].data for received in arrivals), 60.0)
+        errors = [
+            state_error(pose_from_ros(received[-1]), np.array(goal, float))
+            for received, goal in zip(poses, GOALS, strict=True)
+        ]
+        assert max(errors) < 2e-2, "twice the tolerance, beyond which an arrival is taken back"
     for node in (first, second):
         told = node.stderr.read()
         assert "clock jumped" not in told and "other publisher" not in told

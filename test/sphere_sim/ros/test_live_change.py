@@ -1,0 +1,80 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A parameter that is changed over ROS on the way to the goal leaves the plan as it is."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import started
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from sphere_nmpc.model.state import state_error
+from sphere_nmpc.ros.conversions import (
+    hold_from_trajectory,
+    pose_from_ros,
+    pose_to_ros,
+    stamp_from_ros,
+)
+from sphere_nmpc.settings import STRATEGIES
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+CASE = PAPER_CASES[1]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SAMPLE = round(STRATEGIES["time_optimal"].sample_period * 1e9)
+"""Spacing of the sample instants [ns]."""
+CHANGED_AT = 8 * SAMPLE
+LOCKSTEP = ("-p", "lockstep:=true")
+SIMULATOR = (*LOCKSTEP, "-p", "start_paused:=true", "-p", "real_time_factor:=0.0")
+CONTROLLER = (*LOCKSTEP, "-p", "use_sim_time:=true")
+
+
+def run_to_goal(graph, **change: object) -> tuple[dict[int, list], np.ndarray]:
+    """Run case 1 in lockstep, changing parameters of the controller on the way.
+
+    Return the velocities of each trajectory by stamp [ns], and the last state.
+    """
+    with started("simulator", *SIMULATOR), started("controller", *CONTROLLER):
+        poses = graph.hear(PoseStamped, "pose")
+        trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
+        arrivals = graph.hear(Bool, "controller/at_goal", LATCHED)
+        goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+        sender = graph.speaker(PoseStamped, "goal_pose")
+        graph.until(lambda: poses)
+        sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
+        graph.until(lambda: goals)
+        while stamp_from_ros(poses[-1].header.stamp) < CHANGED_AT:
+            before = stamp_from_ros(poses[-1].header.stamp)
+            assert graph.call(Trigger, "simulator/step", Trigger.Request()).success
+            until = before + SAMPLE
+            graph.until(lambda until=until: stamp_from_ros(poses[-1].header.stamp) == until)
+        # The command of the instant at which the simulator is paused has to be there as well.
+        graph.until(lambda: stamp_from_ros(trajectories[-1].header.stamp) == CHANGED_AT)
+        assert hold_from_trajectory(trajectories[-1], 0).speeds.any(), "on the way"
+        if change:
+            request = SetParameters.Request(
+                parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in change.items()]
+            )
+            answer = graph.call(SetParameters, "controller/set_parameters", request)
+            assert all(result.successful for result in answer.results)
+        graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
+        graph.until(lambda: arrivals and arrivals[-1].data)
+    sent = {
+        stamp_from_ros(message.header.stamp): [list(point.velocities) for point in message.points]
+        for message in trajectories
+    }
+    return sent, pose_from_ros(poses[-1])
+
+
+@pytest.mark.slow
+def test_changed_parameter_leaves_plan_and_arrival_as_they_are(graph) -> None:
+    undisturbed, _ = run_to_goal(graph)
+    changed, last = run_to_goal(graph, pose_timeout=0.7, goal_tolerance=9e-3)
+    assert state_error(last, CASE.goal) < 1e-2
+    shared = undisturbed.keys() & changed.keys()
+    assert max(shared) > CHANGED_AT + 10 * SAMPLE
+    assert all(undisturbed[stamp] == changed[stamp] for stamp in shared), "no new search"

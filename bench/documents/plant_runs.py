@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
@@ -40,8 +41,7 @@ def draw_sequences(number: int, seed: int) -> list[Sequence]:
     sequences = []
     for i in range(number):
         rng = np.random.default_rng([seed, i])
-        turn = rng.normal(size=4)
-        start = np.concatenate(([0.0, 0.0], turn / np.linalg.norm(turn)))
+        start = np.concatenate(([0.0, 0.0], random_quaternion(rng)))
         limit = ROBOT.max_rotor_speed
         knots = rng.uniform(-limit, limit, (KNOTS, 2))
         sequences.append(Sequence(start, np.vstack((np.zeros(2), knots))))

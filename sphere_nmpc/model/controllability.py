@@ -14,9 +14,10 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.dynamics import Expression, quaternion_product, state_rate
+from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product
 
 DIMENSION = 5
 """Degrees of freedom: two of position, three of orientation."""

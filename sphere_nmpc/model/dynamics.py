@@ -14,32 +14,13 @@ solved for omega by the Sherman-Morrison formula, so that only the four lumped c
 Every function takes and returns CasADi expressions (SX, MX or DM columns).
 """
 
-from typing import Any
-
 import casadi as ca
 
-Expression = Any
-"""A CasADi SX, MX or DM; CasADi ships no types."""
-
-
-def quaternion_product(a: Expression, b: Expression) -> Expression:
-    """Return the Hamilton product of two quaternions, wxyz, shape (4,)."""
-    return ca.vertcat(
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
-
-
-def rotation_matrix(q: Expression) -> Expression:
-    """Return the matrix that takes body vectors to world ones, shape (3, 3) (Eq. 1)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return ca.vertcat(
-        ca.horzcat(w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        ca.horzcat(2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
-        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
-    )
+from sphere_nmpc.model.symbolic_rotation import (
+    Expression,
+    quaternion_product,
+    rotation_matrix,
+)
 
 
 def body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
@@ -79,11 +60,6 @@ def state_rate(x: Expression, u: Expression, p: Expression) -> Expression:
     rate = body_rate(q, u, p)
     turn = 0.5 * quaternion_product(q, ca.vertcat(0, rate))
     return ca.vertcat(rolling_velocity(ca.mtimes(rotation_matrix(q), rate), p[0]), turn)
-
-
-def contact_point(q: Expression, shell_radius: Expression) -> Expression:
-    """Return the contact point on the shell [m; body frame], shape (3,) (Eq. 18)."""
-    return -shell_radius * rotation_matrix(q)[2, :].T
 
 
 def rotor_torque(

@@ -13,35 +13,17 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.dynamics import (
+from sphere_nmpc.model.dynamics import body_rate, rolling_velocity
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.symbolic_rotation import (
     Expression,
-    body_rate,
+    quaternion_exponential,
     quaternion_product,
-    rolling_velocity,
     rotation_matrix,
 )
-from sphere_nmpc.model.state import Vector
 
 DEFAULT_MAX_STEP = 0.1
 """Longest integration step [s]; error of a 0.5 s interval about 2e-4 at the 99th percentile."""
-
-_EXPONENTIAL_TERMS = 9
-"""Terms of the power series in `quaternion_exponential`: rounding accuracy up to 2 rad."""
-
-
-def quaternion_exponential(rotation: Expression) -> Expression:
-    """Return the unit quaternion wxyz of a rotation vector [rad], shape (4,), up to 2 rad.
-
-    Power series instead of sine over angle: smooth at zero, where that one divides by zero, and
-    made of products and sums alone, so that compiled code can evaluate it on vector registers.
-    """
-    quarter = 0.25 * ca.dot(rotation, rotation)
-    cosine: Expression = 0.0
-    sine_over_angle: Expression = 0.0
-    for n in reversed(range(_EXPONENTIAL_TERMS)):
-        cosine = (-1) ** n / math.factorial(2 * n) + quarter * cosine
-        sine_over_angle = (-1) ** n / math.factorial(2 * n + 1) + quarter * sine_over_angle
-    return ca.vertcat(cosine, 0.5 * sine_over_angle * rotation)
 
 
 def cf4_step(

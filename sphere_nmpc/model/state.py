@@ -9,23 +9,17 @@ Position of the sphere's centre in the plane [m; world frame], then the unit qua
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.rotation import NORM_TOLERANCE, Vector
 
 STATE_NAMES = ("x", "y", "q1", "q2", "q3", "q4")
 STATE_SIZE = 6
 INPUT_SIZE = 2
 POSITION = slice(0, 2)
 QUATERNION = slice(2, 6)
-
-QUATERNION_NORM_TOLERANCE = 1e-2
-"""How far from 1 the norm of a quaternion that somebody typed or sent may be before it is refused.
-
-The paper prints its cases with three or four digits; case 1 has |q| = 1.0006.
-"""
-
-Vector = NDArray[np.float64]
 
 FARTHEST = 1e6
 """Largest coordinate of a position [m]; far beyond it sums and squares lose what is near."""
@@ -39,7 +33,7 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
     position : array_like, shape (2,)
         Centre of the sphere [m; world frame].
     quaternion_wxyz : array_like, shape (4,)
-        Orientation, body to world, of a norm within `QUATERNION_NORM_TOLERANCE` of 1.
+        Orientation, body to world, of a norm within `NORM_TOLERANCE` of 1.
 
     Returns
     -------
@@ -58,7 +52,7 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
             f"state: given shapes {place.shape} and {turn.shape}, "
             "expected a position (2,) [m] and a quaternion (4,) wxyz"
         )
-    # On six numbers Python is faster than numpy, and every pose of a fast robot comes by here.
+    # On six numbers Python is faster than NumPy, and this runs for every measured pose.
     numbers: list[float] = np.concatenate((place, turn)).tolist()
     if not all(map(math.isfinite, numbers)):
         raise InvalidStateError(
@@ -71,10 +65,10 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
             "along each axis"
         )
     norm = math.sqrt(turn.dot(turn))
-    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
+    if abs(norm - 1.0) > NORM_TOLERANCE:
         raise InvalidStateError(
             f"quaternion: given {turn.tolist()} of norm {norm:.6g}, "
-            f"expected norm 1 within {QUATERNION_NORM_TOLERANCE:g}"
+            f"expected norm 1 within {NORM_TOLERANCE:g}"
         )
     return np.concatenate((place, turn / norm))
 
@@ -131,6 +125,17 @@ def position_error(state: Vector, goal: Vector) -> float:
 
 def angle_error(state: Vector, goal: Vector) -> float:
     """Return the angle of the rotation between the two orientations [rad], 0 to pi."""
-    # The chord is accurate for small angles, where arccos of the dot product is not.
-    chord = float(np.linalg.norm((state - nearer_sign(goal, state))[QUATERNION]))
-    return 4.0 * float(np.arcsin(min(1.0, 0.5 * chord)))
+    return float(rotation.angle_between(state[QUATERNION], goal[QUATERNION]))
+
+
+def contact_points(states: Vector, shell_radius: float) -> Vector:
+    """Return the contact points on the shell [m; body frame], shape (..., 3) (Eq. 18).
+
+    Parameters
+    ----------
+    states : ndarray, shape (..., 6)
+        One state, or one a row.
+    shell_radius : float
+        Rs [m].
+    """
+    return -shell_radius * rotation.vertical(states[..., QUATERNION])

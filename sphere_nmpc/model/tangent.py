@@ -12,38 +12,25 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.dynamics import (
-    body_rate,
-    quaternion_product,
-    rolling_velocity,
-    rotation_matrix,
-)
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.dynamics import body_rate, rolling_velocity
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, cf4_step, steps_for
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.model.symbolic_rotation import quaternion_product, rotation_matrix
 
 DEVIATION_SIZE = 5
-_SMALL = 1e-8
-"""Angle [rad] below which sine over angle is 1 to rounding."""
 
 
 def deviated(state: Vector, deviation: Vector) -> Vector:
     """Return the state, shape (6,), moved by a deviation, shape (5,)."""
-    angle = float(np.linalg.norm(deviation[2:]))
-    factor = 0.5 if angle < _SMALL else np.sin(0.5 * angle) / angle
-    turn = np.concatenate(([np.cos(0.5 * angle)], factor * deviation[2:]))
-    q = _product(state[QUATERNION], turn)
+    q = rotation.product(state[QUATERNION], rotation.exponential(deviation[2:]))
     return np.concatenate((state[POSITION] + deviation[:2], q / np.linalg.norm(q)))
 
 
 def deviation_between(state: Vector, other: Vector) -> Vector:
     """Return the deviation, shape (5,), that leads from `state` to `other`, both shape (6,)."""
-    inverse = state[QUATERNION] * np.array([1.0, -1.0, -1.0, -1.0])
-    turn = _product(inverse, other[QUATERNION])
-    # Both signs of a quaternion are one orientation; the nearer one gives the shorter turn.
-    turn = turn if turn[0] >= 0.0 else -turn
-    sine = float(np.linalg.norm(turn[1:]))
-    factor = 2.0 if sine < _SMALL else 2.0 * np.arctan2(sine, turn[0]) / sine
-    return np.concatenate((other[POSITION] - state[POSITION], factor * turn[1:]))
+    turn = rotation.product(rotation.conjugate(state[QUATERNION]), other[QUATERNION])
+    return np.concatenate((other[POSITION] - state[POSITION], rotation.logarithm(turn)))
 
 
 def state_rates(state: Vector, speeds: Vector, constants: Vector) -> Vector:
@@ -132,9 +119,3 @@ def _rates() -> ca.Function:
     body = body_rate(x[2:6], u, p)
     velocity = rolling_velocity(ca.mtimes(rotation_matrix(x[2:6]), body), p[0])
     return ca.Function("rates", [x, u, p], [ca.vertcat(velocity, body)])
-
-
-def _product(a: Vector, b: Vector) -> Vector:
-    """Return the Hamilton product of two quaternions wxyz, shape (4,)."""
-    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.concatenate(([w], v))

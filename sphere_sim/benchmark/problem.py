@@ -4,10 +4,10 @@
 
 import numpy as np
 
-from sphere_nmpc.model.dynamics import Expression
 from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.symbolic_rotation import Expression
 from sphere_nmpc.solver.problem import HoldProblem
 
 HORIZON = 4

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
 SETTLED_ERROR = 1e-2
@@ -57,8 +58,7 @@ def signed_differences(states: Vector, goals: Vector) -> Vector:
         The goal, or the goal in force at each of them.
     """
     goals = np.broadcast_to(goals, states.shape).copy()
-    away = np.sum(goals[:, QUATERNION] * states[:, QUATERNION], axis=1) < 0.0
-    goals[away, QUATERNION] *= -1.0
+    goals[:, QUATERNION] = rotation.nearer_sign(goals[:, QUATERNION], states[:, QUATERNION])
     return states - goals
 
 
@@ -74,8 +74,7 @@ def position_errors(states: Vector, goals: Vector) -> Vector:
 
 def angle_errors(states: Vector, goals: Vector) -> Vector:
     """Return the angles to the goal's orientation [rad], shape (n,)."""
-    chords = np.linalg.norm(signed_differences(states, goals)[:, QUATERNION], axis=1)
-    return 4.0 * np.arcsin(np.minimum(1.0, 0.5 * chords))
+    return rotation.angle_between(states[:, QUATERNION], goals[..., QUATERNION])
 
 
 def settling_index(errors: Vector, tolerance: float = SETTLED_ERROR) -> int | None:

@@ -4,7 +4,8 @@
 
 import numpy as np
 
-from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.message_fields import stamp_of, state_of
 from sphere_sim.recording.messages import Messages
@@ -45,10 +46,9 @@ def read_goals(
     entries = []
     for received, message in messages.decoded[topic]:
         state = np.array(state_of(message))
-        norm = float(np.linalg.norm(state[QUATERNION]))
-        if not (np.all(np.isfinite(state)) and abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE):
+        if not (np.all(np.isfinite(state)) and rotation.is_unit(state[QUATERNION])):
             continue
-        state[QUATERNION] /= norm
+        state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         # The controller stamps a goal when it accepts it; stamps set by users mean nothing.
         time = (
             clock.time_of_message(stamp_of(message), received, latched=True) if accepted

@@ -4,7 +4,8 @@
 
 import numpy as np
 
-from sphere_nmpc.model.state import QUATERNION, QUATERNION_NORM_TOLERANCE, Vector
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_sim.recording.bag_clock import BagClock, longest_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.message_fields import stamp_of, state_of
@@ -33,9 +34,7 @@ def read_poses(messages: Messages, robot: str) -> tuple[BagClock, Vector, Vector
         reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
         raise BagError(messages.path, reason)
     states = np.array([state_of(message) for _, message in entries])
-    norms = np.linalg.norm(states[:, QUATERNION], axis=1)
-    valid = np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE
-    valid &= np.all(np.isfinite(states), axis=1)
+    valid = rotation.is_unit(states[:, QUATERNION]) & np.all(np.isfinite(states), axis=1)
     if not np.any(valid):
         raise BagError(messages.path, f"no message on {topic} holds a valid pose")
     if not np.all(valid):
@@ -53,7 +52,8 @@ def read_poses(messages: Messages, robot: str) -> tuple[BagClock, Vector, Vector
         following = [log for log, _ in pairs[run.stop :]]
         _remove_other_runs(messages, received[0], following[0] if following else None)
     clock = BagClock(received, stamps)
-    states = (states[valid] / np.where(np.arange(6) < 2, 1.0, norms[valid, None]))[run]
+    states = states[valid][run]
+    states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
     # While simulated time is paused, the simulator repeats the pose of that instant.
     times, first = np.unique([clock.time_of_stamp(stamp) for stamp in stamps], return_index=True)
     return clock, times, states[first]

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
-from sphere_nmpc.model.state import FARTHEST, QUATERNION_NORM_TOLERANCE, Vector, as_state
+from sphere_nmpc.model.rotation import NORM_TOLERANCE
+from sphere_nmpc.model.state import FARTHEST, Vector, as_state
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
@@ -179,7 +180,7 @@ def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...])
     except InvalidStateError:
         raise ScenarioFileError(
             path, f"a norm of {math.hypot(*values[2:]):.6g}",
-            f"a quaternion of norm 1 within {QUATERNION_NORM_TOLERANCE:g}",
+            f"a quaternion of norm 1 within {NORM_TOLERANCE:g}",
             line, f"{names[2]} to {names[-1]}",
         ) from None
 

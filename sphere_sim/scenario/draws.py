@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector, make_state
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def far(rng: np.random.Generator) -> Ends:
     start = _state(rng)
     distance, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(0.0, 2.0 * np.pi)
     position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
-    return start, make_state(position, _orientation(rng))
+    return start, make_state(position, random_quaternion(rng))
 
 
 def circle(rng: np.random.Generator) -> Ends:
@@ -61,18 +62,12 @@ DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
 
 
 def _state(rng: np.random.Generator) -> Vector:
-    quaternion = _orientation(rng)
+    quaternion = random_quaternion(rng)
     return make_state(_position(rng), quaternion)
 
 
 def _position(rng: np.random.Generator) -> Vector:
     return rng.uniform(-_HALF_SIDE, _HALF_SIDE, size=2)
-
-
-def _orientation(rng: np.random.Generator) -> Vector:
-    # A normalised Gaussian vector is uniform on the sphere of unit quaternions.
-    quaternion = rng.normal(size=4)
-    return np.asarray(quaternion / np.linalg.norm(quaternion))
 
 
 def _on_circle(rng: np.random.Generator) -> Vector:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import Vector
 
 
 class Mesh(NamedTuple):
@@ -138,13 +138,6 @@ def arc(start: Vector, end: Vector, step: float) -> Vector:
     chord = (1.0 - share) * start + share * end
     lengths = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
     return np.asarray(chord * (np.linalg.norm(end) / lengths))
-
-
-def contact_point(state: Vector, radius: float) -> Vector:
-    """Return where the shell touches the ground [m; body frame], shape (3,) (Eq. 18)."""
-    w, x, y, z = state[QUATERNION].tolist()
-    up = (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z)
-    return -radius * np.array(up)
 
 
 def apart(points: Vector, distance: float) -> Vector:

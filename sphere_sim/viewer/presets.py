@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sphere_nmpc.model.dynamics import quaternion_product
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -16,8 +16,7 @@ _HALF = math.sqrt(0.5)
 
 def _turned(state: Vector, wxyz: tuple[float, float, float, float]) -> Vector:
     """Return a state turned in its place by a rotation in the world frame."""
-    turned = np.array(quaternion_product(np.array(wxyz), state[QUATERNION]), dtype=float).ravel()
-    return make_state(state[POSITION], turned)
+    return make_state(state[POSITION], rotation.product(np.array(wxyz), state[QUATERNION]))
 
 
 def _always(goal: Vector) -> Callable[[Vector], Vector]:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import viser
 
-from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.state import POSITION, Vector, contact_points
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import Ball
 from sphere_sim.viewer.floor import add_floor, add_lights
 from sphere_sim.viewer.frame import Frame
-from sphere_sim.viewer.geometry import apart, arc, contact_point
+from sphere_sim.viewer.geometry import apart, arc
 from sphere_sim.viewer.trail import Trail
 
 CAMERA = (4.0, -4.4, 2.7)
@@ -76,7 +76,7 @@ class Scene:
         self._path.add(np.array([*frame.state[POSITION], _ON_FLOOR]))
         trace = self._trace
         if trace is not None:
-            touching = contact_point(frame.state, 1.008 * frame.radius)
+            touching = contact_points(frame.state, 1.008 * frame.radius)
             start = touching if trace.last is None else trace.last
             for point in arc(start, touching, 0.1 * frame.radius):
                 trace.add(point)

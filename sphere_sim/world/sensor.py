@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.settings import SimulatorSettings
 
@@ -67,7 +68,6 @@ class PoseSensor:
         if settings.orientation_noise > 0.0:
             # To first order a rotation by the vector 2 e; the norm is restored below.
             half = 0.5 * settings.orientation_noise * self._noise.normal(size=3)
-            w, v = seen[QUATERNION][0], seen[QUATERNION][1:]
-            turn = np.concatenate(([w - v @ half], v + w * half + np.cross(v, half)))
+            turn = rotation.product(seen[QUATERNION], np.concatenate(([1.0], half)))
             seen[QUATERNION] = turn / np.linalg.norm(turn)
         return seen

@@ -44,6 +44,7 @@ _C_SOURCES = (
     "solver.c", "vectors.h", "workspace.h", "shooting.h", "objective.h", "bounded_step.h"
 )
 _GENERATORS = (
+    ("sphere_nmpc.model", "symbolic_rotation.py"),
     ("sphere_nmpc.model", "dynamics.py"),
     ("sphere_nmpc.model", "integrator.py"),
     ("sphere_nmpc.solver.reference", "shooting.py"),

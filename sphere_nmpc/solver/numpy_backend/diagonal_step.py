@@ -13,8 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.dynamics import Expression
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.symbolic_rotation import Expression
 from sphere_nmpc.solver.numpy_backend.padding import padded
 
 _MEMORY = threading.local()

@@ -19,7 +19,16 @@ from functools import lru_cache
 
 import casadi as ca
 
-from sphere_nmpc.model.dynamics import Expression, quaternion_product, rotation_matrix
+from sphere_nmpc.model.symbolic_rotation import (
+    Expression,
+    Parts,
+    exponential_parts,
+    left_jacobian_parts,
+    matrix_parts,
+    product_parts,
+    quaternion_product,
+    rotation_matrix,
+)
 
 COLUMN = 11
 """Numbers a step is given: U at the two knots of its interval (2 each), h, r1, r3, Rs, the share
@@ -35,11 +44,6 @@ BY_KNOTS = 20
 
 _OF_ATTITUDE = [0, 1, 2, 3, 4, 5, 6, 8, 9]
 _UNIT_LEVER = (1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0)
-_TINY = 1e-30
-"""Added to a squared angle, which may be zero."""
-
-Parts = list[Expression]
-"""A vector or a quaternion by components, each for all steps at once."""
 
 
 @lru_cache(maxsize=256)
@@ -80,7 +84,7 @@ def _attitude_function() -> ca.Function:
         return ca.vertcat(free, 0) + shared * weighted
 
     def seen_after(rotation: Expression, k: Expression) -> Expression:
-        scalar, vector = _exponential(ca.vertsplit(rotation))
+        scalar, vector = exponential_parts(ca.vertsplit(rotation))
         axis = ca.vertcat(*vector)
         twice = 2 * ca.cross(axis, k)
         return k - scalar * twice + ca.cross(axis, twice)
@@ -93,7 +97,7 @@ def _attitude_function() -> ca.Function:
     w4 = rate(seen_after(h * (w3 - 0.5 * w1), k2), ending)
     q_end = q
     for rotation in (3 * w1 + 2 * (w2 + w3) - w4, -w1 + 2 * (w2 + w3) + 3 * w4):
-        scalar, vector = _exponential(ca.vertsplit(h / 12 * rotation))
+        scalar, vector = exponential_parts(ca.vertsplit(h / 12 * rotation))
         q_end = quaternion_product(q_end, ca.vertcat(scalar, *vector))
     return ca.Function("attitude", [q, column], [q_end, ca.vertcat(w1, w2, w3, w4)])
 
@@ -128,14 +132,14 @@ def _derivatives(q: Parts, rates: Parts, columns: Parts) -> tuple[Parts, Parts]:
     factors = [0.5 * h, 0.5 * h, h / 12, h, h / 12]
     turns = (w1, w2, first, _difference(w3, _scaled(0.5, w1)), last)
     rotation = _together(*(_scaled(f, turn) for f, turn in zip(factors, turns, strict=True)))
-    scalar, vector = _exponential(rotation)
+    scalar, vector = exponential_parts(rotation)
     to2, to3, to_middle, to4, _ = _apart([scalar, *vector], 5)
-    turned = _product(_together(q, q, q), _together(to2, to3, to_middle))
+    turned = product_parts(_together(q, q, q), _together(to2, to3, to_middle))
     q2, q3, q_middle = _apart(turned, 3)
-    q4 = _product(q2, to4)
-    bases = _rotation(_together(q, q, q, q2, q_middle))
-    per_turn = _matrix_product(bases, _left_jacobian(rotation, ca.horzcat(*factors)))
-    stages = _rotation(_together(q, q2, q3, q4))
+    q4 = product_parts(q2, to4)
+    bases = matrix_parts(_together(q, q, q, q2, q_middle))
+    per_turn = _matrix_product(bases, left_jacobian_parts(rotation, ca.horzcat(*factors)))
+    stages = matrix_parts(_together(q, q2, q3, q4))
     middle = 0.5 * (share_start + share_end)
     second = ca.horzcat(share_start, middle, middle, share_end)
     knots = _together(*4 * [columns[0:4]])
@@ -221,55 +225,6 @@ def _at_the_end(lever: Parts, local: Parts) -> Parts:
         by_attitude[0],
         by_attitude[1],
         by_attitude[2] + e_z,
-    ]
-
-
-def _left_jacobian(rotation: Parts, factors: Expression) -> list[Parts]:
-    """Return how a turn changes with its rotation vector, in the frame before it, times factors.
-
-    a I + b [r]x + c r r^T with a = sin t / t, b = (1 - cos t) / t^2, c = (1 - a) / t^2, t = |r|.
-    """
-    square = _dot(rotation, rotation) + _TINY
-    angle = ca.sqrt(square)
-    half = ca.sin(0.5 * angle) / angle
-    a = 2 * half * ca.cos(0.5 * angle)
-    c = factors * (1 - a) / square
-    b = factors * 2 * half * half
-    a = factors * a
-    x, y, z = rotation
-    bx, by, bz = (b * part for part in rotation)
-    xy, xz, yz = c * x * y, c * x * z, c * y * z
-    return [
-        [a + c * x * x, xy - bz, xz + by],
-        [xy + bz, a + c * y * y, yz - bx],
-        [xz - by, yz + bx, a + c * z * z],
-    ]
-
-
-def _exponential(rotation: Parts) -> tuple[Expression, Parts]:
-    """Return scalar and vector part of the unit quaternion of a rotation vector."""
-    angle = ca.sqrt(_dot(rotation, rotation) + _TINY)
-    half = ca.sin(0.5 * angle) / angle
-    return ca.cos(0.5 * angle), [half * part for part in rotation]
-
-
-def _product(a: Parts, b: Parts) -> Parts:
-    return [
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    ]
-
-
-def _rotation(q: Parts) -> list[Parts]:
-    w, x, y, z = q
-    ww, xx, yy, zz = w * w, x * x, y * y, z * z
-    xy, xz, yz, wx, wy, wz = x * y, x * z, y * z, w * x, w * y, w * z
-    return [
-        [ww + xx - yy - zz, 2 * (xy - wz), 2 * (xz + wy)],
-        [2 * (xy + wz), ww - xx + yy - zz, 2 * (yz - wx)],
-        [2 * (xz - wy), 2 * (yz + wx), ww - xx - yy + zz],
     ]
 
 

@@ -7,24 +7,9 @@ from copy import copy
 import numpy as np
 from matplotlib.figure import Figure
 
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import Vector, contact_points
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import BLACK, BLUE, GREY, VERMILION, styled
-
-
-def contact_points(states: Vector, shell_radius: float) -> Vector:
-    """Return the contact points [m; body frame], shape (n, 3) (Eq. 18).
-
-    Parameters
-    ----------
-    states : ndarray, shape (n, 6)
-        States over time.
-    shell_radius : float
-        Rs [m].
-    """
-    w, x, y, z = states[:, QUATERNION].T
-    up = (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z)
-    return -shell_radius * np.stack(up, axis=1)
 
 
 def contact_locus(run: Run) -> Figure:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFilter
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
 from sphere_sim.report.figures.style import BLUE, ORANGE, VERMILION
 
@@ -119,7 +120,7 @@ def paint_ball(
     c = np.sqrt(np.clip(1.0 - a * a - b * b, 0.0, 1.0))
     axes = np.stack((camera.right, camera.up, camera.towards))
     normals = np.stack((a, b, c), axis=-1) @ axes
-    colours = _shell_colours(normals @ _rotation(quaternion))
+    colours = _shell_colours(normals @ rotation.matrix(quaternion))
     shade = 0.55 + 0.5 * np.clip(normals @ _LIGHT, 0.0, 1.0)
     painted = np.clip(colours * shade[..., None], 0, 255).astype(np.uint8)
     mask = np.where(outside, 0, round(255 * opacity)).astype(np.uint8)
@@ -150,13 +151,3 @@ def _paint_shadow(
     mask = Image.new("L", picture.size, 0)
     ImageDraw.Draw(mask).polygon(camera.project(rim), fill=95)
     picture.paste("#555555", (0, 0), mask.filter(ImageFilter.GaussianBlur(6)))
-
-
-def _rotation(quaternion: Vector) -> Vector:
-    """Return the matrix that takes body vectors to world ones."""
-    w, x, y, z = quaternion
-    return np.array((
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ))

@@ -8,6 +8,7 @@ import time
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
+from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
@@ -20,8 +21,8 @@ _PERIOD = 0.2
 
 def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
     """Return a goal, shape (6,), with |x|, |y| <= `reach` [m] and any orientation."""
-    quaternion = rng.normal(size=4)
-    return np.concatenate((rng.uniform(-reach, reach, 2), quaternion / np.linalg.norm(quaternion)))
+    quaternion = random_quaternion(rng)
+    return np.concatenate((rng.uniform(-reach, reach, 2), quaternion))
 
 
 class BadGoals:

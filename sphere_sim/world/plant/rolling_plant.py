@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ideal plant: rolls without slipping, its rotors follow their reference exactly.
 
-Written without the controller's model: the inertia about the contact point is put together from
-the bodies (Eqs. 8 to 11), the momentum balance is solved as a 3 x 3 system, orientation is carried
-by Eqs. (3) and (7), and the integrator is the classical Runge-Kutta method with short steps.
+Written independently of the controller's model on purpose, quaternion algebra included, as a test
+compares the two. The inertia about the contact point is the sum of the bodies' inertias (Eqs. 8
+to 11), the momentum balance is solved as a 3 x 3 system, the orientation follows Eqs. (3) and (7),
+and the integrator is the classical Runge-Kutta method with short steps.
 """
 
 import math

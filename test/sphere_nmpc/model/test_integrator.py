@@ -5,13 +5,11 @@
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.integrator import (
     DEFAULT_MAX_STEP,
     integrate,
-    quaternion_exponential,
     step_function,
     steps_for,
 )
@@ -134,14 +132,6 @@ def test_motion_depends_on_the_angle_turned_and_not_on_time() -> None:
 def test_no_time_is_no_motion() -> None:
     x = as_state([0.3, 0.1, 0.8, 0.6, 0.0, 0.0])
     np.testing.assert_array_equal(integrate(x, np.ones(2), np.ones(2), 0.0, P), x)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.3, 1.0, 2.0])
-def test_exponential_agrees_with_scipy_up_to_two_radians(angle: float) -> None:
-    axis = np.array([0.48, -0.6, 0.64])
-    found = np.array(quaternion_exponential(ca.DM(angle * axis))).ravel()
-    expected = Rotation.from_rotvec(angle * axis).as_quat()[[3, 0, 1, 2]]
-    np.testing.assert_allclose(found, expected, atol=2e-16)
 
 
 def test_one_stage_never_turns_farther_than_the_exponential_is_good_for() -> None:

@@ -5,13 +5,11 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.dynamics import contact_point as exact_contact_point
 from sphere_sim.viewer.geometry import (
     Mesh,
     apart,
     arc,
     cap,
-    contact_point,
     great_circle,
     joined,
     octants,
@@ -46,14 +44,6 @@ def test_caps_and_sectors_lie_along_their_axis(axis) -> None:
     assert np.allclose(np.ptp(disc.vertices[:, axis]), 0.1)
     assert volume(disc) == pytest.approx(np.pi * 0.25 * 0.1, rel=0.02)
     assert volume(sector(0.5, 0.1, axis, 0.0, 1.0)) == pytest.approx(0.5 * 0.25 * 0.1, rel=0.02)
-
-
-def test_contact_point_is_that_of_the_model() -> None:
-    rng = np.random.default_rng(1)
-    for quaternion in rng.normal(size=(20, 4)):
-        state = np.array([0.0, 0.0, *(quaternion / np.linalg.norm(quaternion))])
-        exact = np.array(exact_contact_point(state[2:], 0.3)).ravel()
-        assert contact_point(state, 0.3) == pytest.approx(exact, abs=1e-12)
 
 
 def test_arc_stays_on_the_sphere_in_short_steps() -> None:

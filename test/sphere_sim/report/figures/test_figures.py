@@ -4,14 +4,12 @@
 
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.dynamics import contact_point
 from sphere_sim.recording.run import Run, Solves
 from sphere_sim.report.figures import analysis
-from sphere_sim.report.figures.contact_locus import contact_locus, contact_points
+from sphere_sim.report.figures.contact_locus import contact_locus
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 
@@ -64,14 +62,6 @@ def test_four_panels_show_the_paper_s_quantities() -> None:
     assert {"x", "y", "$q_1$", "$q_4$", "$u_1$", "$u_2$", "start", "goal"} <= drawn
     limits = [line.get_ydata()[0] for line in axes[3].lines if line.get_linestyle() == ":"]
     assert {-100.0, 100.0} <= set(limits)
-
-
-def test_contact_points_are_those_of_the_controller_s_model() -> None:
-    states = make_run().states
-    q = ca.SX.sym("q", 4)
-    model = ca.Function("contact", [q], [contact_point(q, 0.3)])
-    expected = np.array([np.array(model(state[2:])).ravel() for state in states])
-    np.testing.assert_allclose(contact_points(states, 0.3), expected, atol=1e-12)
 
 
 def test_equal_runs_give_equal_files(tmp_path) -> None:

@@ -1,0 +1,105 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Rotations as unit quaternions **wxyz** (scalar first), on NumPy arrays.
+
+A quaternion takes body vectors to world ones. Functions that say shape (..., 4) work on one
+quaternion or on many, one a row. `sphere_nmpc.model.symbolic_rotation` has the CasADi operations.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+NORM_TOLERANCE = 1e-2
+"""Largest deviation of the norm of a given quaternion from 1 that is accepted.
+
+The paper prints its cases with three or four digits; case 1 has |q| = 1.0006.
+"""
+
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+_SMALL = 1e-8
+"""Angle [rad] below which sine over angle is 1 to rounding."""
+
+
+def product(a: Vector, b: Vector) -> Vector:
+    """Return the Hamilton product of two quaternions, shape (4,): rotation b, then a."""
+    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
+    return np.concatenate(([w], v))
+
+
+def conjugate(q: Vector) -> Vector:
+    """Return the quaternion of the inverse rotation, shape (..., 4)."""
+    return q * _CONJUGATE
+
+
+def exponential(rotation: Vector) -> Vector:
+    """Return the unit quaternion, shape (4,), of a rotation vector [rad], shape (3,)."""
+    angle = float(np.linalg.norm(rotation))
+    factor = 0.5 if angle < _SMALL else np.sin(0.5 * angle) / angle
+    return np.concatenate(([np.cos(0.5 * angle)], factor * rotation))
+
+
+def logarithm(q: Vector) -> Vector:
+    """Return the shortest rotation vector [rad], shape (3,), of a unit quaternion, shape (4,)."""
+    # Both signs of a quaternion are one orientation; the nearer one gives the shorter rotation.
+    q = q if q[0] >= 0.0 else -q
+    sine = float(np.linalg.norm(q[1:]))
+    factor = 2.0 if sine < _SMALL else 2.0 * np.arctan2(sine, q[0]) / sine
+    found: Vector = factor * q[1:]
+    return found
+
+
+def matrix(q: Vector) -> Vector:
+    """Return the matrix, shape (3, 3), that takes body vectors to world ones (Eq. 1)."""
+    w, x, y, z = q
+    return np.array((
+        (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
+    ))
+
+
+def vertical(q: Vector) -> Vector:
+    """Return the world's vertical k in body axes, shape (..., 3): last row of the matrix."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    up = (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z)
+    return np.stack(up, axis=-1)
+
+
+def to_body(q: Vector, vector: Vector) -> tuple[float, float, float]:
+    """Return a world vector, shape (3,), in body axes: v + 2 q x (q x v - w v)."""
+    w, x, y, z = q.tolist()
+    a, b, c = vector.tolist()
+    # The inner product t = q x v - w v, written out: numpy's cross costs 30 us.
+    t1, t2, t3 = y * c - z * b - w * a, z * a - x * c - w * b, x * b - y * a - w * c
+    return (
+        a + 2.0 * (y * t3 - z * t2), b + 2.0 * (z * t1 - x * t3), c + 2.0 * (x * t2 - y * t1)
+    )
+
+
+def nearer_sign(q: Vector, reference: Vector) -> Vector:
+    """Return q or -q, whichever is nearer to the reference, shape (..., 4)."""
+    away = np.sum(q * reference, axis=-1, keepdims=True) < 0.0
+    return np.where(away, -q, q)
+
+
+def angle_between(a: Vector, b: Vector) -> Vector:
+    """Return the angle of the rotation between orientations [rad], 0 to pi, shape (...)."""
+    # The chord is accurate for small angles, where arccos of the dot product is not.
+    chord = np.linalg.norm(a - nearer_sign(b, a), axis=-1)
+    angle: Vector = 4.0 * np.arcsin(np.minimum(1.0, 0.5 * chord))
+    return angle
+
+
+def is_unit(q: Vector) -> NDArray[np.bool_]:
+    """Return whether the norm is 1 within `NORM_TOLERANCE`, shape (...); False for nan."""
+    found: NDArray[np.bool_] = np.abs(np.linalg.norm(q, axis=-1) - 1.0) <= NORM_TOLERANCE
+    return found
+
+
+def random_quaternion(rng: np.random.Generator) -> Vector:
+    """Return an orientation drawn uniformly from SO(3), shape (4,)."""
+    # A normalised Gaussian vector is uniform on the sphere of unit quaternions.
+    q = rng.normal(size=4)
+    return np.asarray(q / np.linalg.norm(q))

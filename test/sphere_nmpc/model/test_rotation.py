@@ -1,0 +1,108 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Rotation operations on NumPy arrays and in CasADi against SciPy, and against each other."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.rotation import Vector
+from sphere_nmpc.model.symbolic_rotation import (
+    exponential_parts,
+    left_jacobian_parts,
+    quaternion_exponential,
+    quaternion_product,
+    rotation_matrix,
+)
+
+ROUNDING = 1e-15
+
+
+def draws(number: int = 30) -> Vector:
+    """Return random orientations, shape (number, 4)."""
+    rng = np.random.default_rng(5)
+    return np.array([rotation.random_quaternion(rng) for _ in range(number)])
+
+
+def scipy_rotation(q: Vector) -> Rotation:
+    return Rotation.from_quat(q[..., [1, 2, 3, 0]])
+
+
+def test_product_is_the_composition_of_rotations() -> None:
+    for a, b in zip(draws()[:-1], draws()[1:], strict=True):
+        composed = (scipy_rotation(a) * scipy_rotation(b)).as_matrix()
+        for found in (rotation.product(a, b), np.array(quaternion_product(a, b)).ravel()):
+            np.testing.assert_allclose(scipy_rotation(found).as_matrix(), composed, atol=ROUNDING)
+
+
+def test_matrix_takes_body_vectors_to_world_ones() -> None:
+    for q in draws():
+        expected = scipy_rotation(q).as_matrix()
+        np.testing.assert_allclose(rotation.matrix(q), expected, atol=ROUNDING)
+        np.testing.assert_allclose(np.array(rotation_matrix(ca.DM(q))), expected, atol=ROUNDING)
+        np.testing.assert_allclose(rotation.vertical(q), expected[2], atol=ROUNDING)
+        vector = np.array([0.3, -1.2, 0.7])
+        np.testing.assert_allclose(rotation.to_body(q, vector), expected.T @ vector, atol=ROUNDING)
+
+
+def test_conjugate_is_the_inverse() -> None:
+    for q in draws():
+        unit = rotation.product(q, rotation.conjugate(q))
+        np.testing.assert_allclose(unit, [1.0, 0.0, 0.0, 0.0], atol=ROUNDING)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-4, 0.3, 2.0, 3.0])
+def test_exponential_and_logarithm_agree_with_scipy(angle: float) -> None:
+    vector = angle * np.array([0.48, -0.6, 0.64])
+    expected = Rotation.from_rotvec(vector).as_quat()[[3, 0, 1, 2]]
+    q = rotation.exponential(vector)
+    np.testing.assert_allclose(q, expected, atol=ROUNDING)
+    for sign in (q, -q):
+        np.testing.assert_allclose(rotation.logarithm(sign), vector, rtol=1e-14, atol=1e-23)
+    scalar, parts = exponential_parts(ca.vertsplit(ca.DM(vector)))
+    np.testing.assert_allclose(np.array(ca.vertcat(scalar, *parts)).ravel(), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.3, 1.0, 2.0])
+def test_power_series_of_the_exponential_agrees_with_scipy_up_to_two_radians(angle: float) -> None:
+    vector = angle * np.array([0.48, -0.6, 0.64])
+    found = np.array(quaternion_exponential(ca.DM(vector))).ravel()
+    expected = Rotation.from_rotvec(vector).as_quat()[[3, 0, 1, 2]]
+    np.testing.assert_allclose(found, expected, atol=2e-16)
+
+
+def test_left_jacobian_is_the_derivative_of_the_exponential() -> None:
+    vector, step = np.array([0.4, -0.9, 0.6]), 1e-6
+    rows = left_jacobian_parts(ca.vertsplit(ca.DM(vector)), ca.DM(1.0))
+    jacobian = np.array([[float(part) for part in row] for row in rows])
+    for i, change in enumerate(step * np.eye(3)):
+        ahead, behind = (rotation.exponential(vector + sign * change) for sign in (1.0, -1.0))
+        moved = rotation.logarithm(rotation.product(ahead, rotation.conjugate(behind)))
+        np.testing.assert_allclose(moved / (2.0 * step), jacobian[:, i], atol=1e-9)
+
+
+def test_angle_between_is_that_of_scipy_for_one_and_for_many() -> None:
+    a, b = draws()[:15], draws()[15:]
+    expected = (scipy_rotation(a).inv() * scipy_rotation(b)).magnitude()
+    np.testing.assert_allclose(rotation.angle_between(a, b), expected, atol=1e-14)
+    np.testing.assert_allclose(rotation.angle_between(a, -b), expected, atol=1e-14)
+    assert rotation.angle_between(a[0], b[0]) == pytest.approx(expected[0], abs=1e-14)
+
+
+def test_nearer_sign_is_the_shorter_chord() -> None:
+    a, b = draws()[:15], draws()[15:]
+    found = rotation.nearer_sign(a, b)
+    np.testing.assert_array_equal(np.abs(found), np.abs(a))
+    near, far = (np.linalg.norm(sign * found - b, axis=1) for sign in (1.0, -1.0))
+    assert np.all(near <= far)
+    assert np.any(found != a) and np.any(found == a)
+
+
+@pytest.mark.parametrize(
+    ("scale", "expected"),
+    [(1.0, True), (1.009, True), (1.011, False), (0.0, False), (np.nan, False)],
+)
+def test_norm_of_a_quaternion_is_one_within_a_tolerance(scale: float, expected: bool) -> None:
+    assert rotation.is_unit(scale * draws()[0]) == expected

@@ -7,22 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.control.arrival import Arrival
+from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate, Estimator
 from sphere_nmpc.estimation.exact_poses import Background
 from sphere_nmpc.estimation.factory import make_estimator
-from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import (
-    INPUT_SIZE,
-    Vector,
-    angle_error,
-    as_state,
-    position_error,
-    state_error,
-)
+from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, Strategy
@@ -60,8 +53,10 @@ class Controller:
         robot = self._robot = within_torque(robot)
         self._strategy = make_strategy(settings, robot) if strategy is None else strategy
         self._background = background
-        self._sent = SentInputs()
-        self._estimator = make_estimator(settings, robot.lumped, self._sent, background)
+        self._commands = Commands(robot)
+        self._estimator = make_estimator(
+            settings, robot.lumped, self._commands.sent, background
+        )
         self._goal: Vector | None = None
         self._arrival = Arrival()
         self.enabled = True
@@ -116,7 +111,7 @@ class Controller:
         else:
             self._strategy = make_strategy(settings, self._robot)
         self._estimator = make_estimator(
-            settings, self._robot.lumped, self._sent, self._background, self._estimator
+            settings, self._robot.lumped, self._commands.sent, self._background, self._estimator
         )
 
     def observe(self, time: float, state: Vector) -> bool:
@@ -145,17 +140,17 @@ class Controller:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""
         self._estimator.forget()
         self._arrival.reset()
-        self._sent.clear()
+        self._commands.sent.clear()
         self._reset_strategy()
 
     def speeds_at(self, time: float) -> Vector:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
-        return self._sent.at(time)
+        return self._commands.sent.at(time)
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
         known = self._goal is not None and self._estimator.newest is not None
-        return known and self.enabled and not self._sent.moves_after(now)
+        return known and self.enabled and not self._commands.sent.moves_after(now)
 
     def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
         """Plan for the sampling instant `time` [s]; to be followed by `commit`.
@@ -166,7 +161,10 @@ class Controller:
             return self._decide(time, min(time_budget, self._settings.time_budget or float("inf")))
         except Exception as error:
             # An error anywhere must not stop the loop; the hold in force is safe to its end.
-            return Decision(Mode.FALLBACK, self._fallback(time, None, error), None)
+            plan = self._fallback(time, None, error)
+            if self.enabled:
+                return Decision(Mode.FALLBACK, plan, None)
+            return Decision(Mode.DISABLED, self._ramp_to_rest(time, Mode.DISABLED), None)
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return the hold to send at `now` [s] and record it as sent; None if there is none.
@@ -174,26 +172,25 @@ class Controller:
         The hold starts at `now` from the speeds in force, so that a late solve does not change
         the past; it keeps every limit and ends at rest.
         """
-        newest = self._sent.newest
-        if newest is not None:
-            # The last hold may be dated slightly ahead of a clock that is late.
-            now = max(now, newest.start)
+        commands = self._commands
+        start = commands.earliest(now)
         try:
-            hold = self._joined(decision.plan.hold, now)
+            hold = commands.joined(decision.plan.hold, start)
         except Exception:
             # As in `decide`; the hold in force has passed this way before.
             self.failures += 1
-            hold = self._joined(self._in_force(now), now)
+            hold = commands.joined(commands.in_force(start), start)
         planned = decision.solved or decision.mode is Mode.FALLBACK
-        if not planned and not hold.speeds.any() and not self._sent.moves_after(now):
+        if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
-        self._sent.record(hold)
+        commands.sent.record(hold)
         return hold
 
     def _decide(self, time: float, time_budget: float) -> Decision:
         newest = self._estimator.newest
         if newest is None:
-            return self._decision(Mode.NO_POSE, self._ramp_to_rest(time, Mode.NO_POSE))
+            mode = Mode.NO_POSE
+            return Decision(mode, self._ramp_to_rest(time, mode), None)
         stamp, state = newest
         age = time - stamp
         if abs(age) > self._settings.pose_timeout:
@@ -203,7 +200,7 @@ class Controller:
             self._reset_strategy()
             self._arrival.reset()
             mode = Mode.NO_FRESH_POSE
-            return self._decision(mode, self._ramp_to_rest(time, mode), age=age)
+            return Decision(mode, self._ramp_to_rest(time, mode), None, pose_age=age)
         estimate, failure = self._estimate(time)
         if estimate is not None:
             state = estimate.state
@@ -216,7 +213,7 @@ class Controller:
         else:
             mode, plan = self._plan(time, estimate, goal, time_budget)
         covariance = None if estimate is None else estimate.covariance
-        decision = self._decision(mode, plan, state, age, covariance)
+        decision = Decision.with_errors(mode, plan, state, goal, age, covariance)
         settings = self._settings
         reached = self._arrival.update(
             time, decision.error, settings.goal_tolerance, settings.period
@@ -237,7 +234,7 @@ class Controller:
         try:
             plant = estimate.plant
             situation = Situation(
-                time, estimate.state, goal, self._sent.at(time), plant.constants, plant.noise,
+                time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
                 estimate.uncertainty, time_budget,
             )
             plan = self._strategy.plan(situation)
@@ -254,27 +251,13 @@ class Controller:
         self.failures += 1
         self._reset_strategy()
         return Plan(
-            PlanStatus.FALLBACK, self._in_force(time), _states(state),
+            PlanStatus.FALLBACK, self._commands.in_force(time), _states(state),
             message=f"{type(error).__name__}: {error}",
         )
 
     def _ramp_to_rest(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
-        acceleration = self._robot.max_rotor_acceleration
-        hold = FirstOrderHold.ramp_to_rest(time, self._sent.at(time), acceleration)
+        hold = self._commands.ramp_to_rest(time)
         return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
-
-    def _in_force(self, time: float) -> FirstOrderHold:
-        """Return the hold in force from `time` [s] on; before the first one rest."""
-        newest = self._sent.newest
-        hold = FirstOrderHold.constant(time, np.zeros(INPUT_SIZE)) if newest is None else newest
-        return hold.starting_at(time, self._sent.at(time))
-
-    def _joined(self, hold: FirstOrderHold, now: float) -> FirstOrderHold:
-        """Return a hold that starts at `now` [s] from the speeds in force and ends at rest."""
-        acceleration = self._robot.max_rotor_acceleration
-        joined = self._sent.leading_to(hold, now)
-        joined = joined.limited(self._robot.max_rotor_speed, acceleration)
-        return joined.ending_at_rest(acceleration)
 
     def _reset_strategy(self) -> None:
         try:
@@ -282,22 +265,6 @@ class Controller:
         except Exception:
             # What it kept is of no use then either.
             self._strategy = make_strategy(self._settings, self._robot)
-
-    def _decision(
-        self,
-        mode: Mode,
-        plan: Plan,
-        state: Vector | None = None,
-        age: float = float("inf"),
-        covariance: Vector | None = None,
-    ) -> Decision:
-        goal = self._goal
-        if state is None or goal is None:
-            return Decision(mode, plan, state, pose_age=age, covariance=covariance)
-        return Decision(
-            mode, plan, state, state_error(state, goal), position_error(state, goal),
-            angle_error(state, goal), age, covariance,
-        )
 
 
 def _states(state: Vector | None) -> Vector:

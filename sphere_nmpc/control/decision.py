@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import Vector, angle_error, position_error, state_error
 from sphere_nmpc.strategy.plan import Plan
 
 
@@ -54,6 +54,24 @@ class Decision:
     angle_error: float = float("nan")
     pose_age: float = float("inf")
     covariance: Vector | None = None
+
+    @classmethod
+    def with_errors(
+        cls,
+        mode: Mode,
+        plan: Plan,
+        state: Vector,
+        goal: Vector | None,
+        pose_age: float,
+        covariance: Vector | None,
+    ) -> "Decision":
+        """Return the decision with the errors of the state, nan where there is no goal."""
+        if goal is None:
+            return cls(mode, plan, state, pose_age=pose_age, covariance=covariance)
+        return cls(
+            mode, plan, state, state_error(state, goal), position_error(state, goal),
+            angle_error(state, goal), pose_age, covariance,
+        )
 
     @property
     def solved(self) -> bool:

@@ -95,7 +95,7 @@ class Estimator(Protocol):
         ...
 
     def change(self, settings: ControllerSettings) -> None:
-        """Take over settings that may change while running; estimates they do not concern stay.
+        """Take over changed settings; estimates that they do not concern are kept.
 
         A changed ``drive_lag`` restarts the estimate of the lag from this prior mean.
         """

@@ -98,7 +98,7 @@ class ExactPoseEstimator:
         return Estimate(state, plant)
 
     def change(self, settings: ControllerSettings) -> None:
-        """Take over changed settings; what was learnt and they do not concern stays."""
+        """Take over changed settings; estimates that they do not concern are kept."""
         before, self._settings = self._settings, settings
         if settings.drive_lag != before.drive_lag:
             # Transitions seen so far would pull the lag back to its last estimate. A task in the

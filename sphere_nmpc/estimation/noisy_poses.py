@@ -85,7 +85,7 @@ class NoisyPoseEstimator:
         return Estimate(predicted.state, self.plant, predicted.covariance)
 
     def change(self, settings: ControllerSettings) -> None:
-        """Take over changed settings; state and parameters they do not concern stay."""
+        """Take over changed settings; estimates that they do not concern are kept."""
         before, self._learnt = self._settings, self.parameters
         self._settings = settings
         if settings.drive_lag != before.drive_lag:

@@ -469,10 +469,10 @@ FAILING = {
 """Class, attribute, and whether it is used only where no fresh pose is left."""
 
 
-@pytest.mark.parametrize("part", FAILING)
-def test_failure_of_any_part_does_not_stop_the_loop(
+def command_while_failing(
     controller: Controller, monkeypatch: pytest.MonkeyPatch, part: str
-) -> None:
+) -> FirstOrderHold:
+    """Return the command of a sampling instant at which a part is used and fails."""
     owner, name, late = FAILING[part]
     calls: list[str] = []
 
@@ -480,20 +480,40 @@ def test_failure_of_any_part_does_not_stop_the_loop(
         calls.append(part)
         raise ArithmeticError("made to fail")
 
-    track(controller)
     is_property = isinstance(getattr(owner, name), property)
-    monkeypatch.setattr(owner, name, property(record_and_fail) if is_property else record_and_fail)
     time = SETTINGS.pose_timeout + 1.0 if late else PERIOD
     in_force = controller.speeds_at(time)
-    decision = controller.decide(time)
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, property(record_and_fail) if is_property else record_and_fail)
+        decision = controller.decide(time)
     assert calls
     hold = controller.commit(decision, time)
     assert hold is not None
     np.testing.assert_array_equal(hold.speeds[0], in_force)
+    return hold
+
+
+@pytest.mark.parametrize("part", FAILING)
+def test_failure_of_any_part_does_not_stop_the_loop(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    track(controller)
+    hold = command_while_failing(controller, monkeypatch, part)
     assert not np.any(hold.speeds[-1])
-    monkeypatch.undo()
-    controller.observe(time + 0.1, START)
-    assert sample(controller, time + 0.1) is Mode.TRACKING
+    controller.observe(hold.start + 0.1, START)
+    assert sample(controller, hold.start + 0.1) is Mode.TRACKING
+
+
+@pytest.mark.parametrize("part", [part for part in FAILING if part != "uncertainty"])
+def test_disabled_controller_ramps_to_rest_whatever_part_fails(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    track(controller)
+    controller.enabled = False
+    hold = command_while_failing(controller, monkeypatch, part)
+    ramp_is_safe(hold)
+    ramp = np.max(np.abs(hold.speeds[0])) / ROBOT.max_rotor_acceleration
+    assert hold.end - hold.start == pytest.approx(ramp)
 
 
 def test_plan_without_a_hold_counts_as_failed(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphere_nmpc.control import goal_memory
 from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.model.state import as_state
 
@@ -21,11 +22,16 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "goals" / "0.controller.json"
 
 
-def test_goal_is_resumed_unchanged(path: Path) -> None:
+def test_goal_is_resumed_unchanged_with_its_age(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     GoalMemory(path, 30.0).save(GOAL, STAMP, True)
-    goal, age = GoalMemory(path, 30.0).recall(STAMP, True)
-    np.testing.assert_array_equal(goal, GOAL)
-    assert 0.0 <= age < 10.0
+    written = path.stat().st_mtime
+    monkeypatch.setattr(goal_memory.time, "time", lambda: written + 7.0)
+    found = GoalMemory(path, 30.0).recall(STAMP, True)
+    assert found is not None
+    np.testing.assert_array_equal(found[0], GOAL)
+    assert found[1] == 7.0
 
 
 def test_goal_is_not_resumed_after_its_time(path: Path) -> None:

@@ -3,19 +3,19 @@
 
 PYTHON ?= python3
 ARGS ?=
-# The oldest and the newest Python that are there, for `make homes`.
+# The oldest and the newest installed Python, for `make homes`.
 HOMES ?= $(PYTHON)
 VENV := .venv
 COLCON_VENV := .venv-colcon
-# Tests of running nodes wait more than they work, hence more processes than a small machine has
-# cores. Tests of one file share what they have started.
+# Tests of running nodes mostly wait, hence more processes than a small machine has cores. Tests of
+# one file share the nodes that they have started.
 SPREAD := --numprocesses 3 --dist loadfile
 
 # The ROS wheels set these two in every process they start; a child that is started with another
 # virtual environment's Python would load the wrong libraries.
 unexport LD_LIBRARY_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
-# Tests start hundreds of processes; none of them should compile the package anew.
+# Tests start hundreds of processes; none of them should compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the world does: plants, disturbances, scenarios, closed loop, studies and viewer."""
+"""Simulation, studies, recording and visualisation around the controller."""

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The plant with contact against the ideal rolling plant, and both against the printed Eq. (12).
+"""Comparison of the plant with contact, the ideal rolling plant and the printed Eq. (12).
 
 ``python bench/documents/compare_plants.py --out docs`` writes ``rigid_body_figures.md`` and
-``rigid_body.png``; docs/rigid_body.md says what they mean.
+``rigid_body.png``; docs/rigid_body.md explains them.
 """
 
 import argparse
@@ -42,7 +42,7 @@ from matplotlib import pyplot as plt
 
 DEFAULT = RigidBodySettings()
 IDEAL = RigidBodySettings(drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3)
-"""Drives without lag or limit: what is left is contact and integration."""
+"""Drives without lag or limit, so that only contact and integration differ."""
 
 TIME_CONSTANTS = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
 IMPEDANCES = (0.9, 0.999)
@@ -89,7 +89,7 @@ class Study:
                     IDEAL, time_step=0.001, contact_time_constant=constant,
                     contact_impedance=impedance,
                 )  # fmt: skip
-                # What the contact sinks in under the weight at rest.
+                # Penetration of the contact under the weight at rest.
                 sunk = (1 - impedance) / impedance * 9.81 * constant**2
                 name = (
                     f"{1e3 * constant:g} ms, impedance {impedance:g} (sinks {1e6 * sunk:.2g} um)"

@@ -36,7 +36,7 @@ TAIL = 5.0
 
 
 class PushedPlant(RigidBodyPlant):
-    """The plant with contact, hit once [N s; world x] at a time [s]."""
+    """Plant with contact and one impulse [N s; world x] at a given time [s]."""
 
     impulse, when = 0.0, math.inf
     _elapsed = 0.0

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Make the pictures of README.md and docs/figures.md from runs over ROS 2.
+"""Figures of README.md and docs/figures.md from runs over ROS 2.
 
     python bench/documents/document_figures.py --out docs/figures
 
@@ -27,7 +27,7 @@ STRATEGIES = ("paper", "time_optimal")
 
 
 def record(runs: Path, case: int, strategy: str) -> Path:
-    """Return the folder of a demo, which is run unless it is there."""
+    """Return the folder of a demo; the demo is run if the folder does not exist."""
     folder = runs / f"{strategy}_{case}"
     if not (folder / "summary.json").exists():
         command = ["demo", "--rtf", "0", "--case", str(case), "--strategy", strategy]

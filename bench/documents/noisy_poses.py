@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's cases with slow, noisy, late and lost poses, with the state estimator and without.
+"""The paper's cases with slow, noisy, late and lost poses, with and without state estimator.
 
 ``python bench/documents/noisy_poses.py --seeds 4`` prints a table for docs/rigid_body.md:
 pose at 20 Hz, 5 mm and 1 degree of noise, 50 ms of latency, 20 % lost. A run has arrived at the
@@ -26,14 +26,14 @@ POSITION_NOISE, ANGLE_NOISE = 0.005, math.radians(1.0)
 RATE, LATENCY, LOST = 20.0, 0.05, 0.2
 NEAR, NEAR_ANGLE = 0.03, math.radians(3.0)
 WAYS = (("time_optimal", 0.5), ("paper", 0.5), ("paper", 5.0))
-"""Strategies with the input weight alpha; a heavier one chases noise less."""
+"""Strategies with the input weight alpha; a larger weight reacts less to noise."""
 TAIL = 10.0
 """Length of the end of a run over which its largest errors are reported [s]."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Time from which on a run is home [s], inf if never, and its errors at the end [m, rad]."""
+    """Arrival time of a run [s], inf if never, and its errors at the end [m, rad]."""
 
     home: float
     position: float
@@ -69,7 +69,7 @@ def run(
 
 
 def main() -> None:
-    """Print a row for each plant, strategy and way to take the poses."""
+    """Print a row for each plant and strategy, with and without the state estimator."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--duration", type=float, default=30.0)

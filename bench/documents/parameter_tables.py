@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Write msg_docs/parameters.md and config/sphere.yaml from the quantities of the settings.
+"""Generator of msg_docs/parameters.md and config/sphere.yaml from the settings in the code.
 
-``python bench/documents/parameter_tables.py`` in the source tree; a test holds both files against
+``python bench/documents/parameter_tables.py`` in the source tree; a test compares both files with
 what this writes.
 """
 
@@ -19,7 +19,7 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
 
 NODES: dict[str, Any] = {"simulator": SimulatorSettings(), "controller": ControllerSettings()}
-"""Settings of each node; both have those of the robot too, under ``robot.``."""
+"""Settings of each node; both also have those of the robot, under ``robot.``."""
 
 PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     "simulator": (
@@ -29,7 +29,7 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     ),
     "controller": (("", "How the process is scheduled.", SchedulingSettings()),),
 }
-"""Further settings of a node: prefix, what they are for, values."""
+"""Further settings of a node: prefix, purpose, values."""
 
 _ROOT = Path(__file__).parents[2]
 
@@ -97,7 +97,7 @@ def main() -> int:
 
 
 def outputs() -> dict[Path, str]:
-    """Return the files and what belongs into them."""
+    """Return the content of each file."""
     return {
         _ROOT / "msg_docs" / "parameters.md": parameters_document(),
         _ROOT / "config" / "sphere.yaml": parameters_yaml(),

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Random input sequences, run on a plant, and how far two runs are apart."""
+"""Random input sequences, their runs on a plant, and deviations between runs."""
 
 import time
 from collections.abc import Callable
@@ -18,7 +18,7 @@ ROBOT = RobotParameters()
 KNOT_PERIOD = 0.5
 KNOTS = 10
 STEP = 0.01
-"""Step of the simulator between two looks at the command [s]."""
+"""Step of the simulator between two samples of the command [s]."""
 
 SLIPPING = 1e-3
 """Speed of the shell over the floor from which it counts as slipping [m/s]."""
@@ -125,7 +125,7 @@ def compare(
     settings: RigidBodySettings,
     alter: Alteration | None = None,
 ) -> Comparison:
-    """Run all sequences on the plant with contact and hold them against the ideal plant's runs."""
+    """Compare runs of all sequences on the plant with contact with those of the ideal plant."""
     plant = RigidBodyPlant(ROBOT, sequences[0].start, settings)
     if alter is not None:
         alter(plant._model)

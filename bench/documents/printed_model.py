@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Eqs. (7) and (12) of the paper, as printed or with the sign of the third line put right.
+"""Eqs. (7) and (12) of the paper, as printed or with the corrected sign in the third line.
 
 Written out from the page, term by term, so that it is the paper that is judged and not a
 rearrangement of it. Nothing in the package uses this module.
@@ -34,7 +34,7 @@ class PrintedModel:
         self.state = np.array(state, dtype=float)
 
     def advance(self, speeds_end: np.ndarray, duration: float) -> None:
-        """Move on by `duration` [s] while the rotor speeds ramp to `speeds_end` [rad/s]."""
+        """Integrate over `duration` [s] while the rotor speeds ramp to `speeds_end` [rad/s]."""
         steps = max(1, int(np.ceil(duration / MAX_STEP - 1e-9)))
         h = duration / steps
         slope = (speeds_end - self._speeds) / duration

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How often the conditions of Theorem 3 hold along the four cases of the paper.
+"""Frequency with which the conditions of Theorem 3 hold along the paper's four cases.
 
 Prints the table of ``docs/model.md``:
 

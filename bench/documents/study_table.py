@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One table from the folders of several studies, for docs/results.md.
+"""Table for docs/results.md from the folders of several studies.
 
     python bench/documents/study_table.py out/nominal out/wrong_3 out/noise
 

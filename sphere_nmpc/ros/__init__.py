@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The controller as a ROS 2 node, and what all nodes of the package share."""
+"""The controller as a ROS 2 node, and modules that all nodes of the package share."""
 
 from sphere_nmpc.library_threads import limit_library_threads
 

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world as ROS 2 nodes."""
+"""ROS 2 nodes of simulator, recorder and viewer, and sessions of several nodes."""

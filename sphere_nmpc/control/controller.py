@@ -10,8 +10,7 @@ from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.estimation.contract import Estimate, Estimator
-from sphere_nmpc.estimation.exact_poses import Background
+from sphere_nmpc.estimation.contract import Background, Estimate, Estimator
 from sphere_nmpc.estimation.factory import make_estimator
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contract between the controller and an estimator of the state and of the plant's parameters."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +12,9 @@ from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
+
+Background = Callable[[Callable[[], None]], object]
+"""Runs a task that the control loop does not wait for, tasks one after another."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,18 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimator for exact poses: prediction from the newest one, parameters by least squares."""
 
-from collections.abc import Callable
-
-from sphere_nmpc.estimation.contract import Estimate, PlantEstimate
+from sphere_nmpc.estimation.contract import Background, Estimate, PlantEstimate
 from sphere_nmpc.estimation.plant_estimator import PlantEstimator
 from sphere_nmpc.estimation.plant_parameters import LONGEST_LAG, ParameterDistribution
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
-
-Background = Callable[[Callable[[], None]], object]
-"""Runs a task that the control loop does not wait for, tasks one after another."""
 
 _SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
 """Spacing of the poses used for learning [s]; predictions over longer gaps are inaccurate."""

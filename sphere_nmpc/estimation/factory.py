@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the estimator by the settings."""
 
-from sphere_nmpc.estimation.contract import Estimator
-from sphere_nmpc.estimation.exact_poses import Background, ExactPoseEstimator
+from sphere_nmpc.estimation.contract import Background, Estimator
+from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
 from sphere_nmpc.estimation.noisy_poses import NoisyPoseEstimator
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.parameters import LumpedConstants

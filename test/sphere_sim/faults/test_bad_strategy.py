@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A strategy that goes wrong on demand never gets a command beyond the limits through."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,3 +44,17 @@ def test_controller_says_what_it_does_and_keeps_the_limits(tmp_path, mode, expec
         check.trajectory(hold)
     assert decision.mode is expected
     assert not check.broken
+
+
+def test_live_change_reaches_the_wrapped_strategy(tmp_path) -> None:
+    settings = [SETTINGS, replace(SETTINGS, terminal_weight=1e6)]
+    costs = []
+    for changed in settings:
+        controller = Controller(
+            SETTINGS, ROBOT, BadStrategy(make_strategy(SETTINGS, ROBOT), tmp_path / "mode")
+        )
+        controller.set_goal(GOAL)
+        controller.observe(0.0, START)
+        controller.change(changed)
+        costs.append(controller.decide(0.0).plan.cost)
+    assert costs[1] < 0.1 * costs[0]

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Two network namespaces joined by a link that delays and loses packets; Linux, as root.
+"""Two network namespaces connected by a link that delays and loses packets; Linux, as root.
 
-Where the kernel has ``netem`` it does both. Where it has not, a bridge in a third namespace does
-the same to each frame: ``python bench/lossy_link.py --help`` is that bridge.
+The kernel's ``netem`` does both where it is available. Otherwise a bridge in a third namespace
+does the same to each frame; ``python bench/lossy_link.py`` is that bridge.
 """
 
 import argparse
@@ -27,23 +27,23 @@ _ALL_FRAMES = 0x0003
 _SOL_PACKET, _VNET_HEADER, _OUTGOING = 263, 15, 4
 _LARGEST = 1 << 17
 _READY = 5.0
-"""How long the bridge may take to open both ends [s]."""
+"""Longest wait until the bridge has opened both ends [s]."""
 
 
 class LinkError(RuntimeError):
-    """The machine does not let us make the link."""
+    """Namespaces or links cannot be created on this machine."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What the link does to each packet, in either direction.
+    """Delay and loss of packets, the same in either direction.
 
     Attributes
     ----------
     delay, jitter : float
         Delay, drawn from delay - jitter to delay + jitter, so that packets overtake [s].
     loss : float
-        Share that is lost.
+        Share of packets that are lost.
     """
 
     delay: float
@@ -60,7 +60,7 @@ class Link:
     hosts : tuple of str
         Names of the two namespaces; their addresses are `ADDRESSES`.
     means : str
-        What delays and loses: netem or bridge.
+        Means of delay and loss: netem or bridge.
     """
 
     hosts: tuple[str, str]
@@ -69,12 +69,12 @@ class Link:
 
 @contextlib.contextmanager
 def lossy_link(quality: Quality) -> Iterator[Link]:
-    """Join two new namespaces and take everything away again in the end.
+    """Connect two new namespaces, and remove everything at the end.
 
     Raises
     ------
     LinkError
-        If namespaces or links cannot be made here.
+        If namespaces or links cannot be created.
     """
     if shutil.which("ip") is None:
         raise LinkError("the command 'ip' is not there (on Debian and Ubuntu: iproute2)")
@@ -107,7 +107,7 @@ def _ip(*arguments: str) -> None:
 
 
 def _join(end: tuple[str, str], other: tuple[str, str]) -> None:
-    """Make a link between two interfaces, each given with its namespace."""
+    """Create a link between two interfaces, each given with its namespace."""
     _ip("link", "add", "name", end[0], "netns", end[1], "type", "veth",
         "peer", "name", other[0], "netns", other[1])
 
@@ -132,48 +132,48 @@ def _bridge(quality: Quality, namespace: str) -> Iterator[None]:
     try:
         ready, _, _ = select.select([process.stdout], [], [], _READY)
         if not ready or "ready" not in process.stdout.readline():
-            raise LinkError("the bridge does not come up")
+            raise LinkError("the bridge did not start")
         yield
     finally:
         process.send_signal(signal.SIGTERM)
-        told, _ = process.communicate()
-        print(f"  bridge: {told.strip()}", flush=True)
+        printed, _ = process.communicate()
+        print(f"  bridge: {printed.strip()}", flush=True)
 
 
 def _run_bridge(ends: tuple[str, str], quality: Quality) -> None:
-    """Pass frames on, later or not at all, until SIGTERM."""
+    """Forward frames, delayed or not at all, until SIGTERM."""
     sockets = [_packet_socket(name) for name in ends]
     opposite = {sockets[0]: sockets[1], sockets[1]: sockets[0]}
-    under_way: list[tuple[float, int, socket.socket, bytes]] = []
-    numbers, heard, lost, late = itertools.count(), 0, 0, 0.0
+    pending: list[tuple[float, int, socket.socket, bytes]] = []
+    numbers, received, lost, late = itertools.count(), 0, 0, 0.0
     stop: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: stop.append(number))
     print("ready", flush=True)
     while not stop:
-        wait = max(0.0, under_way[0][0] - time.monotonic()) if under_way else 0.1
+        wait = max(0.0, pending[0][0] - time.monotonic()) if pending else 0.1
         readable, _, _ = select.select(sockets, [], [], min(wait, 0.1))
         for end in readable:
             frame, address = end.recvfrom(_LARGEST)
             if address[2] == _OUTGOING:
                 continue
-            heard += 1
+            received += 1
             if random.random() < quality.loss:
                 lost += 1
                 continue
             delay = quality.delay + quality.jitter * random.uniform(-1.0, 1.0)
             due = time.monotonic() + max(0.0, delay)
-            heapq.heappush(under_way, (due, next(numbers), opposite[end], frame))
-        while under_way and under_way[0][0] <= time.monotonic():
-            due, _, end, frame = heapq.heappop(under_way)
+            heapq.heappush(pending, (due, next(numbers), opposite[end], frame))
+        while pending and pending[0][0] <= time.monotonic():
+            due, _, end, frame = heapq.heappop(pending)
             late = max(late, time.monotonic() - due)
             with contextlib.suppress(OSError):
                 end.send(frame)
-    print(f"{heard} frames, {lost} lost, at most {1e3 * late:.1f} ms later than drawn")
+    print(f"{received} frames, {lost} lost, at most {1e3 * late:.1f} ms later than drawn")
 
 
 def _packet_socket(name: str) -> socket.socket:
     end = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ALL_FRAMES))
-    # With this header in front, checksums that were left to the interface are left to the next.
+    # With this header, checksums that are left to the interface are left to the next one.
     end.setsockopt(_SOL_PACKET, _VNET_HEADER, 1)
     end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
     end.bind((name, 0))

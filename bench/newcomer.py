@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How long a newcomer needs from `git clone` to a goal dragged in the browser, and where it goes.
+"""Duration of the steps of a new user from `git clone` to a goal dragged in the browser.
 
     python bench/newcomer.py                                      # about five minutes
 
-Does what README.md says, in a folder of its own and without any environment that is there: clone,
-`make demo` at a terminal, open the page it names in a headless Chromium, drag the goal by its
-arrow, wait until the sphere has arrived there, and Enter.
+Follows README.md in a new folder, without the environment of this interpreter: clone, `make demo`
+at a terminal, open the page that it prints in a headless Chromium, drag the goal by its arrow,
+wait until the sphere has arrived there, and press Enter.
 """
 
 import argparse
@@ -27,33 +27,33 @@ from stage import pixel  # noqa: E402
 
 _COLOUR = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 _PATIENCE = 1800.0
-"""For everything [s]."""
+"""Longest wait for any step [s]."""
 
 
-class Clock:
-    """Tells what each step took."""
+class Stopwatch:
+    """Prints the duration of each step."""
 
     def __init__(self) -> None:
         self.began = self.last = time.monotonic()
 
-    def tell(self, step: str) -> None:
+    def lap(self, step: str) -> None:
         now = time.monotonic()
         print(f"| {step} | {now - self.last:.1f} | {now - self.began:.1f} |", flush=True)
         self.last = now
 
 
-def wait_for(terminal: int, pattern: str, said: list[str]) -> re.Match[str]:
-    """Return what the terminal has said once it matches; it keeps what came before."""
+def wait_for(terminal: int, pattern: str, output: list[str]) -> re.Match[str]:
+    """Return the match of a pattern in the terminal's output, which is collected meanwhile."""
     end = time.monotonic() + _PATIENCE
-    while not (found := re.search(pattern, _COLOUR.sub("", "".join(said)))):
-        assert time.monotonic() < end, "".join(said)
+    while not (found := re.search(pattern, _COLOUR.sub("", "".join(output)))):
+        assert time.monotonic() < end, "".join(output)
         if select.select([terminal], [], [], 0.2)[0]:
-            said.append(os.read(terminal, 65536).decode(errors="replace"))
+            output.append(os.read(terminal, 65536).decode(errors="replace"))
     return found
 
 
 def distance(page: Browser) -> float:
-    """Return how far the page says the goal is [m]."""
+    """Return the distance to the goal that the page shows [m]."""
     found = re.search(r"to the goal: ([\d.]+) m", page.text)
     return float(found.group(1)) if found else float("nan")
 
@@ -66,7 +66,7 @@ def wait_until_distance(page: Browser, low: float, high: float) -> None:
 
 
 def clean_environment() -> dict[str, str]:
-    """Return the environment without what this interpreter's own packages have put there."""
+    """Return the environment without the variables that this interpreter's packages have set."""
     own = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "VIRTUAL_ENV", "ROS_DOMAIN_ID")
     return {name: value for name, value in os.environ.items() if name not in own}
 
@@ -78,35 +78,35 @@ def main() -> None:
     print(f"load {os.getloadavg()[0]:.1f} at the start\n\n| step | took [s] | since [s] |\n"
           "|---|---|---|")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        clock, clone = Clock(), Path(folder) / "sphere_nmpc"
+        watch, clone = Stopwatch(), Path(folder) / "sphere_nmpc"
         subprocess.run(["git", "clone", "--quiet", given.source, clone], check=True)
-        clock.tell("`git clone`")
+        watch.lap("`git clone`")
         terminal, other = os.openpty()
         process = subprocess.Popen(
             ["make", "demo"], cwd=clone, stdin=other, stdout=other, stderr=other,
             env={**clean_environment(), "XDG_CACHE_HOME": f"{folder}/cache",
                  "PIP_CACHE_DIR": f"{folder}/pip"},
         )
-        said: list[str] = []
-        wait_for(terminal, "case 1 of the paper", said)
-        clock.tell("`make demo`: everything installed")
+        output: list[str] = []
+        wait_for(terminal, "case 1 of the paper", output)
+        watch.lap("`make demo`: everything installed")
         page_named = r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])"
-        address = wait_for(terminal, page_named, said).group()
-        clock.tell("nodes up, page named")
+        address = wait_for(terminal, page_named, output).group()
+        watch.lap("nodes ready, page printed")
         home = Path(folder) / "browser"
         home.mkdir()
         with Browser(find_browser() or "", home) as page:
             page.open(address)
             page.wait_for("live")
             page.settle()
-            clock.tell("page opened, scene drawn (without a graphics card)")
-            wait_for(terminal, "the nodes run on", said)
-            clock.tell("case 1 run, measured, compared, drawn")
+            watch.lap("page opened, scene drawn (without a graphics card)")
+            wait_for(terminal, "the nodes run on", output)
+            watch.lap("case 1 run, measured, compared, drawn")
             page.drag(pixel(page, (0.5, 0.0, 0.3)), pixel(page, (1.5, 0.0, 0.3)))
             wait_until_distance(page, 0.3, 9.0)
-            clock.tell("goal dragged")
+            watch.lap("goal dragged")
             wait_until_distance(page, 0.0, 0.02)
-            clock.tell("sphere at the dragged goal")
+            watch.lap("sphere at the dragged goal")
         os.write(terminal, b"\n")
         print(f"\n`make demo` ended with {process.wait(60.0)}; load {os.getloadavg()[0]:.1f}")
 

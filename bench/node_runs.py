@@ -171,7 +171,7 @@ def machine() -> dict[str, object]:
 
 
 def write_json(options: argparse.Namespace, result: dict[str, object]) -> None:
-    """Write the result where ``--json`` says."""
+    """Write the result to the file of ``--json``."""
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(result, indent=2) + "\n")

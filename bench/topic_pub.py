@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Send a goal the way ``ros2 topic pub`` sends it, where that command is not installed.
+"""Send a goal as ``ros2 topic pub`` does, where that command is not installed.
 
     python bench/topic_pub.py X TIMES
 
-With ``--once`` (TIMES 1) that command looks every 0.1 s for its first matched subscription, sends,
-and is gone 0.1 s later; with ``-t 3`` it sends three times, one second apart.
+With ``--once`` (TIMES 1) that command checks every 0.1 s for its first matched subscription,
+sends, and ends 0.1 s later; with ``-t 3`` it sends three times, one second apart.
 """
 
 import sys

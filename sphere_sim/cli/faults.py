@@ -130,7 +130,7 @@ def _settings(given: argparse.Namespace, folder: Path) -> SessionSettings:
 def _run_trials(
     trials: list[tuple[Fault, ...]], settings: SessionSettings, console: Console
 ) -> Iterator[Outcome]:
-    """Run the trials; after one that was not survived the nodes are started anew."""
+    """Run the trials; after one that was not survived the nodes are restarted."""
     left = list(trials)
     sessions = 0
     with _progress(console) as progress:

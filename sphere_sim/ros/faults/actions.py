@@ -54,11 +54,11 @@ class Pause(Lasting):
 
     def begin(self, session: FaultSession) -> None:
         """Pause the simulator."""
-        session.ask("simulator/pause", SetBool.Request(data=True))
+        session.call("simulator/pause", SetBool.Request(data=True))
 
     def end(self, session: FaultSession) -> None:
         """Resume it."""
-        session.ask("simulator/pause", SetBool.Request(data=False))
+        session.call("simulator/pause", SetBool.Request(data=False))
 
 
 class ClockLost(Lasting):
@@ -147,9 +147,9 @@ class StoppedRecording(DiskFull):
     def end(self, session: FaultSession) -> None:
         """Remove the limit and start a new recording."""
         super().end(session)
-        answer = session.ask("recorder/start", Trigger.Request())
-        if not answer.success and "already" not in answer.message:
-            raise SessionError(f"the recorder does not start again: {answer.message}")
+        response = session.call("recorder/start", Trigger.Request())
+        if not response.success and "already" not in response.message:
+            raise SessionError(f"the recorder does not start again: {response.message}")
 
 
 _ACTIONS: dict[str, Any] = {

@@ -34,7 +34,7 @@ _RATE = 20.0
 """Rate of poses, clock and commands [Hz], low enough for the proxy on a busy machine."""
 _REPEAT = 3.0
 """Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
-_ANSWER = 30.0
+_RESPONSE_TIMEOUT = 30.0
 """Longest wait for the response of a service [s]."""
 RADIUS = RobotParameters().shell_radius
 
@@ -138,7 +138,7 @@ class FaultSession:
             self.wait(client.service_is_ready, READY, f"the service {client.srv_name}")
         self.wait(lambda: self.monitor.time > 0.0, READY, "simulated time")
         # Each trial records a bag of its own.
-        self.ask("recorder/stop", Trigger.Request())
+        self.call("recorder/stop", Trigger.Request())
 
     def spin(self, duration: float = 0.02) -> None:
         """Serve the campaign's own node for `duration` [s, wall time]."""
@@ -160,7 +160,7 @@ class FaultSession:
                 raise SessionError(f"timed out after {timeout:g} s while waiting for {what}")
             self.spin()
 
-    def ask(self, service: str, request: Any) -> Any:
+    def call(self, service: str, request: Any) -> Any:
         """Call a service, again where there is no response, and return the response.
 
         As with goals, the request may be lost: a node that was killed stays matched for some
@@ -173,14 +173,14 @@ class FaultSession:
         """
         client = self._clients[service]
         self.wait(client.service_is_ready, READY, f"the service {service}")
-        end = time.monotonic() + _ANSWER
+        end = time.monotonic() + _RESPONSE_TIMEOUT
         futures = []
         while time.monotonic() < end:
             futures.append(client.call_async(request))
             with contextlib.suppress(SessionError):
                 self.wait(lambda: any(f.done() for f in futures), _REPEAT, "a response")
                 return next(future.result() for future in futures if future.done())
-        raise SessionError(f"no response of {service} within {_ANSWER:g} s")
+        raise SessionError(f"no response of {service} within {_RESPONSE_TIMEOUT:g} s")
 
     def set_parameters(self, node: str, **values: Any) -> list[Any]:
         """Set parameters of a node and return the result for each."""
@@ -190,7 +190,7 @@ class FaultSession:
                 for name, value in values.items()
             ]
         )
-        return list(self.ask(f"{node}/set_parameters", request).results)
+        return list(self.call(f"{node}/set_parameters", request).results)
 
     def send_goal(self, goal: Vector) -> None:
         """Bring a goal, shape (6,), into force.

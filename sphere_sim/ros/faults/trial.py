@@ -57,7 +57,7 @@ class Trial:
         recovery = math.nan
         recorded = set(self._bags())
         try:
-            session.ask("recorder/start", Trigger.Request())
+            session.call("recorder/start", Trigger.Request())
             session.send_goal(goal)
             self._pass(UNDER_WAY)
             monitor.limits.continuous = all(fault.continuous for fault in self._faults)
@@ -148,7 +148,7 @@ class Trial:
     def _judge_bags(self, earlier: set[Path]) -> None:
         """Complain if a bag of this trial cannot be read, or if there is none."""
         try:
-            self._session.ask("recorder/stop", Trigger.Request())
+            self._session.call("recorder/stop", Trigger.Request())
             bags = [bag for bag in self._bags() if bag not in earlier]
             if not bags:
                 self._complaints.append("nothing was recorded")

@@ -35,7 +35,7 @@ def module_command(module: str, *arguments: str) -> list[str]:
 
 
 class ChildDiedError(SphereNmpcError):
-    """A child process ended although it was not asked to.
+    """A child process ended unexpectedly.
 
     Parameters
     ----------

@@ -121,11 +121,11 @@ class DemoSession:
 
     def start(self) -> None:
         """Start simulated time."""
-        self._ask(self._pause, SetBool.Request(data=False))
+        self._call(self._pause, SetBool.Request(data=False))
 
     def halt(self) -> None:
         """Pause simulated time."""
-        self._ask(self._pause, SetBool.Request(data=True))
+        self._call(self._pause, SetBool.Request(data=True))
 
     def spin(self, duration: float = 0.05) -> None:
         """Serve the node for `duration` [s, wall time], then call `check`."""
@@ -140,7 +140,7 @@ class DemoSession:
         self._node.destroy_node()
 
     def _recorder_is_ready(self) -> bool:
-        lines = self._ask(self._recorder, Trigger.Request()).message.splitlines()
+        lines = self._call(self._recorder, Trigger.Request()).message.splitlines()
         return not _missing(lines, ("heard",), _RECEIVED) and not _missing(
             lines, ("heard", "matched"), _MATCHED
         )
@@ -151,12 +151,12 @@ class DemoSession:
                 raise NotReadyError(f"timed out while waiting for {what}")
             self.spin()
 
-    def _ask(self, client: Any, request: Any) -> Any:
+    def _call(self, client: Any, request: Any) -> Any:
         future = client.call_async(request)
         end = time.monotonic() + 5.0
         while not future.done():
             if time.monotonic() > end:
-                raise NotReadyError(f"no answer from {client.srv_name} within 5 s")
+                raise NotReadyError(f"no response of {client.srv_name} within 5 s")
             self.spin(0.01)
         return future.result()
 

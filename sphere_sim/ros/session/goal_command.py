@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Command ``goal``: send one goal to the controller and tell whether it was accepted."""
+"""Command ``goal``: send one goal to the controller and print whether it was accepted."""
 
 import argparse
 import math
@@ -18,15 +18,15 @@ from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 _ANSWER_TIMEOUT = 5.0
-"""How long the controller may take to confirm the goal [s]."""
+"""Longest wait for the confirmation of the controller [s]."""
 
 
 def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
     """Return the goal state, shape (6,), and how long to wait for a controller [s]."""
     parser = argparse.ArgumentParser(
         prog="goal",
-        description="Send a goal to the controller once it listens. Exits 0 when the controller "
-        "has accepted it, 1 when it has not, 2 when the arguments are not understood.",
+        description="Send a goal to the controller once it is ready. Exits 0 when the controller "
+        "has accepted it, 1 when it has not, 2 when the arguments are wrong.",
         epilog="ROS arguments follow --ros-args, for example: --ros-args -r __ns:=/left",
     )
     parser.add_argument("position", nargs="*", type=float, metavar="X Y", help="position [m]")
@@ -71,19 +71,19 @@ def main(args: Sequence[str] | None = None) -> int:
     goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
     start_ros(given)
     node = rclpy.create_node("goal")
-    told = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"
+    sent = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"
     try:
         sender = GoalSender(node, lambda: rclpy.spin_once(node, timeout_sec=0.05))
         sender.wait_for_controller(timeout)
         sender.send(goal, RobotParameters().shell_radius, _ANSWER_TIMEOUT)
     except GoalNotAcceptedError as error:
-        print(f"{told}: {error}", file=sys.stderr)
+        print(f"{sent}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"{told}: given up", file=sys.stderr)
+        print(f"{sent}: given up", file=sys.stderr)
         return 1
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    print(f"{told}: in force")
+    print(f"{sent}: in force")
     return 0

@@ -65,7 +65,7 @@ class GoalSender:
         if not self._wait(timeout, self._is_matched):
             number = self._publisher.get_subscription_count()
             raise GoalNotAcceptedError(
-                f"no controller came up within {timeout:g} s: {number} subscribers of {topic}, "
+                f"no controller was ready within {timeout:g} s: {number} subscribers of {topic}, "
                 f"{self._node.count_publishers(self._confirmation.topic_name)} publishers of "
                 f"{self._confirmation.topic_name}; is one running in this namespace and domain?"
             )
@@ -108,8 +108,8 @@ class GoalSender:
     def _is_matched(self) -> bool:
         matched = self._publisher.get_subscription_count()
         known = self._node.count_subscribers(self._publisher.topic_name)
-        heard = self._node.count_publishers(self._confirmation.topic_name)
-        return matched >= max(1, known) and heard > 0
+        confirming = self._node.count_publishers(self._confirmation.topic_name)
+        return matched >= max(1, known) and confirming > 0
 
     def _is_accepted(self, goal: Vector) -> bool:
         accepted = self._accepted

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""End a process when its parent process dies, however that dies; Linux only."""
+"""End of a process when its parent process dies, for whatever reason; Linux only."""
 
 import ctypes
 import os
@@ -11,7 +11,7 @@ _SET_PARENT_DEATH_SIGNAL = 1
 
 
 def end_with_parent(parent: int) -> None:
-    """Ask Linux for a SIGTERM when the parent process dies, however it dies.
+    """Let Linux send SIGTERM to this process when its parent dies, for whatever reason.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How the command ends: one line and an exit code, whatever happens to it."""
+"""The command ends with one line and an exit code after any error, signal or lost output."""
 
 import os
 import signal
@@ -17,6 +17,10 @@ from sphere_sim.cli.exits import guarded, if_interrupted
 from sphere_sim.cli.signals import Signals
 from sphere_sim.output.error_text import in_words
 
+PATIENCE = 120.0
+"""How long a busy machine may take to end a process [s]."""
+LONG = 2.0 * PATIENCE
+"""How long a process waits for a signal [s]; longer than the test waits for its end."""
 COMMAND = """
 import sys
 from sphere_sim.cli import main as cli
@@ -83,7 +87,7 @@ def test_what_an_interrupt_leaves_behind_is_told_whatever_it_has_become(error, c
 def test_traceback_is_shown_on_request(roll) -> None:
     source = "def main(argv):\n    assert argv == ['--x', '--ros-args', '--debug']\n    int('a')\n"
     process = roll(source, "--debug", "--x", "--ros-args", "--debug")
-    _, told = process.communicate(timeout=30)
+    _, told = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert "Traceback" in told and told.endswith("(--debug shows where)\n")
 
@@ -98,41 +102,38 @@ def main(argv):
 
 
 def interrupted(process: subprocess.Popen, number: int = signal.SIGINT) -> tuple[int, str]:
-    """Return exit code and standard error of a process that is interrupted once it is up."""
+    """Return exit code and standard error of a process that gets a signal once it has started."""
     assert process.stdout.readline() == "up\n"
     process.send_signal(number)
-    _, told = process.communicate(timeout=30)
+    _, told = process.communicate(timeout=PATIENCE)
     return process.returncode, told
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_while_modules_are_loaded_is_silent(roll, number) -> None:
-    source = WAITING.format(during_import="print('up', flush=True); time.sleep(30)", call="pass")
+    source = WAITING.format(during_import="print('up', flush=True); time.sleep(240)", call="pass")
     assert interrupted(roll(source), number) == (128 + number, "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_is_one_line(roll, number) -> None:
-    source = WAITING.format(during_import="", call="time.sleep(30)")
+    source = WAITING.format(during_import="", call=f"time.sleep({LONG})")
     told = "sphere_nmpc roll: interrupted\n"
     assert interrupted(roll(source), number) == (128 + number, told)
 
 
 def test_signal_that_a_library_turns_into_an_error_is_still_one(roll) -> None:
-    call = "\n    ".join(
-        ("try:", "    time.sleep(30)", "except BaseException:", "    raise RuntimeError('lost')")
-    )
+    lines = ("try:", f"    time.sleep({LONG})", "except BaseException:", "    raise TypeError")
+    call = "\n    ".join(lines)
     source = WAITING.format(during_import="", call=call)
     assert interrupted(roll(source)) == (130, "sphere_nmpc roll: interrupted\n")
 
 
 def test_signal_that_a_finaliser_swallows_comes_again(roll) -> None:
-    cls = "class Slow:\n    def __del__(self): print('up', flush=True); time.sleep(30)\n"
-    source = WAITING.format(during_import=cls, call="x = Slow(); del x; time.sleep(30)")
+    cls = f"class Slow:\n    def __del__(self): print('up', flush=True); time.sleep({LONG})\n"
+    source = WAITING.format(during_import=cls, call=f"x = Slow(); del x; time.sleep({LONG})")
     source = source.replace("print('up', flush=True)\n    x", "x")
-    began = time.monotonic()
     assert interrupted(roll(source)) == (130, "sphere_nmpc roll: interrupted\n")
-    assert time.monotonic() - began < 25.0
 
 
 COUNTING = """
@@ -169,8 +170,10 @@ def test_no_signal_is_lost_in_the_bindings_of_casadi(roll) -> None:
 
 
 def test_signal_that_is_ignored_from_the_start_stays_ignored(roll) -> None:
-    source = WAITING.format(during_import="", call="time.sleep(1.0)")
-    process = roll(source, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+    # It goes on until its standard input is closed, which is after the signal.
+    source = WAITING.format(during_import="import sys", call="sys.stdin.read()")
+    ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)}
+    process = roll(source, stdin=subprocess.PIPE, **ignoring)
     code, told = interrupted(process)
     assert (code, told) == (0, "")
 
@@ -189,7 +192,7 @@ def test_reader_that_goes_away_does_not_stop_the_work(roll, tmp_path) -> None:
     os.close(inlet)
     process = roll(PRINTING, str(tmp_path / "result"), stdout=outlet)
     os.close(outlet)
-    _, told = process.communicate(timeout=30)
+    _, told = process.communicate(timeout=PATIENCE)
     assert (process.returncode, told) == (0, "")
     assert (tmp_path / "result").exists()
 
@@ -197,23 +200,23 @@ def test_reader_that_goes_away_does_not_stop_the_work(roll, tmp_path) -> None:
 def test_full_disk_of_standard_output_is_told_after_the_work(roll, tmp_path) -> None:
     with Path("/dev/full").open("w") as full:
         process = roll(PRINTING, str(tmp_path / "result"), stdout=full)
-        _, told = process.communicate(timeout=30)
+        _, told = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert told == "sphere_nmpc: standard output: No space left on device\n"
     assert (tmp_path / "result").exists()
 
 
-def test_closed_standard_output_takes_nobodys_place(roll, tmp_path) -> None:
+def test_descriptor_of_a_closed_standard_output_is_not_used_again(roll, tmp_path) -> None:
     process = roll(PRINTING, str(tmp_path / "result"), preexec_fn=lambda: os.close(1), stdout=None)
-    _, told = process.communicate(timeout=30)
+    _, told = process.communicate(timeout=PATIENCE)
     assert (process.returncode, told) == (0, "")
     assert (tmp_path / "result").read_text() == ""
 
 
-def test_words_that_the_terminal_cannot_show_are_escaped(roll) -> None:
+def test_characters_that_the_terminal_cannot_show_are_escaped(roll) -> None:
     source = "def main(argv):\n    print('Kugel für alle')\n    return 0\n"
     process = roll(source, env={**os.environ, "PYTHONIOENCODING": "ascii"})
-    assert process.communicate(timeout=30)[0] == "Kugel f\\xfcr alle\n"
+    assert process.communicate(timeout=PATIENCE)[0] == "Kugel f\\xfcr alle\n"
 
 
 def test_words_for_an_error_of_the_system_name_the_file(tmp_path) -> None:

@@ -3,9 +3,9 @@
 """The demo: its arguments, its results, and the end of its processes."""
 
 import json
+import re
 import signal
 import subprocess
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -31,6 +31,17 @@ EVERY_TOPIC = {
     "/controller/active_goal", "/controller/predicted_path", "/controller/status",
     "/diagnostics", "/clock",
 }
+PATIENCE = 120.0
+"""How long a busy machine may take [s]."""
+
+
+def wait_for_progress(process: subprocess.Popen[str], least: float) -> float:
+    """Return the simulated time of a line of progress that is later than `least` [s]."""
+    for line in process.stdout:
+        found = re.match(r"t +([\d.]+) s  distance", line)
+        if found and float(found.group(1)) >= least:
+            return float(found.group(1))
+    raise AssertionError("the demo ended before it had made progress")
 
 
 def test_case_4_has_noise_and_another_robot(tmp_path) -> None:
@@ -155,30 +166,27 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
         [*DEMO, "--out", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        while "distance" not in process.stdout.readline():
-            assert process.poll() is None
+        shown = wait_for_progress(process, 0.5)
         children = psutil.Process(process.pid).children(recursive=True)
         assert len(children) == 3
-        time.sleep(1.0)
         process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=30.0)
-    assert process.returncode == 130 and "interrupted" in told
-    assert told.count("\n") == 1 and str(folder / "bag") in told
+        _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130 and "interrupted" in errors
+    assert errors.count("\n") == 1 and str(folder / "bag") in errors
     assert not [child for child in children if child.is_running()]
-    assert len(read_run(folder / "bag").times) > 10
+    assert read_run(folder / "bag").times[-1] >= shown - 0.1
 
 
 @pytest.mark.slow
-def test_killed_demo_takes_its_nodes_with_it(tmp_path) -> None:
-    with subprocess.Popen([*DEMO, "--out", str(tmp_path / "out")],
-                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        parent, end = psutil.Process(process.pid), time.monotonic() + 20.0
-        while len(children := parent.children(recursive=True)) < 3:
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        time.sleep(1.0)
+def test_nodes_end_with_a_demo_that_is_killed(tmp_path) -> None:
+    with subprocess.Popen(
+        [*DEMO, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True
+    ) as process:
+        wait_for_progress(process, 0.0)
+        children = psutil.Process(process.pid).children(recursive=True)
+        assert len(children) == 3
         process.kill()
-    _, alive = psutil.wait_procs(children, timeout=15.0)
+    _, alive = psutil.wait_procs(children, timeout=PATIENCE)
     assert not alive
 
 

@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from sphere_sim.faults.catalogue import FAULTS, chosen
 from sphere_sim.ros.faults.machine_faults import MACHINE_FAULTS
 from sphere_sim.ros.faults.scratch_home import CommandResult, ScratchHome
 
@@ -22,9 +23,10 @@ def test_machine_is_survived(name) -> None:
     assert MACHINE_FAULTS[name].run().complaints == ()
 
 
-def test_names_belong_to_the_group() -> None:
-    assert all(name.startswith("machine_") for name in MACHINE_FAULTS)
-    assert {fault.group for fault in MACHINE_FAULTS.values()} == {"machine"}
+def test_faults_of_the_machine_are_selected_by_their_group() -> None:
+    known = [*FAULTS.values(), *MACHINE_FAULTS.values()]
+    assert chosen(known, ["machine"]) == list(MACHINE_FAULTS.values())
+    assert not FAULTS.keys() & MACHINE_FAULTS.keys()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that start nodes do so in a domain in which nobody else drives a sphere."""
+"""Commands that start nodes use a domain without other nodes of this package."""
 
 import fcntl
 import os
@@ -36,7 +36,7 @@ SPARE = (187, 186, 185)
 
 @pytest.fixture(autouse=True)
 def locks(monkeypatch, tmp_path) -> Path:
-    """Stay on the loopback as the commands do, with a folder of one's own for the locks."""
+    """Use the loopback as the commands do, and a temporary folder for the locks."""
     wanted = dict(os.environ)
     use_loopback_only(wanted)
     for name, value in wanted.items():
@@ -48,7 +48,7 @@ def locks(monkeypatch, tmp_path) -> Path:
 @pytest.fixture
 def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
     """A simulator in the domain of this session, once it is found there."""
-    # How long a look takes is measured, not tested: a busy machine may need more.
+    # The duration of a search is measured, not tested: a busy machine may need more.
     monkeypatch.setattr(other_publishers, "_SEARCHES", {True: (10.0,), False: (10.0,)})
     with started("simulator", "-p", "start_paused:=true") as process:
         end = time.monotonic() + 60.0
@@ -58,8 +58,8 @@ def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
 
 
 @pytest.fixture
-def nobody_sets_it(monkeypatch) -> None:
-    # Set first, so that what is made of it is undone.
+def domain_unset(monkeypatch) -> None:
+    # Set first, so that the value of the code under test is removed at the end.
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     monkeypatch.delenv("ROS_DOMAIN_ID")
 
@@ -79,20 +79,20 @@ def test_a_domain_that_is_none_is_refused(monkeypatch) -> None:
         pass
 
 
-def test_who_is_in_the_domain_that_is_set_is_named(simulator) -> None:
-    told = rf"ROS_DOMAIN_ID: given {SESSION}, .*\(/simulator\), expected .*unset ROS_DOMAIN_ID"
-    with pytest.raises(DomainInUseError, match=told), own_domain():
+def test_nodes_in_the_domain_that_is_set_are_named(simulator) -> None:
+    message = rf"ROS_DOMAIN_ID: given {SESSION}, .*\(/simulator\), expected .*unset ROS_DOMAIN_ID"
+    with pytest.raises(DomainInUseError, match=message), own_domain():
         pass
 
 
-def test_a_domain_in_use_is_passed_over(simulator, locks, nobody_sets_it) -> None:
+def test_a_domain_in_use_is_passed_over(simulator, locks, domain_unset) -> None:
     with own_domain(domains=(SESSION, *SPARE)) as domain:
         assert domain == SPARE[0] == int(os.environ["ROS_DOMAIN_ID"])
     assert "ROS_DOMAIN_ID" not in os.environ
 
 
-@pytest.mark.parametrize("mode", [0o644, 0o444], ids=["own", "of somebody else"])
-def test_a_domain_that_is_locked_is_passed_over(locks, nobody_sets_it, mode) -> None:
+@pytest.mark.parametrize("mode", [0o644, 0o444], ids=["own", "of another user"])
+def test_a_domain_that_is_locked_is_passed_over(locks, domain_unset, mode) -> None:
     lock_of(locks, SPARE[0]).touch()
     lock_of(locks, SPARE[0]).chmod(mode)
     with lock_of(locks, SPARE[0]).open() as other:
@@ -100,20 +100,20 @@ def test_a_domain_that_is_locked_is_passed_over(locks, nobody_sets_it, mode) -> 
         with own_domain(domains=SPARE) as domain:
             assert domain == SPARE[1]
     with own_domain(domains=SPARE) as domain:
-        assert domain == SPARE[0], "what is left of others can be locked, if only read"
+        assert domain == SPARE[0], "the file of another user can be locked if it can be read"
 
 
-def test_what_is_planted_in_place_of_a_lock_is_not_touched(locks, nobody_sets_it) -> None:
-    victim = locks / "victim"
-    lock_of(locks, SPARE[0]).symlink_to(victim)
+def test_links_and_pipes_in_place_of_a_lock_are_not_touched(locks, domain_unset) -> None:
+    target = locks / "target"
+    lock_of(locks, SPARE[0]).symlink_to(target)
     os.mkfifo(lock_of(locks, SPARE[1]))
     with own_domain(domains=SPARE) as domain:
         assert domain in SPARE[1:]
-    assert not victim.exists()
+    assert not target.exists()
     assert stat.S_ISLNK(lock_of(locks, SPARE[0]).lstat().st_mode)
 
 
-def test_two_that_begin_at_the_same_moment_notice_before_time_runs() -> None:
+def test_second_publisher_of_a_topic_is_refused() -> None:
     graph = Graph()
     try:
         for number in (1, 2):

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The goal command: what it sends, and what its exit code tells."""
+"""The goal command: its arguments, the goal it sends, and its exit code."""
 
 import math
 import threading
@@ -32,7 +32,7 @@ def test_arguments_name_a_goal(arguments, expected) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["1"], "given 1 numbers"),
         (["1", "2", "--case", "1"], "--case brings its own"),
@@ -41,23 +41,23 @@ def test_arguments_name_a_goal(arguments, expected) -> None:
         (["1", "2", "--yaw", "1", "--quaternion", "1", "0", "0", "0"], "not allowed with"),
     ],
 )
-def test_wrong_arguments_exit_with_2(arguments, told, capsys) -> None:
+def test_wrong_arguments_exit_with_2(arguments, message, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse(arguments)
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_nobody_listening_exits_with_1(capsys) -> None:
+def test_missing_controller_exits_with_1(capsys) -> None:
     assert main(["1", "2", "--timeout", "0.3"]) == 1
-    assert "no controller came up within 0.3 s" in capsys.readouterr().err
+    assert "no controller was ready within 0.3 s" in capsys.readouterr().err
 
 
 class Controller(threading.Thread):
-    """Somebody who confirms goals, or does not, in a context of his own."""
+    """A controller that confirms goals, or does not, in a context of its own."""
 
     def __init__(self, confirms: bool) -> None:
         super().__init__(daemon=True)
-        self.heard: list[np.ndarray] = []
+        self.received: list[np.ndarray] = []
         self._confirms = confirms
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
@@ -68,7 +68,7 @@ class Controller(threading.Thread):
         self._done = threading.Event()
 
     def _take(self, message: PoseStamped) -> None:
-        self.heard.append(pose_from_ros(message))
+        self.received.append(pose_from_ros(message))
         if self._confirms:
             self._active.publish(message)
 
@@ -87,7 +87,7 @@ class Controller(threading.Thread):
 
 
 @pytest.mark.parametrize(("confirms", "code"), [(True, 0), (False, 1)])
-def test_goal_is_sent_once_and_its_acceptance_told(confirms, code, capsys, monkeypatch) -> None:
+def test_goal_is_sent_once_and_its_acceptance_printed(confirms, code, capsys, monkeypatch) -> None:
     monkeypatch.setattr("sphere_sim.ros.session.goal_command._ANSWER_TIMEOUT", 1.0)
     controller = Controller(confirms)
     controller.start()
@@ -95,8 +95,8 @@ def test_goal_is_sent_once_and_its_acceptance_told(confirms, code, capsys, monke
         assert main(["1", "2", "--yaw", "1", "--timeout", "20"]) == code
     finally:
         controller.stop()
-    assert len(controller.heard) == 1
-    np.testing.assert_allclose(controller.heard[0], parse(["1", "2", "--yaw", "1"])[0])
-    told = capsys.readouterr()
-    assert ("in force" in told.out) == confirms
-    assert ("not confirmed" in told.err) != confirms
+    assert len(controller.received) == 1
+    np.testing.assert_allclose(controller.received[0], parse(["1", "2", "--yaw", "1"])[0])
+    printed = capsys.readouterr()
+    assert ("in force" in printed.out) == confirms
+    assert ("not confirmed" in printed.err) != confirms

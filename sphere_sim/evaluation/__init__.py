@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops without ROS, and measures of how good they were."""
+"""Closed loops without ROS, and metrics of their quality."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop without ROS: the nodes' own simulator and controller, called in turn."""
+"""Closed loop without ROS: the simulator and the controller of the nodes, called in turn."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from sphere_sim.world.simulator import NANOSECONDS, Simulator
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What happened in a run.
+    """Trajectory of a run, with decisions and commands of the controller.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Trajectory:
     torques : ndarray, shape (K, 2)
         Motor torques [N m].
     decisions : list of Decision
-        One a sample instant.
+        One for each sampling instant.
     holds : list of FirstOrderHold
-        What was sent; each is followed until the next one starts.
+        Commands; each is followed until the next one starts.
     """
 
     times: Vector
@@ -52,30 +52,31 @@ def run_closed_loop(
     output_period: float = 0.01,
     latency: float = 0.0,
 ) -> Trajectory:
-    """Run a controller on a simulated plant.
+    """Simulate a plant under control.
 
     Parameters
     ----------
     simulator : Simulator
-        The world, at its start.
+        Simulator at its start.
     controller : Controller
-        Fresh.
+        A new controller.
     goal : ndarray, shape (6,)
-        Where to go.
+        Goal of the run.
     duration : float
         Length of the run [s].
     control_period : float
-        Time between sample instants [s].
+        Time between sampling instants [s].
     output_period : float, optional
-        Spacing of the rows of the result [s].
+        Spacing of the rows of the trajectory [s].
     latency : float, optional
-        Age of the pose that is the newest one at a sample instant [s]; it carries the time at
-        which it was measured. Before the run the sphere was seen standing at its start. Only
-        for a sensor without rate, latency and drop-outs of its own; others see for themselves.
+        Age of the newest pose at a sampling instant [s]; its stamp is the time of measurement.
+        Before the run the sphere is measured at rest at its start. Only for a sensor without
+        rate, latency and drop-outs of its own.
 
     Returns
     -------
     Trajectory
+        From start to end of the run.
 
     Raises
     ------
@@ -91,10 +92,10 @@ def run_closed_loop(
     rows: list[tuple[float, Vector, Vector, Vector]] = []
     decisions: list[Decision] = []
     holds: list[FirstOrderHold] = []
-    under_way: deque[tuple[int, float, Vector]] = deque()
+    pending: deque[tuple[int, float, Vector]] = deque()
     plain = simulator.settings.is_sensor_plain
     if plain:
-        under_way.append((0, 0.0, simulator.measured_state()))
+        pending.append((0, 0.0, simulator.measured_state()))
     plant = simulator.plant
     while True:
         now = simulator.now
@@ -103,13 +104,13 @@ def run_closed_loop(
         if now >= end:
             break
         if plain and (now + delay) % control == 0 and now > 0:
-            under_way.append((now + delay, simulator.time, simulator.measured_state()))
+            pending.append((now + delay, simulator.time, simulator.measured_state()))
         if not plain:
-            for at, seen in simulator.poses():
-                controller.observe(at / NANOSECONDS, seen)
+            for stamp_ns, pose in simulator.poses():
+                controller.observe(stamp_ns / NANOSECONDS, pose)
         if now % control == 0:
-            while under_way and under_way[0][0] <= now:
-                _, stamp, state = under_way.popleft()
+            while pending and pending[0][0] <= now:
+                _, stamp, state = pending.popleft()
                 controller.observe(stamp, state)
             decision = controller.decide(simulator.time)
             hold = controller.commit(decision, simulator.time)

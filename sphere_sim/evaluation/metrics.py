@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How good a run was: errors over time, settling, peaks."""
+"""Metrics of a run: errors over time, settling time, peaks."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
 SETTLED_ERROR = 1e-2
-"""A run has settled when ||x - x_d|| stays below this to its end [mixed units]."""
+"""A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """What a run comes down to; a number is nan where the run does not tell it.
+    """Metrics of a run; nan where the run does not determine a metric.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Metrics:
     final_error : float
         ||x - x_d|| at the end [mixed units].
     final_position_error_m, final_orientation_error_rad : float
-        Distance [m] and angle [rad] left at the end.
+        Distance [m] and angle [rad] to the goal at the end.
     max_rotor_speed : float
         Largest magnitude [rad/s].
     max_rotor_torque_nm : float
@@ -48,14 +48,14 @@ class Metrics:
 
 
 def signed_differences(states: Vector, goals: Vector) -> Vector:
-    """Return x - x_d with the goal's quaternion sign that is nearer, shape (n, 6).
+    """Return x - x_d with the nearer quaternion sign of the goal, shape (n, 6).
 
     Parameters
     ----------
     states : ndarray, shape (n, 6)
         States over time.
     goals : ndarray, shape (6,) or (n, 6)
-        The goal, or the goal in force at each of them.
+        The goal, or the goal in force at each time.
     """
     goals = np.broadcast_to(goals, states.shape).copy()
     goals[:, QUATERNION] = rotation.nearer_sign(goals[:, QUATERNION], states[:, QUATERNION])
@@ -92,18 +92,18 @@ def measure(
     rotor_torques: Vector,
     solve_times: Vector,
 ) -> Metrics:
-    """Measure a run towards one goal.
+    """Return the metrics of a run towards one goal.
 
     Parameters
     ----------
     times : ndarray, shape (n,)
-        Since the goal was set [s], n > 0.
+        Times since the goal was set [s], n > 0.
     states : ndarray, shape (n, 6)
-        The states then.
+        States at these times.
     goal : ndarray, shape (6,)
         The goal.
     rotor_speeds : ndarray, shape (m, 2)
-        Rotor speeds [rad/s] at any times.
+        Rotor speeds at any times [rad/s].
     rotor_torques : ndarray, shape (m, 2)
         Rotor torques [N m].
     solve_times : ndarray, shape (k,)

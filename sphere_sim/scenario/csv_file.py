@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files: CSV in UTF-8 with a header, a row a run, columns in any order.
+"""Scenario files: CSV in UTF-8 with a header and one row for each run, columns in any order.
 
-``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal; ``seed`` may follow
-(the number of the row, from 0, where it is left out). Other columns belong to the user.
+``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal. ``seed`` is optional;
+by default it is the number of the row, counted from 0. Other columns are copied to the results.
 """
 
 import csv
@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
-from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
+from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
+from sphere_sim.scenario.errors import ScenarioFileError
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
@@ -23,47 +24,15 @@ STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
 SEED_COLUMN = "seed"
 
 LARGEST_FILE = 2**28
-"""Bytes; about a million rows."""
+"""Largest file that is read [bytes]; about a million rows."""
 LONGEST_LINE = 2**20
-"""Characters."""
+"""Longest line that is read [characters]."""
 LARGEST_SEED = 2**31 - 1
-
-
-class ScenarioFileError(SphereNmpcError, ValueError):
-    """A scenario file is not what it should be.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    given, expected : str
-        What was found and what would have been accepted.
-    line : int, optional
-        Line of the file, counted from 1.
-    column : str, optional
-        Name of the column.
-    """
-
-    exit_code = 2
-
-    def __init__(
-        self, path: Path, given: str, expected: str, line: int | None = None, column: str = ""
-    ) -> None:
-        where = str(path)
-        if line is not None:
-            where += f", line {line}"
-        if column:
-            where += f", column {column}"
-        super().__init__(f"{where}: given {given}, expected {expected}")
-        self.path = path
-        self.line = line
-        self.column = column
-        self.given = given
-        self.expected = expected
+"""Largest seed."""
 
 
 class ScenarioRow(NamedTuple):
-    """A row of the file; the attributes are those of `sphere_sim.scenario.scenarios.Scenario`."""
+    """Row of the file; its attributes are those of `sphere_sim.scenario.scenarios.Scenario`."""
 
     start: Vector
     goal: Vector
@@ -81,8 +50,8 @@ def read_rows(path: Path) -> list[ScenarioRow]:
         Naming file, line and column, what is given and what is expected.
     """
     try:
-        _refuse_what_does_not_end(path)
-        # The signature that some spreadsheets put in front is no part of the first name.
+        _refuse_unreadable(path)
+        # utf-8-sig: some spreadsheets write a byte order mark before the first name.
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(_rows(path, file))
     except UnicodeDecodeError as error:
@@ -98,8 +67,8 @@ def read_rows(path: Path) -> list[ScenarioRow]:
     return rows
 
 
-def _refuse_what_does_not_end(path: Path) -> None:
-    """Refuse devices and pipes, which cannot be read twice or do not end, and far too much."""
+def _refuse_unreadable(path: Path) -> None:
+    """Raise an error for devices and pipes, which may have no end, and for too large files."""
     about = path.stat()
     kinds = {stat.S_ISDIR: "a directory", stat.S_ISFIFO: "a pipe", stat.S_ISREG: ""}
     given = next((kind for test, kind in kinds.items() if test(about.st_mode)), "a device")
@@ -187,7 +156,7 @@ def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...])
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
-        # Python would take 1_000 too, which no other reader of the same file does.
+        # Python accepts 1_000, which other readers of CSV do not.
         value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan

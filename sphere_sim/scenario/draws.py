@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts and goals drawn at random, of the kinds that are hard in their own ways.
+"""Random starts and goals of several kinds, each difficult in another way.
 
-SciPy is loaded where it is used: who takes the names of the kinds only has no need to wait.
+SciPy is imported where it is used, as it takes long to load.
 """
 
 from collections.abc import Callable
@@ -17,21 +17,22 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 Ends = tuple[Vector, Vector]
+"""Start and goal."""
 
 _NEAREST, _FARTHEST = 10.0, 50.0
-"""How far away a far goal is [m]."""
+"""Limits of the distance of a far goal [m]."""
 _HALF_SIDE = 3.0
-"""Positions are drawn in a square of this half side about the origin [m]."""
+"""Half the side of the square of the positions, centred at the origin [m]."""
 
 
 def anywhere(rng: np.random.Generator) -> Ends:
-    """Draw positions uniform in +-3 m, orientations uniform on SO(3)."""
+    """Return positions uniform in +-3 m and orientations uniform on SO(3)."""
     start, goal = (_state(rng) for _ in range(2))
     return start, goal
 
 
 def far(rng: np.random.Generator) -> Ends:
-    """Draw a goal 10 to 50 m away in any direction, orientations uniform on SO(3)."""
+    """Return a goal 10 to 50 m away in any direction, orientations uniform on SO(3)."""
     start = _state(rng)
     distance, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(0.0, 2.0 * np.pi)
     position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
@@ -39,13 +40,13 @@ def far(rng: np.random.Generator) -> Ends:
 
 
 def circle(rng: np.random.Generator) -> Ends:
-    """Put both contact points on the circle Gamma (Eq. 16), positions in +-3 m."""
+    """Return orientations with the contact point on the circle Gamma (Eq. 16)."""
     start, goal = (make_state(_position(rng), _on_circle(rng)) for _ in range(2))
     return start, goal
 
 
 def half_turn(rng: np.random.Generator) -> Ends:
-    """Draw the same place, turned by half a turn about any axis."""
+    """Return equal positions and orientations that differ by half a turn about any axis."""
     from scipy.spatial.transform import Rotation
 
     start = _state(rng)
@@ -58,7 +59,7 @@ def half_turn(rng: np.random.Generator) -> Ends:
 DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
     draw.__name__: draw for draw in (anywhere, far, circle, half_turn)
 }
-"""Every kind by its name; each takes a generator and returns start and goal."""
+"""All kinds by name; each takes a generator and returns start and goal."""
 
 
 def _state(rng: np.random.Generator) -> Vector:
@@ -73,7 +74,7 @@ def _position(rng: np.random.Generator) -> Vector:
 def _on_circle(rng: np.random.Generator) -> Vector:
     from scipy.spatial.transform import Rotation
 
-    # The contact point is on Gamma where the body's z axis lies level.
+    # The contact point is on Gamma if the body's z axis is horizontal.
     heading, roll = rng.uniform(0.0, 2.0 * np.pi, size=2)
     return _quaternion(Rotation.from_euler("ZYZ", [heading, 0.5 * np.pi, roll]))
 

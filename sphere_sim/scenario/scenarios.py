@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where runs start and where they should end: the paper's cases, files, random draws."""
+"""Scenarios of runs: the paper's cases, from files, and random ones."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,19 +14,19 @@ from sphere_sim.scenario.draws import DRAWS
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """One run to make.
+    """Start and goal of a run.
 
     Attributes
     ----------
     start, goal : ndarray, shape (6,)
         Initial and desired state; the sphere starts at rest.
     seed : int
-        Seed of all that is random in the run.
+        Seed of all random numbers of the run.
     extra : dict of str to str
-        Further columns of the scenario file, carried through to the results.
+        Further columns of the scenario file, copied to the results.
     given : dict of str to str
-        The columns of the two states as the file has them, before they were normalised; empty
-        where there is no file.
+        Text of the columns of both states in the file, before normalisation; empty without a
+        file.
     """
 
     start: Vector
@@ -49,18 +49,18 @@ PAPER_CASES: dict[int, Scenario] = {
     3: _paper_case([0.0, 0.0, 0.6521, 0.1132, 0.1115, 0.7413], _ORIGIN),
     4: _paper_case([0.0, 0.0, 0.2734, 0.5628, 0.4281, 0.6521], _ON_THE_CIRCLE),
 }
-"""The four cases of section 4 of the paper; case 4 there runs with noise and wrong parameters."""
+"""The four cases of section 4 of the paper, where case 4 has noise and parameter errors."""
 
 
 def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scenario]:
-    """Draw starts and goals of one of the kinds in `sphere_sim.scenario.draws`.
+    """Return random scenarios of one of the kinds in `sphere_sim.scenario.draws`.
 
     Parameters
     ----------
     number : int
-        How many scenarios.
+        Number of scenarios.
     seed : int
-        Seed of the draw; scenario i is the same whatever `number` is.
+        Seed of starts and goals; scenario i does not depend on `number`.
     kind : str
         One of `DRAWS`.
     """
@@ -73,12 +73,12 @@ def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scena
 
 
 def read_scenarios(path: Path) -> list[Scenario]:
-    """Read scenarios from a CSV file; `sphere_sim.scenario.csv_file` tells its format.
+    """Read scenarios from a CSV file in the format of `sphere_sim.scenario.csv_file`.
 
     Raises
     ------
     ScenarioFileError
-        If the file is not what it should be; tells where, what is given and what is expected.
+        If the file cannot be read or is invalid.
     """
     return [
         Scenario(row.start, row.goal, row.seed, row.extra, row.given) for row in read_rows(path)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which rotor speeds the robot follows at any time, and what it does when commands stop coming."""
+"""Drives of the rotors: the command in force, its time-out, limits of speed and acceleration."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 
 class CommandFollower:
-    """Turn timed commands into rotor speeds within the limits of the drives.
+    """Conversion of timed commands into rotor speeds within the limits of the drives.
 
-    A trajectory in force comes first, then the newest rotor speeds while they are fresh, else the
-    rotors ramp to rest. A new command replaces the old one and is never queued; one that is late
-    is sampled at the present. Speeds that come before a trajectory has been over for
-    `command_timeout` are samples of it on their way, and are not followed after its end.
+    A trajectory in force has priority; without one the newest rotor speeds are followed until
+    their time-out, and then the rotors ramp to rest. A new command replaces the previous one and
+    is never queued; a late one is evaluated at the present time. Rotor speeds that arrive within
+    `command_timeout` after the end of a trajectory are late samples of it and are ignored.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class CommandFollower:
     max_acceleration : float
         Largest rotor acceleration [rad/s^2].
     command_timeout : float
-        For how long rotor speeds without a time of their own are followed [s].
+        How long rotor speeds without a time stamp are followed [s].
     """
 
     def __init__(self, max_speed: float, max_acceleration: float, command_timeout: float) -> None:
@@ -32,26 +32,26 @@ class CommandFollower:
         self._max_acceleration = max_acceleration
         self._timeout = command_timeout
         self.clamped = 0
-        """Commands that asked for more than the largest rotor speed."""
+        """Number of commands beyond the largest rotor speed."""
         self.reset()
 
     def reset(self) -> None:
-        """Forget all commands."""
+        """Discard all commands."""
         self._trajectory: FirstOrderHold | None = None
         self._speeds: Vector = np.zeros(INPUT_SIZE)
         self._speeds_time = -np.inf
 
     def follow_trajectory(self, hold: FirstOrderHold) -> None:
-        """Follow a first-order hold to its end; knot times on the simulator's clock [s]."""
+        """Follow a first-order hold to its end; its knot times are simulated times [s]."""
         self.clamped += int(np.any(np.abs(hold.speeds) > self._max_speed + 1e-9))
         self._trajectory = hold
 
     def is_newer(self, hold: FirstOrderHold) -> bool:
-        """Return whether a hold starts no earlier than the one that was given last."""
+        """Return whether a hold starts no earlier than the previous one."""
         return self._trajectory is None or hold.start >= self._trajectory.start
 
     def follow_speeds(self, speeds: Vector, time: float) -> None:
-        """Take rotor speeds [rad/s], shape (2,), received at `time` [s].
+        """Follow rotor speeds [rad/s], shape (2,), received at `time` [s].
 
         Raises
         ------
@@ -66,8 +66,8 @@ class CommandFollower:
         self.clamped += int(np.any(np.abs(given) > self._max_speed + 1e-9))
         self._speeds, self._speeds_time = given, time
 
-    def wanted(self, time: float) -> Vector:
-        """Return the rotor speeds asked for at `time` [rad/s], zero where nothing is in force."""
+    def commanded(self, time: float) -> Vector:
+        """Return the commanded rotor speeds at `time` [rad/s]; zero without a command in force."""
         trajectory = self._trajectory
         if trajectory is not None and time <= trajectory.end + 1e-9:
             return trajectory.at(time)
@@ -77,7 +77,7 @@ class CommandFollower:
         return np.zeros(INPUT_SIZE)
 
     def speeds_after(self, speeds: Vector, time: float, duration: float) -> Vector:
-        """Return what the drives make of the command within a short step.
+        """Return the rotor speeds at the end of a short step, within the limits.
 
         Parameters
         ----------
@@ -94,13 +94,13 @@ class CommandFollower:
             Rotor speeds at the end of the step [rad/s].
         """
         reach = self._max_acceleration * duration
-        wanted = self.wanted(time + duration)
-        # Not np.clip, which takes five times as long, and this runs at every step.
-        wanted = np.minimum(np.maximum(wanted, -self._max_speed), self._max_speed)
-        return np.minimum(np.maximum(wanted, speeds - reach), speeds + reach)
+        target = self.commanded(time + duration)
+        # Not np.clip, which takes five times as long: this runs in every step.
+        target = np.minimum(np.maximum(target, -self._max_speed), self._max_speed)
+        return np.minimum(np.maximum(target, speeds - reach), speeds + reach)
 
     def knots_between(self, start: float, end: float) -> list[float]:
-        """Return the times strictly between `start` and `end` [s] at which the command bends."""
+        """Return the knot times of the trajectory strictly between `start` and `end` [s]."""
         if self._trajectory is None:
             return []
         return [float(t) for t in self._trajectory.times if start + 1e-9 < t < end - 1e-9]

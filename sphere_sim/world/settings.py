@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the simulator."""
+"""Settings of the simulator and of pushes."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from sphere_nmpc.quantity import quantity, validate
 PLANTS = ("rolling", "rigid_body")
 """Plants that can be chosen by name."""
 CLOCKS = ("simulated", "system")
-"""Clocks that the simulated world can run on."""
+"""Clocks that the simulation can run on."""
 
 
 @dataclass(frozen=True)
 class SimulatorSettings:
-    """How the world behaves and how its time passes.
+    """Settings of the simulator: plant, start, clock, noise and pose sensor.
 
     Raises
     ------
@@ -39,13 +39,13 @@ class SimulatorSettings:
     clock: str = quantity(
         "simulated",
         "-",
-        "Time of its own, published on /clock, or the system clock, as on a real robot",
+        "Simulated time, published on /clock, or the system clock, as on a real robot",
         choices=CLOCKS,
     )
     frame_prefix: str = quantity(
         "",
         "-",
-        "What stands before base_link in frame names; if empty, the node's namespace",
+        "Prefix of base_link in frame names; if empty, the node's namespace",
     )
     real_time_factor: float = quantity(
         1.0,
@@ -56,19 +56,21 @@ class SimulatorSettings:
         live=True,
     )
     lockstep: bool = quantity(
-        False, "-", "Hold the clock at each sample instant until its rotor command has come"
+        False,
+        "-",
+        "Stop the clock at each sampling instant until the rotor command for it has arrived",
     )
     lockstep_timeout: float = quantity(
         5.0,
         "s",
-        "Wall time after which a lockstep wait is given up and reported",
+        "Wall time after which waiting in lockstep ends with a warning",
         minimum=0.01,
         maximum=3600.0,
     )
     sample_period: float = quantity(
         0.25,
         "s",
-        "Spacing of lockstep waits; the control period of the controller",
+        "Spacing of the sampling instants in lockstep; the control period of the controller",
         minimum=1e-3,
         maximum=10.0,
     )
@@ -78,7 +80,7 @@ class SimulatorSettings:
     command_timeout: float = quantity(
         0.5,
         "s",
-        "For how long rotor_commands without a successor are followed",
+        "Time after which rotor_commands that are not renewed are no longer followed",
         minimum=1e-3,
         maximum=60.0,
     )
@@ -112,23 +114,23 @@ class SimulatorSettings:
     sensor_rate: float = quantity(
         0.0,
         "Hz",
-        "How often the pose sensor looks; 0 is at every published instant",
+        "Sampling rate of the pose sensor; 0 is at each published instant",
         minimum=0.0,
         maximum=2000.0,
     )
     sensor_latency: float = quantity(
         0.0,
         "s",
-        "How long a pose is under way; it carries the time at which it was measured",
+        "Delay of poses; their stamp is the time of measurement",
         minimum=0.0,
         maximum=10.0,
         live=True,
     )
     sensor_dropout: float = quantity(
-        0.0, "-", "Share of poses that are lost on the way", minimum=0.0, maximum=1.0, live=True
+        0.0, "-", "Share of poses that are lost", minimum=0.0, maximum=1.0, live=True
     )
     seed: int = quantity(0, "-", "Seed of all noise", minimum=0, maximum=2**31 - 1)
-    start_paused: bool = quantity(False, "-", "Wait for the pause service before time passes")
+    start_paused: bool = quantity(False, "-", "Start paused, until the pause service is called")
 
     def __post_init__(self) -> None:
         validate(self)
@@ -138,13 +140,13 @@ class SimulatorSettings:
             ):
                 if getattr(self, name) != expected:
                     raise InvalidParameterError(
-                        name, getattr(self, name), f"{expected} with clock: system, which nobody "
-                        "can stop or hurry"
+                        name, getattr(self, name), f"{expected} with clock: system, which "
+                        "cannot be stopped or accelerated"
                     )
         if self.lockstep and not self.is_sensor_plain:
             raise InvalidParameterError(
                 "lockstep", True, "false where sensor_rate, sensor_latency or sensor_dropout is "
-                "not 0: the answer to the pose of an instant would wait for ever",
+                "not 0: the command for a sampling instant would never arrive",
             )
 
     @property
@@ -154,13 +156,13 @@ class SimulatorSettings:
 
     @property
     def is_sensor_plain(self) -> bool:
-        """Whether every published instant has its own pose."""
+        """Whether there is a pose, without delay, at each published instant."""
         return not (self.sensor_rate or self.sensor_latency or self.sensor_dropout)
 
 
 @dataclass(frozen=True)
 class PushSettings:
-    """What a push is like, where the plant can be pushed.
+    """Settings of pushes, for plants that can be pushed.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world: a plant, its drives, its noise and its clock."""
+"""Simulator: a plant with its drives, noise and pose sensor."""
 
 import numpy as np
 
@@ -13,20 +13,20 @@ from sphere_sim.world.sensor import NANOSECONDS, PoseSensor
 from sphere_sim.world.settings import SimulatorSettings
 
 _LONGEST_STEP = 10_000_000
-"""Longest step between two looks at the command [ns]."""
+"""Longest step between two evaluations of the command [ns]."""
 
 
 class Simulator:
-    """Advance a plant on a clock of whole nanoseconds, the same way under ROS and without.
+    """Simulation of a plant on a clock of whole nanoseconds, with ROS and without.
 
     Parameters
     ----------
     settings : SimulatorSettings
-        Start, noise, timing.
+        Start, noise and timing.
     robot : RobotParameters
         True parameters of the plant.
     plant : Plant, optional
-        Defaults to the one named in `settings`, with its own settings as they come.
+        Defaults to the one named in `settings`, with default settings of its own.
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class Simulator:
         self._process = np.random.default_rng([settings.seed, 0])
         self._sensor = PoseSensor(settings)
         self.speed_reference: Vector = np.zeros(INPUT_SIZE)
-        """What the rotors were last told to turn at [rad/s], shape (2,); drives may lag behind."""
+        """Reference of the rotor speeds [rad/s], shape (2,); the rotors may lag behind it."""
         self.now = 0
         """Simulated time [ns]."""
-        self._look()
+        self._sample()
 
     @property
     def time(self) -> float:
@@ -63,21 +63,21 @@ class Simulator:
         self._sensor.change(settings)
 
     def reset(self) -> None:
-        """Put the sphere back to its start at rest; time goes on, noise goes on."""
+        """Put the sphere at rest at its start; time and noise continue."""
         self.follower.reset()
         self.speed_reference = np.zeros(INPUT_SIZE)
         self.plant.reset(as_state(self._settings.initial_state))
 
     def advance_to(self, then: int) -> None:
-        """Let the world run up to `then` [ns]."""
+        """Advance the simulation to `then` [ns]."""
         while self.now < then:
             noise = (self.now // self._noise_period + 1) * self._noise_period
             grid = (self.now // _LONGEST_STEP + 1) * _LONGEST_STEP
-            look = self._sensor.next_instant(self.now)
-            stop = min(then, noise, grid if look is None else min(grid, look))
-            bends = self.follower.knots_between(self.time, stop / NANOSECONDS)
-            if bends:
-                stop = min(stop, max(self.now + 1, round(bends[0] * NANOSECONDS)))
+            sample = self._sensor.next_instant(self.now)
+            stop = min(then, noise, grid if sample is None else min(grid, sample))
+            knots = self.follower.knots_between(self.time, stop / NANOSECONDS)
+            if knots:
+                stop = min(stop, max(self.now + 1, round(knots[0] * NANOSECONDS)))
             duration = (stop - self.now) / NANOSECONDS
             target = self.follower.speeds_after(self.speed_reference, self.time, duration)
             self.plant.advance(target, duration)
@@ -85,27 +85,27 @@ class Simulator:
             self.now = stop
             if stop == noise and self._settings.process_noise > 0.0:
                 self._disturb()
-            self._look()
+            self._sample()
 
     def poses(self) -> list[tuple[int, Vector]]:
-        """Return stamps [ns] and poses, shape (6,), that the sensor has handed over by now.
+        """Return stamps [ns] and poses, shape (6,), that the sensor has delivered by now.
 
-        Each is returned once. A sensor without a rate of its own looks whenever it is asked.
+        Each is returned once. A sensor without a rate of its own measures at each call.
         """
         if self._settings.sensor_rate <= 0.0:
-            self._sensor.look(self.now, self.plant.state)
+            self._sensor.sample(self.now, self.plant.state)
         return self._sensor.delivered(self.now)
 
     def measured_state(self) -> Vector:
-        """Return the state as a sensor sees it now, shape (6,); draws fresh noise each call."""
+        """Return the present state, shape (6,), with new measurement noise at each call."""
         return self._sensor.measured(self.plant.state)
 
-    def _look(self) -> None:
+    def _sample(self) -> None:
         if self._sensor.is_due(self.now):
-            self._sensor.look(self.now, self.plant.state)
+            self._sensor.sample(self.now, self.plant.state)
 
     def _disturb(self) -> None:
-        """Add the disturbance W(k) of Eq. (43) and return to the unit quaternions."""
+        """Add the disturbance W(k) of Eq. (43) and normalise the quaternion."""
         state = self.plant.state + self._settings.process_noise * self._process.normal(size=6)
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         self.plant.displace(state)

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plants: what stands in for the real robot."""
+"""Plants: models of the real robot for simulation."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What every plant offers to the simulator."""
+"""Interface of the plants."""
 
 from typing import Protocol
 
@@ -8,7 +8,7 @@ from sphere_nmpc.model.state import Vector
 
 
 class Plant(Protocol):
-    """A rolling sphere whose rotors follow a speed reference that ramps over each step."""
+    """Rolling sphere whose rotors follow a speed reference that ramps over each step."""
 
     @property
     def state(self) -> Vector:
@@ -45,18 +45,18 @@ class Plant(Protocol):
         ...
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
-        """Move on by `duration` [s].
+        """Simulate a step of `duration` [s].
 
         Parameters
         ----------
         speeds_end : ndarray, shape (2,)
-            Where the reference of the rotor speeds [rad/s] ramps to, straight from where it was
-            at the end of the last step (zero after a reset).
+            Reference of the rotor speeds at the end of the step [rad/s]. It changes linearly from
+            that at the end of the previous step (zero after a reset).
         duration : float
-            Length of the step [s]; the plant divides it as its own integration needs.
+            Length of the step [s]; the plant divides it into integration steps.
         """
         ...
 
     def displace(self, state: Vector) -> None:
-        """Put the sphere at `state`, shape (6,), without touching its rotors (process noise)."""
+        """Put the sphere at `state`, shape (6,), keeping its rotors (process noise)."""
         ...

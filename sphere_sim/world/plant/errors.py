@@ -15,12 +15,12 @@ class MissingEngineError(SphereNmpcError, ImportError):
 
 
 class PlantDivergedError(SphereNmpcError, RuntimeError):
-    """A simulated plant has left the numbers; its time step is too long for its settings.
+    """The state of a simulated plant is not finite: the time step is too long for the settings.
 
     Parameters
     ----------
     time_step : float
-        Longest step it was allowed [s].
+        Longest integration step of the settings [s].
     """
 
     def __init__(self, time_step: float) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plants by name."""
+"""Construction of plants by name."""
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
@@ -18,25 +18,25 @@ def make_plant(
     state: Vector,
     settings: RigidBodySettings | None = None,
 ) -> Plant:
-    """Build a plant.
+    """Return a new plant.
 
     Parameters
     ----------
     name : str
-        "rolling", the ideal sphere, or "rigid_body", the one with contact and drives.
+        ``rolling``, the ideal plant, or ``rigid_body``, the one with contact and drives.
     robot : RobotParameters
         True parameters of the robot.
     state : ndarray, shape (6,)
-        Where it starts at rest.
+        Initial state; the sphere starts at rest.
     settings : RigidBodySettings, optional
-        What "rigid_body" is to be like; "rolling" has nothing to set.
+        Settings of ``rigid_body``; ``rolling`` has none.
 
     Raises
     ------
     InvalidParameterError
         If there is no plant of that name.
     MissingEngineError
-        If "rigid_body" is asked for where MuJoCo is not installed.
+        If ``rigid_body`` is chosen and MuJoCo is not installed.
     """
     if name == "rolling":
         return RollingPlant(robot, state)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The ideal plant: rolls without slipping, its rotors follow their reference exactly.
+"""Ideal plant: rolls without slipping, and its rotors follow their reference exactly.
 
 Written independently of the controller's model on purpose, quaternion algebra included, as a test
 compares the two. The inertia about the contact point is the sum of the bodies' inertias (Eqs. 8
@@ -22,12 +22,12 @@ _Numbers = tuple[float, ...]
 
 
 class RollingPlant:
-    """See `sphere_sim.world.plant.contract.Plant`.
+    """Ideal plant; see `sphere_sim.world.plant.contract.Plant`.
 
     Parameters
     ----------
     robot : RobotParameters
-        True parameters of the robot, which the controller need not know.
+        True parameters of the robot; those of the controller may differ.
     state : ndarray, shape (6,)
         Initial state; the sphere and its rotors start at rest.
     """
@@ -48,7 +48,7 @@ class RollingPlant:
         self._angles = (0.0, 0.0)
 
     def displace(self, state: Vector) -> None:
-        """Put the sphere at `state`, shape (6,), without touching its rotors."""
+        """Put the sphere at `state`, shape (6,), keeping its rotors."""
         self._y = tuple(float(value) for value in state)
 
     @property
@@ -95,7 +95,7 @@ class RollingPlant:
         return np.array([inertia * (shell1 + a1), inertia * (shell2 + a2)])
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
-        """Move on by `duration` [s] while the rotor speeds ramp to `speeds_end` [rad/s]."""
+        """Simulate a step of `duration` [s]; the rotor speeds ramp to `speeds_end` [rad/s]."""
         a1, a2 = self._speeds
         b1, b2 = float(speeds_end[0]), float(speeds_end[1])
         half = 0.5 * duration
@@ -103,7 +103,7 @@ class RollingPlant:
         self._acceleration = ((b1 - a1) / duration, (b2 - a2) / duration)
         self._speeds = (b1, b2)
         if a1 == a2 == b1 == b2 == 0.0:
-            return  # without inputs this sphere stands still
+            return  # without inputs the ideal sphere is at rest
         steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
         h = duration / steps
         for i in range(steps):
@@ -117,7 +117,7 @@ class RollingPlant:
     def _step(
         self, y: _Numbers, a1: float, a2: float, b1: float, b2: float, h: float
     ) -> _Numbers:
-        """Take a Runge-Kutta step, written out: nearly all time of a simulated run is spent here.
+        """Make a Runge-Kutta step; written out, as most time of a simulation is spent here.
 
         The rotor speeds ramp from a to b; only the quaternion enters the rates.
         """
@@ -150,7 +150,7 @@ class RollingPlant:
         dx = 0.5 * (w * b1 - z * b2 + q3 * b3)
         dy = 0.5 * (z * b1 + w * b2 - x * b3)
         dz = 0.5 * (-q3 * b1 + x * b2 + w * b3)
-        # Eq. (7): the contact point stands still.
+        # Eq. (7): the contact point has no velocity.
         east = 2.0 * self._radius * (-q3 * dw + z * dx + w * dy - x * dz)
         north = 2.0 * self._radius * (x * dw - w * dx + z * dy - q3 * dz)
         return (east, north, dw, dx, dy, dz)

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphere_sim.scenario.csv_file import LARGEST_FILE, STATE_COLUMNS, ScenarioFileError
+from sphere_sim.scenario.csv_file import LARGEST_FILE, STATE_COLUMNS
+from sphere_sim.scenario.errors import ScenarioFileError
 from sphere_sim.scenario.scenarios import PAPER_CASES, read_scenarios
 
 HEADER = ",".join(STATE_COLUMNS)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which command the robot follows, and within which limits."""
+"""The command that the drives follow, and their limits."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,8 @@ def hold(*knots: tuple[float, float, float]) -> FirstOrderHold:
     return FirstOrderHold(array[:, 0], array[:, 1:])
 
 
-def test_without_commands_the_rotors_are_asked_to_rest(follower: CommandFollower) -> None:
-    np.testing.assert_array_equal(follower.wanted(1.0), [0.0, 0.0])
+def test_without_commands_the_rotors_ramp_to_rest(follower: CommandFollower) -> None:
+    np.testing.assert_array_equal(follower.commanded(1.0), [0.0, 0.0])
     np.testing.assert_array_equal(follower.speeds_after(np.array([1.0, -9.0]), 0.0, STEP), [0, -5])
 
 
@@ -36,53 +36,55 @@ def test_hold_is_newer_unless_it_starts_before_the_last_one(follower: CommandFol
     assert not follower.is_newer(hold((0.9, 0, 0)))
 
 
-def test_trajectory_comes_before_fresh_speeds_until_its_last_knot(
+def test_trajectory_has_priority_over_speeds_until_its_last_knot(
     follower: CommandFollower,
 ) -> None:
     follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
     follower.follow_trajectory(hold((0, 0, 0), (0.4, 40, 20)))
-    np.testing.assert_allclose(follower.wanted(0.2), [20, 10])
-    np.testing.assert_allclose(follower.wanted(0.4), [40, 20])
-    np.testing.assert_allclose(follower.wanted(0.45), [0, 0])
+    np.testing.assert_allclose(follower.commanded(0.2), [20, 10])
+    np.testing.assert_allclose(follower.commanded(0.4), [40, 20])
+    np.testing.assert_allclose(follower.commanded(0.45), [0, 0])
 
 
-def test_late_samples_of_a_trajectory_do_not_outlive_it(follower: CommandFollower) -> None:
+def test_late_samples_of_a_trajectory_are_ignored_after_its_end(
+    follower: CommandFollower,
+) -> None:
     follower.follow_trajectory(hold((0, 40, 20), (0.4, 0, 0)))
     follower.follow_speeds(np.array([7.0, 7.0]), 0.3)
-    np.testing.assert_allclose(follower.wanted(0.45), [0, 0])
+    np.testing.assert_allclose(follower.commanded(0.45), [0, 0])
     follower.follow_speeds(np.array([3.0, 3.0]), 0.5)
-    np.testing.assert_allclose(follower.wanted(0.6), [0, 0])
+    np.testing.assert_allclose(follower.commanded(0.6), [0, 0])
     follower.follow_speeds(np.array([7.0, 7.0]), 0.91)
-    np.testing.assert_allclose(follower.wanted(1.0), [7, 7])
+    np.testing.assert_allclose(follower.commanded(1.0), [7, 7])
 
 
-def test_new_trajectory_replaces_and_a_late_one_is_sampled_at_the_present(
+def test_new_trajectory_replaces_the_previous_one_and_a_late_one_is_evaluated_now(
     follower: CommandFollower,
 ) -> None:
     follower.follow_trajectory(hold((0, 0, 0), (5, 50, 50)))
     follower.follow_trajectory(hold((0, 0, 0), (1, 30, 0), (2, 0, 0)))
-    np.testing.assert_allclose(follower.wanted(1.5), [15, 0])
-    np.testing.assert_allclose(follower.wanted(3.0), [0, 0])
+    np.testing.assert_allclose(follower.commanded(1.5), [15, 0])
+    np.testing.assert_allclose(follower.commanded(3.0), [0, 0])
 
 
 def test_speeds_without_a_successor_are_dropped_after_the_timeout(
     follower: CommandFollower,
 ) -> None:
     follower.follow_speeds(np.array([7.0, -7.0]), 1.0)
-    np.testing.assert_array_equal(follower.wanted(1.5), [7, -7])
-    np.testing.assert_array_equal(follower.wanted(1.501), [0, 0])
+    np.testing.assert_array_equal(follower.commanded(1.5), [7, -7])
+    np.testing.assert_array_equal(follower.commanded(1.501), [0, 0])
 
 
 @pytest.mark.parametrize(
     "bad", [[1.0], [1.0, 2.0, 3.0], [np.nan, 0.0], [0.0, np.inf], [[1.0, 2.0]]]
 )
-def test_speeds_that_are_none_are_refused_and_the_old_ones_stay(
+def test_invalid_speeds_are_refused_and_the_previous_ones_stay(
     follower: CommandFollower, bad: list[float]
 ) -> None:
     follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
     with pytest.raises(InvalidInputError, match="two finite numbers"):
         follower.follow_speeds(np.array(bad), 0.1)
-    np.testing.assert_array_equal(follower.wanted(0.2), [7, 7])
+    np.testing.assert_array_equal(follower.commanded(0.2), [7, 7])
 
 
 def test_commands_beyond_the_largest_speed_are_clamped_and_counted(
@@ -106,7 +108,7 @@ speeds = st.tuples(st.floats(-100, 100), st.floats(-100, 100)).map(np.array)
     now=speeds, wanted=st.tuples(st.floats(-900, 900), st.floats(-900, 900)).map(np.array),
     step=st.floats(1e-9, 0.1),
 )
-def test_drives_never_break_a_limit_and_get_as_near_as_they_can(
+def test_drives_keep_all_limits_and_approach_the_command_as_fast_as_they_allow(
     now: np.ndarray, wanted: np.ndarray, step: float
 ) -> None:
     follower = CommandFollower(100.0, 400.0, 0.5)
@@ -120,15 +122,15 @@ def test_drives_never_break_a_limit_and_get_as_near_as_they_can(
     assert np.all(np.abs(target - after) <= np.abs(target - now) + 1e-12)
 
 
-def test_bends_of_a_trajectory_are_told_and_of_speeds_are_none(follower: CommandFollower) -> None:
+def test_knots_between_two_times_are_those_of_the_trajectory(follower: CommandFollower) -> None:
     assert follower.knots_between(0.0, 9.0) == []
     follower.follow_trajectory(hold((0, 0, 0), (0.5, 1, 1), (1.0, 0, 0)))
     assert follower.knots_between(0.0, 1.0) == [0.5]
     assert follower.knots_between(0.5, 0.6) == []
 
 
-def test_reset_forgets_all_commands(follower: CommandFollower) -> None:
+def test_reset_discards_all_commands(follower: CommandFollower) -> None:
     follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
     follower.follow_trajectory(hold((0, 0, 0), (5, 50, 50)))
     follower.reset()
-    np.testing.assert_array_equal(follower.wanted(0.1), [0, 0])
+    np.testing.assert_array_equal(follower.commanded(0.1), [0, 0])

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The robot as a list of rigid bodies, from which both MJCF and URDF are written."""
+"""Rigid bodies of the robot, from which both MJCF and URDF are written."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ COUNTERWEIGHT_NAMES = ("counterweight_1", "counterweight_2")
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One rigid body.
+    """Rigid body.
 
     Attributes
     ----------
@@ -34,14 +34,10 @@ class Body:
     position: Vector
     inertia: Vector
 
-    def inertia_about_centre(self) -> Vector:
-        """Return the inertia about the centre of the sphere [kg m^2], shape (3, 3)."""
-        return self.inertia + _point_inertia(self.mass, self.position)
-
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """The shell and what it carries; rotor i turns about the body's axis i.
+    """Shell, rotors and counterweights; rotor i turns about axis i of the body frame.
 
     Attributes
     ----------
@@ -61,25 +57,26 @@ class Mechanism:
 
 
 def build_mechanism(robot: RobotParameters, balanced: bool = True) -> Mechanism:
-    """Place the bodies of Fig. 1.
+    """Return the bodies of Fig. 1.
 
-    Two liberties keep independent errors of the parameters from making another machine. A rotor
-    whose inertias are those of a body thinner than a disc, which cannot exist, gets those of a
-    disc, and the shell, to which it is rigidly joined across its axis, gives back the difference:
-    the motion is the same. And with `balanced` the shell's centre of mass is moved so that the
-    whole has its own at the centre; its inertia about the centre stays as given.
+    Two corrections allow independent errors of the parameters. A rotor whose axial inertia exceeds
+    twice the transverse one, which no body has, gets the inertias of a disc, and the difference is
+    subtracted from the shell's inertia. As the rotor is rigidly connected to the shell about its
+    transverse axes, the motion stays the same. With `balanced` the shell's centre of mass is moved
+    so that the common centre of mass is the centre of the sphere; the shell's inertia about the
+    centre stays as given.
 
     Parameters
     ----------
     robot : RobotParameters
         Parameters of the robot.
     balanced : bool, optional
-        Whether to trim the shell.
+        Whether to move the shell's centre of mass.
 
     Raises
     ------
     InvalidParameterError
-        If the shell is too light for what it has to make up for.
+        If no shell of the given mass and inertia allows these corrections.
     """
     rotors = [
         _disc(
@@ -124,7 +121,7 @@ def build_mechanism(robot: RobotParameters, balanced: bool = True) -> Mechanism:
 def _disc(
     name: str, mass: float, position: Vector, inertias: tuple[float, float], axis: Vector
 ) -> tuple[Body, Vector]:
-    """Make a body of (axial, transverse) inertias, and what it has of them too much, (3, 3)."""
+    """Return a body of (axial, transverse) inertias, and by how much they had to be raised."""
     along = np.outer(axis, axis)
     across = np.eye(3) - along
     axial, transverse = inertias

@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A rough floor: a random height field, the same for the same seed.
+"""Rough floor: a random height field, the same for the same seed.
 
-SciPy is loaded where it is used: a plane needs none, and it takes a third of a second.
+SciPy is imported where it is used: loading takes a third of a second and a plane does not need it.
 """
 
 import math
@@ -15,12 +15,12 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 _CELLS_PER_WAVELENGTH = 10
 _MAX_CELLS = 1000
-"""Upper bound on the cells of one side, so that settings cannot ask for gigabytes."""
+"""Largest number of cells along one side, so that no settings need gigabytes of memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoughFloor:
-    """Heights on a square grid about the origin.
+    """Height field on a square grid about the origin.
 
     Attributes
     ----------
@@ -39,18 +39,18 @@ class RoughFloor:
         return float(self.heights.max())
 
     def resting_height(self, x: float, y: float, radius: float) -> float:
-        """Return the height of the centre of a sphere that just touches the floor [m].
+        """Return the height of the centre of a sphere that touches the floor in one point [m].
 
         Parameters
         ----------
         x, y : float
-            Where its centre is [m].
+            Position of its centre [m].
         radius : float
             Its radius [m].
         """
         from scipy.ndimage import map_coordinates
 
-        # The field is so low that the point of contact is near the foot of the sphere.
+        # The field is low, so that the contact is near the lowest point of the sphere.
         reach = min(radius, 2.0 * math.sqrt(2.0 * radius * self.span) + 1e-3)
         offsets = np.linspace(-reach, reach, 121)
         dx, dy = np.meshgrid(offsets, offsets)
@@ -64,7 +64,7 @@ class RoughFloor:
 
 
 def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
-    """Draw the rough floor, or return None where the settings ask for a plane."""
+    """Return a random rough floor, or None for a plane."""
     if settings.floor_roughness == 0.0:
         return None
     from scipy.ndimage import gaussian_filter
@@ -72,7 +72,7 @@ def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
     cell = settings.floor_wavelength / _CELLS_PER_WAVELENGTH
     cells = min(_MAX_CELLS, math.ceil(2.0 * settings.floor_extent / cell))
     noise = np.random.default_rng(settings.floor_seed).normal(size=(cells + 1, cells + 1))
-    # A Gaussian filter of this width leaves bumps that are about a wavelength apart.
+    # A Gaussian filter of this width makes bumps at distances of about a wavelength.
     width = settings.floor_wavelength / 4.0 * cells / (2.0 * settings.floor_extent)
     smooth = gaussian_filter(noise, width, mode="wrap")
     heights = smooth * (settings.floor_roughness / smooth.std())

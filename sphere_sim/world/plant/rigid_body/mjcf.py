@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The robot and its floor in MuJoCo's own language, MJCF."""
+"""MJCF, the model of robot and floor for MuJoCo."""
 
 import math
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ GRAVITY = 9.81
 """Acceleration of free fall [m/s^2]."""
 
 _IMPEDANCE_RATIO = 10
-"""How much harder friction holds than the normal force; at 1 the angle deviates twice as much."""
+"""Ratio of the impedances of friction and normal force [-]."""
 
 _FLOOR_BASE = 0.5
 """Thickness of a rough floor under its lowest point [m]."""
@@ -26,7 +26,7 @@ _FLOOR_BASE = 0.5
 def make_mjcf(
     robot: RobotParameters, settings: RigidBodySettings, floor: RoughFloor | None = None
 ) -> str:
-    """Write the model.
+    """Return the model of the robot on its floor.
 
     Parameters
     ----------
@@ -35,13 +35,13 @@ def make_mjcf(
     settings : RigidBodySettings
         Drives, floor, contact and integration.
     floor : RoughFloor, optional
-        Whose heights the caller puts into the compiled model; a plane without.
+        Rough floor, whose heights the caller puts into the compiled model; a plane by default.
 
     Returns
     -------
     str
-        MJCF with actuators and joints in the order rotor 1, rotor 2. Its world frame is the
-        floor's: a slope tilts gravity, so that x and y stay coordinates in the floor.
+        MJCF with actuators and joints in the order rotor 1, rotor 2. The world frame is that of
+        the floor: a slope tilts gravity, so that x and y are coordinates in the floor.
     """
     root = ElementTree.Element("mujoco", model="sphere")
     _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -50,12 +50,12 @@ def make_mjcf(
         "option",
         timestep=_text(settings.time_step),
         gravity=_gravity(settings),
-        # Runge-Kutta: the gyroscopic forces of fast rotors make first-order steps drift.
+        # Runge-Kutta: with the gyroscopic forces of fast rotors first-order methods drift.
         integrator="RK4",
         cone="elliptic",
         impratio=_text(_IMPEDANCE_RATIO),
     )
-    # A state that explodes must be seen, not silently put back to the start.
+    # A diverged state has to be reported, not reset.
     _add(option, "flag", autoreset="disable")
     if floor is not None:
         _add(
@@ -74,7 +74,7 @@ def make_mjcf(
     actuators = _add(root, "actuator")
     gain = servo_gain(robot, settings)
     for i in (1, 2):
-        # Its activation is the speed reference, its control the reference's slope: ramps exactly.
+        # The activation is the speed reference, the control its slope, so that ramps are exact.
         _add(
             actuators,
             "general",
@@ -93,7 +93,7 @@ def make_mjcf(
 def servo_gain(robot: RobotParameters, settings: RigidBodySettings) -> float:
     """Return the torque of a drive over its speed error [N m s].
 
-    The bandwidth is cut where explicit steps of the servo would begin to ring.
+    The bandwidth is limited to that at which explicit integration of the servo oscillates.
     """
     bandwidth = min(settings.drive_bandwidth, 1.0 / settings.time_step)
     return robot.rotor_axial_inertia * bandwidth
@@ -106,7 +106,7 @@ def _add_robot(
     base = _add(world, "body", name="base_link", pos=_text(0.0, 0.0, robot.shell_radius))
     _add(base, "freejoint", name="base_joint")
     _add_inertial(base, mechanism.shell, mechanism.shell.position)
-    # Without spin friction, as the rolling model has it, the contact transmits forces alone.
+    # Without torsional friction, as in the rolling model, the contact transmits forces alone.
     spinning, rolling = settings.torsional_friction > 0.0, settings.rolling_friction > 0.0
     condim = 6 if rolling else 4 if spinning else 3
     _add(
@@ -134,7 +134,7 @@ def _add_robot(
 def _add_inertial(parent: ElementTree.Element, body: Body, position: Iterable[float]) -> None:
     full = body.inertia
     if np.count_nonzero(full - np.diag(np.diag(full))) == 0:
-        # The engine takes a point mass in this form only.
+        # MuJoCo accepts a point mass in this form only.
         inertia = {"diaginertia": _text(*np.diag(full))}
     else:
         inertia = {

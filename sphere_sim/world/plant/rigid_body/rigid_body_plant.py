@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The plant with contact: it can slip, sink in, be pushed, and its drives lag and saturate."""
+"""Plant with contact: it can slip and be pushed, and its drives lag and saturate."""
 
 import math
 from typing import Any
@@ -15,20 +15,20 @@ from sphere_sim.world.plant.rigid_body.floor import make_floor
 from sphere_sim.world.plant.rigid_body.mjcf import make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
-# Layout of the engine's generalised coordinates and velocities.
+# Layout of MuJoCo's generalised coordinates and velocities.
 _CENTRE, _TURN, _ANGLES = slice(0, 3), slice(3, 7), slice(7, 9)
 _VELOCITY, _RATE, _SPEEDS = slice(0, 3), slice(3, 6), slice(6, 8)
 
 
 class RigidBodyPlant:
-    """See `sphere_sim.world.plant.contract.Plant`.
+    """Plant of rigid bodies; see `sphere_sim.world.plant.contract.Plant`.
 
-    World frame is the floor's; x and y lie in it, also on a slope.
+    The world frame is that of the floor: x and y are coordinates in it, also on a slope.
 
     Parameters
     ----------
     robot : RobotParameters
-        True parameters of the robot, which the controller need not know.
+        True parameters of the robot; those of the controller may differ.
     state : ndarray, shape (6,)
         Initial state; the sphere and its rotors start at rest.
     settings : RigidBodySettings, optional
@@ -57,7 +57,7 @@ class RigidBodyPlant:
         if self._floor is not None:
             self._model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
         self._data = self._mj.MjData(self._model)
-        self._scratch = self._mj.MjData(self._model)
+        self._workspace = self._mj.MjData(self._model)
         self.reset(state)
 
     def reset(self, state: Vector) -> None:
@@ -67,10 +67,10 @@ class RigidBodyPlant:
         self._place(state)
 
     def displace(self, state: Vector) -> None:
-        """Put the sphere at `state`, shape (6,), without touching its rotors.
+        """Put the sphere at `state`, shape (6,), keeping its rotors.
 
-        What the disturbance leaves alone is the angular momentum about the contact point and the
-        slip, so the shell's rate changes with its orientation, as in the ideal plant.
+        The angular momentum about the contact point and the slip stay as they are, so that the
+        angular velocity of the shell changes with the orientation, as in the ideal plant.
         """
         momentum, slip = self.momentum, self.slip
         self._place(state)
@@ -86,12 +86,12 @@ class RigidBodyPlant:
         velocity[_VELOCITY] = self._rolling_velocity() + np.append(slip, 0.0)
 
     def push(self, impulse: ArrayLike) -> None:
-        """Hit the sphere at its centre.
+        """Apply an impulse at the centre of the sphere.
 
         Parameters
         ----------
         impulse : array_like, shape (2,) or (3,)
-            [N s; world frame].
+            Impulse [N s; world frame].
         """
         force = np.zeros(8)
         given = np.asarray(impulse, dtype=float)
@@ -121,7 +121,7 @@ class RigidBodyPlant:
 
     @property
     def slip(self) -> Vector:
-        """Velocity of the shell where it touches the floor [m/s; world frame], shape (2,)."""
+        """Velocity of the shell at the contact point [m/s; world frame], shape (2,)."""
         return (self.velocity - self._rolling_velocity())[:2]
 
     @property
@@ -149,7 +149,7 @@ class RigidBodyPlant:
         return np.clip(wanted, -self._settings.torque_limit, self._settings.torque_limit)
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
-        """Move on by `duration` [s] while the speed reference ramps to `speeds_end` [rad/s].
+        """Simulate a step of `duration` [s] in which the reference ramps to `speeds_end` [rad/s].
 
         Raises
         ------
@@ -160,7 +160,7 @@ class RigidBodyPlant:
         slope = (speeds_end - self._reference) / duration
         self._model.opt.timestep = duration / steps
         self._data.ctrl[:] = slope
-        # Set anew each time, so that rounding does not add up over a long run.
+        # Set in each step, so that rounding errors do not accumulate.
         self._data.act[:] = self._reference + self._lead * slope
         self._mj.mj_step(self._model, self._data, nstep=steps)
         self._reference = np.array(speeds_end, dtype=float)
@@ -168,7 +168,7 @@ class RigidBodyPlant:
             raise PlantDivergedError(self._settings.time_step)
 
     def _place(self, state: Vector) -> None:
-        """Set the pose, with the shell just touching the floor."""
+        """Set the pose, with the shell in contact with the floor."""
         x, y = float(state[0]), float(state[1])
         height = self._radius
         if self._floor is not None:
@@ -188,13 +188,13 @@ class RigidBodyPlant:
         return self._radius * np.array([rate[1], -rate[0], 0.0])
 
     def _mass_matrix(self) -> Vector:
-        """Return the engine's mass matrix at the present pose, shape (8, 8)."""
-        # In data of its own, so that looking does not change the run.
-        self._scratch.qpos[:] = self._data.qpos
-        self._mj.mj_forward(self._model, self._scratch)
+        """Return MuJoCo's mass matrix at the present pose, shape (8, 8)."""
+        # With other data, so that reading quantities does not change the simulation.
+        self._workspace.qpos[:] = self._data.qpos
+        self._mj.mj_forward(self._model, self._workspace)
         columns = np.zeros((8, 8))
         for column, unit in zip(columns, np.eye(8), strict=True):
-            self._mj.mj_mulM(self._model, self._scratch, column, unit)
+            self._mj.mj_mulM(self._model, self._workspace, column, unit)
         return columns
 
 

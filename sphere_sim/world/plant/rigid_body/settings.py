@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the plant with contact: drives, floor, contact and integration."""
+"""Settings of the plant ``rigid_body``: drives, floor, contact and integration."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from sphere_nmpc.quantity import quantity, validate
 
 @dataclass(frozen=True)
 class RigidBodySettings:
-    """What the ideal rolling sphere leaves out; docs/rigid_body.md says how the defaults came.
+    """Effects that the ideal plant does not have; docs/rigid_body.md explains the defaults.
 
     Raises
     ------
@@ -27,12 +27,14 @@ class RigidBodySettings:
         maximum=1e6,
     )
     drive_feedforward: bool = quantity(
-        False, "-", "Let the servos feed the reference's slope forward, so that ramps do not lag"
+        False,
+        "-",
+        "Feed the slope of the reference forward, so that the servos follow ramps without lag",
     )
     torque_limit: float = quantity(
         3.2,
         "N m",
-        "Largest torque of a rotor drive; what the paper's controller needs at most",
+        "Largest torque of a rotor drive; the paper's controller needs no more",
         minimum=1e-3,
         maximum=1e6,
     )
@@ -61,7 +63,7 @@ class RigidBodySettings:
         maximum=0.5,
     )
     slope_direction: float = quantity(
-        0.0, "rad", "Where downhill is: angle from the x axis", minimum=-math.pi, maximum=math.pi
+        0.0, "rad", "Downhill direction: angle from the x axis", minimum=-math.pi, maximum=math.pi
     )
     floor_roughness: float = quantity(
         0.0,
@@ -76,30 +78,32 @@ class RigidBodySettings:
     floor_extent: float = quantity(
         8.0,
         "m",
-        "Half the side of the square that is rough, about the origin",
+        "Half the side of the rough square, centred at the origin",
         minimum=0.5,
         maximum=50.0,
     )
     floor_seed: int = quantity(0, "-", "Seed of the rough floor", minimum=0, maximum=2**31 - 1)
     balanced: bool = quantity(
-        True, "-", "Trim the shell so that the centre of mass is its centre, whatever the masses"
+        True,
+        "-",
+        "Move the shell's centre of mass so that the common one is the centre of the sphere",
     )
     contact_time_constant: float = quantity(
         0.004,
         "s",
-        "Time in which the contact yields; shorter is stiffer, at least 2 time_step",
+        "Time constant of the contact; shorter is stiffer, at least 2 time_step",
         minimum=1e-4,
         maximum=1.0,
     )
     contact_impedance: float = quantity(
-        0.999, "-", "How firmly the contact holds, 1 being rigid", minimum=0.1, maximum=0.9999
+        0.999, "-", "Impedance of the contact; 1 is rigid", minimum=0.1, maximum=0.9999
     )
     time_step: float = quantity(0.002, "s", "Longest integration step", minimum=1e-5, maximum=0.02)
 
     def __post_init__(self) -> None:
         validate(self)
         if self.contact_time_constant < 2.0 * self.time_step * (1.0 - 1e-9):
-            # The engine would soften the contact without a word.
+            # MuJoCo would soften the contact without a warning.
             raise InvalidParameterError(
                 "contact_time_constant",
                 self.contact_time_constant,

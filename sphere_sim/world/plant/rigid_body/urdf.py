@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The robot as URDF, for RViz and whatever else reads it.
+"""URDF, the model of the robot for RViz and other tools.
 
-``python -m sphere_sim.world.plant.rigid_body.urdf > urdf/sphere.urdf`` writes the file anew.
+``python -m sphere_sim.world.plant.rigid_body.urdf > urdf/sphere.urdf`` writes the file.
 """
 
 import math
@@ -29,14 +29,14 @@ _COLOURS = {
     "counterweight_2": "0.35 0.35 0.35 1",
 }
 _MIN_THICKNESS = 0.02
-"""Thickness in which the rotors, flat discs by their inertias, are drawn [m]."""
+"""Thickness with which rotors are shown, which are flat discs by their inertias [m]."""
 
 
 def make_urdf(robot: RobotParameters, settings: RigidBodySettings | None = None) -> str:
-    """Write the model.
+    """Return the model of the robot.
 
-    `base_link` is the body frame at the centre of the shell and has no mass of its own, since
-    readers of URDF do not accept inertia at the root; the shell and the counterweights are fixed
+    `base_link` is the body frame at the centre of the shell and has no mass of its own, as
+    some tools accept no inertia at the root; the shell and the counterweights are fixed
     to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes.
 
     Parameters
@@ -44,7 +44,7 @@ def make_urdf(robot: RobotParameters, settings: RigidBodySettings | None = None)
     robot : RobotParameters
         Parameters of the robot.
     settings : RigidBodySettings, optional
-        Where the torque limit is taken from.
+        Source of the torque limit.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def make_urdf(robot: RobotParameters, settings: RigidBodySettings | None = None)
 def _add_link(root: ElementTree.Element, body: Body) -> ElementTree.Element:
     link = _add(root, "link", name=body.name)
     inertial = _add(link, "inertial")
-    # The frame of the shell is its centre; those of the others are their centres of mass.
+    # The origin of the shell is the centre of the sphere, that of the others the centre of mass.
     centre = body.position if body.name == "shell" else np.zeros(3)
     _add(inertial, "origin", xyz=_text(*centre), rpy=_text(0.0, 0.0, 0.0))
     _add(inertial, "mass", value=_text(body.mass))
@@ -102,7 +102,7 @@ def _add_link(root: ElementTree.Element, body: Body) -> ElementTree.Element:
 
 
 def _add_rotor_shapes(link: ElementTree.Element, rotor: Body, index: int) -> None:
-    """Draw the disc that has these inertias, with a bar across by which its turning is seen."""
+    """Add the disc that has these inertias, and a bar across it that shows its rotation."""
     axial, transverse = rotor.inertia[index, index], rotor.inertia[2, 2]
     radius = math.sqrt(2.0 * axial / rotor.mass)
     square = 12.0 * transverse / rotor.mass - 3.0 * radius**2

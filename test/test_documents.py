@@ -27,26 +27,42 @@ def anchors(document: Path) -> set[str]:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=named)
 def test_targets_of_links_exist(document: Path) -> None:
-    for found in LINK.findall(document.read_text(encoding="utf-8")):
-        link = found[0] or found[1]
-        if re.match(r"[a-z]+:", link):
-            continue
-        file, _, heading = link.partition("#")
-        target = (document.parent / file).resolve() if file else document
-        assert target.exists(), f"{link} in {document.name}"
-        if heading:
-            assert heading in anchors(target), f"{link} in {document.name}"
+    links = [first or second for first, second in LINK.findall(document.read_text("utf-8"))]
+    broken = [
+        link for link in links
+        if not re.match(r"[a-z]+:", link) and not target_exists(document, link)
+    ]
+    assert not broken
 
 
-def test_make_targets_exist() -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+def target_exists(document: Path, link: str) -> bool:
+    file, _, heading = link.partition("#")
+    target = (document.parent / file).resolve() if file else document
+    return target.exists() and (not heading or heading in anchors(target))
+
+
+@pytest.mark.parametrize("link", ["none.md", "CONTRIBUTING.md#none", "#none"])
+def test_link_without_target_is_found(link: str) -> None:
+    assert not target_exists(ROOT / "README.md", link)
+
+
+def mentioned(pattern: str) -> dict[str, set[str]]:
+    """Return what a pattern finds in all documents, with the documents in which it is."""
+    found: dict[str, set[str]] = {}
     for document in DOCUMENTS:
-        text = document.read_text(encoding="utf-8")
-        for target in re.findall(r"(?:`|^)make ([a-z-]+)", text, re.MULTILINE):
-            assert target in targets, f"make {target} in {document.name}"
+        for name in re.findall(pattern, document.read_text(encoding="utf-8"), re.MULTILINE):
+            found.setdefault(name, set()).add(document.name)
+    return found
+
+
+def test_make_targets_in_documents_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    used = mentioned(r"(?:`|^)make ([a-z-]+)")
+    assert {"demo", "test"} <= used.keys()
+    assert not {target: used[target] for target in used.keys() - targets}
 
 
 def test_scripts_in_documents_exist() -> None:
-    for document in DOCUMENTS:
-        for script in re.findall(r"python (\w+/[\w/]+\.py)", document.read_text(encoding="utf-8")):
-            assert (ROOT / script).exists(), f"{script} in {document.name}"
+    used = mentioned(r"python (\w+/[\w/]+\.py)")
+    assert "bench/control_rate.py" in used
+    assert not {script: used[script] for script in used if not (ROOT / script).exists()}

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``sphere_nmpc viewer``: a running or recorded sphere in the browser."""
+"""``sphere_nmpc viewer``: live or recorded sphere in the browser."""
 
 import argparse
 import sys
@@ -16,7 +16,7 @@ _ROS = "--ros-args"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Show the page until it is interrupted.
+    """Serve the page until the process is interrupted.
 
     Returns
     -------
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     at = given.index(_ROS) if _ROS in given else len(given)
     own = _parse(given[:at])
     if own.replay is None:
-        # Where only bags are looked at, ROS need not be there.
+        # A replay does not need ROS.
         from sphere_sim.ros.viewer import node as viewer_node
 
         return viewer_node.main(given[at:], own.port)
@@ -42,15 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc viewer",
-        description="Show a sphere in the browser, on this machine only: the one whose topics are "
-        "heard, or with --replay a recorded one.",
+        description="Show a sphere in the browser, on this machine only: a live one by its "
+        "topics, or with --replay a recorded one.",
         epilog="ROS arguments follow --ros-args, for example: --ros-args -r __ns:=/left",
     )
     parser.add_argument("--port", type=whole(0, 65535), default=DEFAULT_PORT, metavar="P",
-                        help="of the page; a free one if it is taken (default: %(default)s)")
+                        help="port of the page; a free one if it is taken (default: %(default)s)")
     parser.add_argument("--replay", type=Path, metavar="BAG",
                         help="folder of a bag, or a .mcap or .db3 file")
-    parser.add_argument("--namespace", metavar="NS", help="which robot, if the bag has several")
+    parser.add_argument("--namespace", metavar="NS",
+                        help="namespace of the robot, if the bag has several")
     return parser.parse_args(arguments)
 
 

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The sphere in the browser: a scene, plots and controls, fed alike by topics and by a bag."""
+"""Browser view of the sphere: scene, plots and controls, of live topics or of a bag."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The sphere as nodes of the scene: marked shell, circle Gamma, rotors and counterweights."""
+"""Sphere in the scene: marked shell, circle Gamma, rotors and counterweights."""
 
 import math
 
@@ -13,48 +13,48 @@ from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.geometry import Mesh, cap, great_circle, octants, sector, segments
 
-SLOWED = 10.0
-"""Rotors are drawn turning slower than they do, or no screen could show which way they turn."""
+_SLOWDOWN = 10.0
+"""Ratio of true to drawn rotor speeds: at full speed the direction of rotation is not visible."""
 _PROPORTIONS = RobotParameters()
 _THIN = 0.1
-"""Thickness of a rotor as drawn, in its radii; by its inertias it is flat."""
+"""Drawn thickness of a rotor over its radius; a rotor with these inertias would be flat."""
 
 
 def add_shell(
     scene: viser.SceneApi, name: str, radius: float, panels: Colour, opacity: float
 ) -> None:
-    """Draw a shell by whose marks its orientation can be told, under a node of the scene.
+    """Add a shell with marks that show its orientation.
 
     Parameters
     ----------
     scene : viser.SceneApi
         The scene.
     name : str
-        The node that is its body frame.
+        Node of the scene that is its body frame.
     radius : float
-        [m].
+        Radius [m].
     panels : tuple of int
         Colour of every other octant.
     opacity : float
-        Of these; the rest is clearer.
+        Opacity of these octants; the others are more transparent.
     """
     for even, colour, share in ((True, panels, 1.0), (False, colours.WHITE, 0.45)):
         mesh = octants(radius, even)
         _add(scene, f"{name}/panels_{int(even)}", mesh, colour, opacity * share)
-    # Where body x and y, the axes of the rotors, and body z come out.
+    # Ends of body x and y, the axes of the rotors, and of body z.
     for axis, colour in enumerate((*colours.ROTORS, colours.INK)):
         _add(scene, f"{name}/pole_{axis}", cap(1.004 * radius, axis, 0.17), colour, None)
 
 
 class Ball:
-    """The robot; made once for its radius, then moved.
+    """Robot in the scene, created for one radius and then moved.
 
     Parameters
     ----------
     scene : viser.SceneApi
         The scene.
     radius : float
-        Of the shell [m]; the inside is drawn in the proportions of the default robot.
+        Radius of the shell [m]; rotors have the proportions of the default robot.
     """
 
     def __init__(self, scene: viser.SceneApi, radius: float) -> None:
@@ -63,12 +63,12 @@ class Ball:
         add_shell(scene, "/sphere/shell", radius, colours.BLUE, 0.42)
         scene.add_line_segments(
             "/sphere/gamma", segments(great_circle(1.006 * radius)),
-            colours.as_light(colours.GAMMA),
+            colours.linear(colours.GAMMA),
             thickness=0.026 * radius,
         )
         self._shadow = scene.add_frame("/shadow", show_axes=False)
-        # What a lamp above would leave on the floor; real shadows cost too much without a
-        # graphics card.
+        # Imitation of a shadow on the floor; computed shadows are too slow without a graphics
+        # card.
         for i, (size, darkness) in enumerate(((0.55, 0.16), (0.8, 0.12), (1.0, 0.08))):
             spot = sector(size * radius, 1e-4, 2)
             scene.add_mesh_simple(
@@ -85,13 +85,13 @@ class Ball:
         self._time: float | None = None
 
     def place(self, state: Vector, speeds: Vector, time: float) -> None:
-        """Show a state, shape (6,), and turn the rotors by their speeds [rad/s] up to `time`."""
+        """Show a state, shape (6,), with rotors turned by `speeds` [rad/s] up to `time` [s]."""
         self._frame.position = (float(state[0]), float(state[1]), self.radius)
         self._frame.wxyz = state[2:]
         self._shadow.position = (float(state[0]), float(state[1]), 0.0)
         elapsed = 0.0 if self._time is None else min(max(0.0, time - self._time), 1.0)
         self._time = time
-        self._angles += np.nan_to_num(speeds) * elapsed / SLOWED
+        self._angles += np.nan_to_num(speeds) * elapsed / _SLOWDOWN
         for axis, rotor in enumerate(self._rotors):
             half = 0.5 * float(self._angles[axis])
             rotor.wxyz = (math.cos(half), *(math.sin(half) * np.eye(3)[axis]))
@@ -118,6 +118,5 @@ def _add(
     scene.add_mesh_simple(
         name, mesh.vertices, mesh.faces, color=colour, opacity=opacity,
         side="front" if opacity is None else "double", receive_shadow=False,
-        # The shadow of a clear shell is that of what is opaque in it, and of its panels.
         cast_shadow=False,
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Colours of the scene and the plots: those of Okabe and Ito, as in the project's figures."""
+"""Colours of scene and plots, from the palette of Okabe and Ito."""
 
 Colour = tuple[int, int, int]
 
@@ -21,15 +21,15 @@ GAMMA = VERMILION
 TRACE = INK
 
 
-def as_light(colour: Colour) -> Colour:
-    """Return what a line has to be given to look like `colour`: its share of light.
+def linear(colour: Colour) -> Colour:
+    """Return a colour in linear light, as lines need it.
 
-    The page takes the colours of lines for linear ones, and brightens them for the screen.
+    The page reads colours of lines as linear and converts them to sRGB for the screen.
     """
     red, green, blue = (round(255.0 * (part / 255.0) ** 2.2) for part in colour)
     return red, green, blue
 
 
 def css(colour: Colour) -> str:
-    """Return a colour as style sheets write it."""
+    """Return a colour in CSS notation."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -1,30 +1,30 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The floor, a plane with lines half a metre apart, and the light on it."""
+"""Floor with a grid of half a metre, and the lights of the scene."""
 
 import numpy as np
 import viser
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.viewer.colours import Colour, as_light
+from sphere_sim.viewer.colours import Colour, linear
 from sphere_sim.viewer.geometry import Mesh
 
 _HALF = 6.0
-"""Half the width [m]."""
+"""Half the width of the floor [m]."""
 _CELL = 0.5
-"""Distance of two lines [m]."""
+"""Spacing of the grid [m]."""
 _PLAIN: Colour = (240, 242, 244)
 _FINE: Colour = (218, 223, 228)
 _COARSE: Colour = (184, 192, 200)
 
 
 def add_floor(scene: viser.SceneApi) -> viser.FrameHandle:
-    """Draw the floor; whole metres have stronger lines.
+    """Add the floor, with stronger lines at whole metres.
 
     Returns
     -------
     viser.FrameHandle
-        What moves it.
+        Frame that moves the floor.
     """
     frame = scene.add_frame("/floor", show_axes=False)
     plane = _plane(_HALF)
@@ -39,7 +39,7 @@ def add_floor(scene: viser.SceneApi) -> viser.FrameHandle:
         ("fine", places[~whole], _FINE, 1.0), ("coarse", places[whole], _COARSE, 1.5)
     ):
         scene.add_line_segments(
-            f"/floor/{name}", _lines(chosen, _HALF), as_light(colour),
+            f"/floor/{name}", _lines(chosen, _HALF), linear(colour),
             thickness=width,
             thickness_units="screen",
         )
@@ -47,10 +47,10 @@ def add_floor(scene: viser.SceneApi) -> viser.FrameHandle:
 
 
 def add_lights(scene: viser.SceneApi) -> None:
-    """Light the scene evenly from above, and from one side to give shapes.
+    """Add uniform light from above, and directional light that makes shapes visible.
 
-    Plain lights that cast no shadows: who watches a robot often has no graphics card, and shadows
-    cost its processor more than everything else in the picture.
+    The lights cast no shadows: without a graphics card, these would take more processor time than
+    all the rest of the scene.
     """
     scene.configure_default_lights(enabled=False)
     scene.add_light_hemisphere(
@@ -67,7 +67,7 @@ def _plane(half: float) -> Mesh:
 
 
 def _lines(places: Vector, half: float) -> Vector:
-    """Return lines along x and along y at these places, shape (2 n, 2, 3)."""
+    """Return lines along x and y at these n coordinates [m], shape (2 n, 2, 3)."""
     n = len(places)
     lines = np.zeros((2 * n, 2, 3))
     lines[:n, :, 0], lines[n:, :, 1] = (-half, half), (-half, half)

@@ -1,10 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is shown at one moment, wherever it comes from, and what a user may ask for."""
+"""Frame: the state of one robot at one instant, as the viewer shows it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -12,35 +10,35 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 
 DEFAULT_RADIUS = RobotParameters().shell_radius
+"""Radius of the shell where it is not known [m]."""
 
 
 def _unknown() -> Vector:
     return np.full(INPUT_SIZE, np.nan)
 
 
-def _nothing() -> Vector:
+def _no_plan() -> Vector:
     return np.empty((0, STATE_SIZE))
 
 
 @dataclass(frozen=True)
-class Offers:
-    """What the source of the frames can do for the user.
+class Capabilities:
+    """Requests that the source of the frames can fulfil.
 
     Attributes
     ----------
-    goal, pause, reset, push : bool
-        Whether it takes these requests.
+    pause, reset, push : bool
+        Whether it accepts these requests.
     paused : bool
-        Whether time stands still.
+        Whether time is paused.
     speed : float or None
-        Time shown over wall time that was asked for; None where it cannot be asked for.
+        Requested ratio of time shown to wall time; None where it cannot be changed.
     strategies : tuple of str
-        What the controller can be told to solve; empty where it cannot be told.
+        Strategies that can be selected; empty where none can.
     duration : float or None
-        Length of a recording [s]; None for what is live.
+        Length of a recording [s]; None for a live source.
     """
 
-    goal: bool = False
     pause: bool = False
     reset: bool = False
     push: bool = False
@@ -52,38 +50,38 @@ class Offers:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One moment of one robot; what is not known is None, nan or empty.
+    """State of one robot at one instant; unknown values are None, nan or empty.
 
     Attributes
     ----------
     time : float
         Time of the state on the robot's clock [s].
     state : ndarray of shape (6,), or None
-        Where the sphere is.
+        State of the sphere.
     radius : float
-        Of the shell [m].
+        Radius of the shell [m].
     rotor_speeds, rotor_torques : ndarray, shape (2,)
-        [rad/s], [N m].
+        Rotor speeds [rad/s] and torques [N m].
     goal : ndarray of shape (6,), or None
-        The goal in force.
+        Goal in force.
     plan : ndarray, shape (n, 6)
         Predicted states.
     solve_time : float
-        Of the newest solve [s].
+        Duration of the newest solve [s].
     cost : float
-        Value of the optimal control problem, where that is not a time.
+        Value of the optimal control problem, unless that is a time.
     to_go : float
-        In what time the plan reaches the goal [s].
+        Time until the plan reaches the goal [s].
     strategy, mode : str
-        What the controller solves, and what it is doing.
+        Strategy and mode of the controller.
     alerts : tuple of str
-        What is amiss.
-    news : tuple of str
-        What to tell the user once, such as why a request was refused.
-    fresh : bool
-        Whether this is another run than what was shown before, which is to be wiped away.
-    offers : Offers
-        What may be asked for.
+        Present faults.
+    notices : tuple of str
+        Messages to show once, such as the reason of a refused request.
+    restarted : bool
+        Whether the frame begins another run, so that the lines of the previous one are deleted.
+    capabilities : Capabilities
+        Requests that the source can fulfil.
     """
 
     time: float = 0.0
@@ -92,74 +90,13 @@ class Frame:
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Vector | None = None
-    plan: Vector = field(default_factory=_nothing)
+    plan: Vector = field(default_factory=_no_plan)
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")
     strategy: str = ""
     mode: str = ""
     alerts: tuple[str, ...] = ()
-    news: tuple[str, ...] = ()
-    fresh: bool = False
-    offers: Offers = field(default_factory=Offers)
-
-
-@dataclass(frozen=True, eq=False)
-class SetGoal:
-    """Ask for a goal, shape (6,)."""
-
-    goal: Vector
-
-
-@dataclass(frozen=True)
-class Pause:
-    """Let time stand still, or go on."""
-
-    paused: bool
-
-
-@dataclass(frozen=True)
-class Reset:
-    """Back to the start."""
-
-
-@dataclass(frozen=True)
-class Push:
-    """Push the sphere."""
-
-
-@dataclass(frozen=True)
-class SetSpeed:
-    """Ask for a ratio of time shown over wall time."""
-
-    factor: float
-
-
-@dataclass(frozen=True)
-class SetStrategy:
-    """Ask the controller to solve something else."""
-
-    name: str
-
-
-@dataclass(frozen=True)
-class Seek:
-    """Go to a moment of a recording [s]."""
-
-    time: float
-
-
-Request = SetGoal | Pause | Reset | Push | SetSpeed | SetStrategy | Seek
-
-
-class Source(Protocol):
-    """Where frames come from: topics or a bag."""
-
-    def frames(self) -> Sequence[Frame]:
-        """Return what is new since the last call, at least one frame; the last one is shown."""
-
-    def handle(self, request: Request) -> str:
-        """Do what the user asks for, without waiting; return what to tell the user, if anything.
-
-        Requests that are not among the offers change nothing.
-        """
+    notices: tuple[str, ...] = ()
+    restarted: bool = False
+    capabilities: Capabilities = field(default_factory=Capabilities)

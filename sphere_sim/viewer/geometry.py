@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes and curves of the scene, as arrays; lengths in m, body frame unless said otherwise."""
+"""Meshes and curves of the scene as arrays; lengths in m, body frame unless stated."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from sphere_nmpc.model.state import Vector
 
 
 class Mesh(NamedTuple):
-    """Vertices (n, 3) [m] and triangles (m, 3), outside where they run anticlockwise."""
+    """Vertices (n, 3) [m] and triangles (m, 3), anticlockwise as seen from outside."""
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.uint32]
@@ -23,21 +23,21 @@ def octants(radius: float, even: bool, divisions: int = 12) -> Mesh:
     Parameters
     ----------
     radius : float
-        [m].
+        Radius [m].
     even : bool
-        False for the other four.
+        False for the other four octants.
     divisions : int, optional
-        Of each edge.
+        Number of triangles along each edge.
     """
     meshes = []
     for signs in np.array(np.meshgrid([1, -1], [1, -1], [1, -1])).reshape(3, -1).T:
-        same_hand = bool(np.prod(signs) > 0)
-        if same_hand != even:
+        is_even = bool(np.prod(signs) > 0)
+        if is_even != even:
             continue
         patch = _octant(radius, divisions)
-        faces = patch.faces if same_hand else patch.faces[:, ::-1]
+        faces = patch.faces if is_even else patch.faces[:, ::-1]
         meshes.append(Mesh((patch.vertices * signs).astype(np.float32), faces))
-    return joined(meshes)
+    return merged(meshes)
 
 
 def _octant(radius: float, divisions: int) -> Mesh:
@@ -47,7 +47,7 @@ def _octant(radius: float, divisions: int) -> Mesh:
     for i in range(divisions + 1):
         for j in range(divisions + 1 - i):
             index[i, j] = len(points)
-            # Angles rather than coordinates, so that the triangles are of much the same size.
+            # Equal steps in angle rather than in coordinates give triangles of similar size.
             point = np.sin(0.5 * np.pi * np.array([i, j, divisions - i - j]) / divisions)
             points.append(radius * point / np.linalg.norm(point))
     faces = []
@@ -59,8 +59,8 @@ def _octant(radius: float, divisions: int) -> Mesh:
     return Mesh(np.array(points, dtype=np.float32), np.array(faces, dtype=np.uint32))
 
 
-def cap(radius: float, axis: int, angle: float, sign: float = 1.0, sides: int = 32) -> Mesh:
-    """Return the part of a sphere within `angle` [rad] of one of the body's axes."""
+def cap(radius: float, axis: int, angle: float, sides: int = 32) -> Mesh:
+    """Return the part of a sphere within `angle` [rad] of a body axis."""
     rings, turn = 4, np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     points = [np.array([[radius, 0.0, 0.0]])]
     for k in range(1, rings + 1):
@@ -74,14 +74,14 @@ def cap(radius: float, axis: int, angle: float, sign: float = 1.0, sides: int = 
         for i in range(sides):
             j = (i + 1) % sides
             faces += [(a + i, b + i, b + j), (a + i, b + j, a + j)]
-    return _along(Mesh(np.concatenate(points).astype(np.float32),
-                       np.array(faces, dtype=np.uint32)), axis, sign)
+    return _about(Mesh(np.concatenate(points).astype(np.float32),
+                       np.array(faces, dtype=np.uint32)), axis)
 
 
 def sector(
     radius: float, thickness: float, axis: int, start: float = 0.0, end: float = 2.0 * np.pi
 ) -> Mesh:
-    """Return a disc, or a slice of one between two angles [rad], across one of the body's axes."""
+    """Return a disc perpendicular to a body axis, or its sector between two angles [rad]."""
     steps = max(3, round((end - start) / (2.0 * np.pi) * 48))
     turn = np.linspace(start, end, steps + 1)
     rim = radius * np.stack((np.zeros_like(turn), np.cos(turn), np.sin(turn)), axis=1)
@@ -93,45 +93,44 @@ def sector(
     for i in range(n - 1):
         faces += [(top, i, i + 1), (bottom, n + i + 1, n + i)]
         faces += [(i, n + i, n + i + 1), (i, n + i + 1, i + 1)]
-    # The two cuts; those of a whole disc lie within it.
+    # The two cut faces; those of a whole disc lie inside it.
     faces += [(top, bottom, n), (top, n, 0), (top, n - 1, 2 * n - 1), (top, 2 * n - 1, bottom)]
-    return _along(Mesh(vertices.astype(np.float32), np.array(faces, dtype=np.uint32)), axis, 1.0)
+    return _about(Mesh(vertices.astype(np.float32), np.array(faces, dtype=np.uint32)), axis)
 
 
-def _along(mesh: Mesh, axis: int, sign: float) -> Mesh:
-    """Return a mesh made about x about another axis, or its negative."""
-    flipped = mesh.vertices * np.array((sign, sign, 1.0), dtype=np.float32)
-    # Rolling the columns keeps the mesh right-handed.
-    return Mesh(np.roll(flipped, axis, axis=1), mesh.faces)
+def _about(mesh: Mesh, axis: int) -> Mesh:
+    """Return a mesh about the x axis rotated to be about another axis."""
+    # A cyclic permutation of the coordinates keeps the mesh right-handed.
+    return Mesh(np.roll(mesh.vertices, axis, axis=1), mesh.faces)
 
 
-def joined(meshes: list[Mesh]) -> Mesh:
-    """Return several meshes as one."""
+def merged(meshes: list[Mesh]) -> Mesh:
+    """Return several meshes as one mesh."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + np.uint32(start) for mesh, start in zip(meshes, starts, strict=False)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
 def great_circle(radius: float, number: int = 96) -> Vector:
-    """Return the circle z = 0, closed, shape (number + 1, 3); on the shell it is Gamma."""
+    """Return the closed circle z = 0, shape (number + 1, 3); on the shell it is Gamma."""
     turn = np.linspace(0.0, 2.0 * np.pi, number + 1)
     return radius * np.stack((np.cos(turn), np.sin(turn), np.zeros_like(turn)), axis=1)
 
 
 def segments(points: Vector) -> NDArray[np.float32]:
-    """Return a line through points (n, 3) as its pieces, shape (n - 1, 2, 3)."""
+    """Return the segments of a line through points (n, 3), shape (n - 1, 2, 3)."""
     return np.stack((points[:-1], points[1:]), axis=1).astype(np.float32)
 
 
 def arc(start: Vector, end: Vector, step: float) -> Vector:
-    """Return the shortest way on a sphere about the origin, without its start, shape (n, 3).
+    """Return the shortest arc on a sphere about the origin, without its start, shape (n, 3).
 
     Parameters
     ----------
     start, end : ndarray, shape (3,)
         Points on the sphere.
     step : float
-        Largest distance of two points on the way [m].
+        Largest distance of two points [m].
     """
     number = max(1, int(np.ceil(np.linalg.norm(end - start) / step)))
     share = np.linspace(0.0, 1.0, number + 1)[1:, None]
@@ -140,8 +139,8 @@ def arc(start: Vector, end: Vector, step: float) -> Vector:
     return np.asarray(chord * (np.linalg.norm(end) / lengths))
 
 
-def apart(points: Vector, distance: float) -> Vector:
-    """Return points (n, 3) without those nearer than `distance` [m] to the one before."""
+def without_repeats(points: Vector, distance: float) -> Vector:
+    """Return points (n, d) without those within `distance` [m] of the one kept before."""
     kept: list[Vector] = []
     for point in points:
         if not kept or float(np.linalg.norm(point - kept[-1])) > distance:

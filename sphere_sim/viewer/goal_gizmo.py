@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The goal as a ghost of the sphere that is dragged over the floor and turned by rings."""
+"""Goal as a translucent sphere that users drag over the floor and turn by rings."""
 
 import time
 from collections.abc import Callable
@@ -15,49 +15,49 @@ from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import add_shell
 
 _SAME = 1e-6
-"""Largest error of a goal that counts as the one in force [mixed units]."""
-_SEEN = 1e-4
-"""Least error that is worth telling [mixed units]."""
+"""Largest error between two goals that count as equal [mixed units]."""
+_VISIBLE = 1e-4
+"""Least error from the goal in force that the label shows [mixed units]."""
 _ORIGIN = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-_LOST = 10.0
-"""Time after which a drag that neither goes on nor ends is given up, as when a page closes [s]."""
+_DRAG_TIMEOUT = 10.0
+"""Time after which a drag without events is over, as when its page is closed [s]."""
 
 
 class GoalGizmo:
-    """A ghost with two gizmos: arrows and a square in the plane, and three rings.
+    """Translucent sphere with two gizmos: arrows and a square in the plane, and three rings.
 
-    Two, because the arrows have to stay in the floor while the rings turn with the ghost.
+    There are two because the arrows keep their directions while the rings turn with the sphere.
 
     Parameters
     ----------
     scene : viser.SceneApi
         The scene.
     radius : float
-        Of the shell [m].
-    moved : callable or None
-        Called, on another thread, with the phase of a drag: start, update or end; None if the
-        ghost cannot be moved by hand.
+        Radius of the shell [m].
+    on_drag : callable or None
+        Called, on another thread, with the phase of a drag: start, update or end; None if users
+        cannot move the goal.
     """
 
     def __init__(
-        self, scene: viser.SceneApi, radius: float, moved: Callable[[str], object] | None
+        self, scene: viser.SceneApi, radius: float, on_drag: Callable[[str], object] | None
     ) -> None:
         self._radius = radius
-        self._place, self._turn = self._add_handles(scene, moved)
+        self._position, self._orientation = self._add_handles(scene, on_drag)
         add_shell(scene, "/goal/turn/shell", 0.98 * radius, colours.GOAL, 0.45)
         self._label = scene.add_label(
             "/goal/label", "goal", position=(0.0, 0.0, -1.4 * radius), anchor="top-center"
         )
         self._in_force: Vector | None = None
-        self._held_until = 0.0
+        self._dragged_until = 0.0
 
     def _add_handles(
-        self, scene: viser.SceneApi, moved: Callable[[str], object] | None
+        self, scene: viser.SceneApi, on_drag: Callable[[str], object] | None
     ) -> tuple[Any, Any]:
         position = (0.0, 0.0, self._radius)
-        if moved is None:
-            place = scene.add_frame("/goal", show_axes=False, position=position)
-            return place, scene.add_frame("/goal/turn", show_axes=False)
+        if on_drag is None:
+            frame = scene.add_frame("/goal", show_axes=False, position=position)
+            return frame, scene.add_frame("/goal/turn", show_axes=False)
         handles = (
             scene.add_transform_controls(
                 "/goal", scale=2.1 * self._radius, active_axes=(True, True, False),
@@ -69,46 +69,46 @@ class GoalGizmo:
             ),
         )
 
-        async def pass_on(event: viser.TransformControlsEvent) -> None:
-            moved(event.phase)
+        async def report_phase(event: viser.TransformControlsEvent) -> None:
+            on_drag(event.phase)
 
         for handle in handles:
-            handle.on_update(pass_on)
+            handle.on_update(report_phase)
         return handles
 
     @property
     def goal(self) -> Vector | None:
-        """Where the ghost is, shape (6,); None where a page has put it nowhere."""
-        wxyz = np.array(self._turn.wxyz, dtype=float)
+        """Pose of the gizmo, shape (6,); None if a page has sent an invalid one."""
+        wxyz = np.array(self._orientation.wxyz, dtype=float)
         try:
             with np.errstate(all="ignore"):
-                return make_state(self._place.position[:2], wxyz / np.linalg.norm(wxyz))
+                return make_state(self._position.position[:2], wxyz / np.linalg.norm(wxyz))
         except InvalidStateError:
             return None
 
-    def hold(self, held: bool) -> None:
-        """Say whether a user has the ghost in hand; nothing else moves it meanwhile."""
-        self._held_until = time.monotonic() + _LOST if held else 0.0
+    def set_dragged(self, dragged: bool) -> None:
+        """Set whether a user drags the gizmo; it does not follow the goal in force meanwhile."""
+        self._dragged_until = time.monotonic() + _DRAG_TIMEOUT if dragged else 0.0
 
-    def put(self, goal: Vector) -> None:
-        """Move the ghost to a goal, shape (6,)."""
-        self._place.position = (float(goal[0]), float(goal[1]), self._radius)
-        self._turn.wxyz = goal[QUATERNION]
+    def move_to(self, goal: Vector) -> None:
+        """Move the gizmo to a goal, shape (6,)."""
+        self._position.position = (float(goal[0]), float(goal[1]), self._radius)
+        self._orientation.wxyz = goal[QUATERNION]
 
     def show(self, in_force: Vector | None) -> None:
-        """Follow the goal in force when it changes, and label the ghost."""
-        if in_force is not None and time.monotonic() > self._held_until:
+        """Follow the goal in force when it changes, and update the label."""
+        if in_force is not None and time.monotonic() > self._dragged_until:
             known = self._in_force
             if known is None or state_error(in_force, known) > _SAME:
                 self._in_force = in_force
-                self.put(in_force)
+                self.move_to(in_force)
         if self.goal is None:
-            self.put(_ORIGIN if self._in_force is None else self._in_force)
+            self.move_to(_ORIGIN if self._in_force is None else self._in_force)
         goal = self.goal
         if self._in_force is None or goal is None:
             text = "goal, not sent"
         else:
-            agreed = state_error(goal, self._in_force) < _SEEN
-            text = "goal" if agreed else "goal, not in force"
+            equal = state_error(goal, self._in_force) < _VISIBLE
+            text = "goal" if equal else "goal, not in force"
         if text != self._label.text:
             self._label.text = text

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The last seconds of a run as series for the plots."""
+"""Time series of the last seconds of a run, for the plots."""
 
 from collections import deque
 
@@ -16,12 +16,12 @@ NAMES = (
 
 
 class History:
-    """Collects frames, at most `limit` of them, and none closer together than that asks for.
+    """Time series of at most `limit` equally spaced points, from the frames of a run.
 
     Parameters
     ----------
     window : float, optional
-        How far back it reaches [s].
+        Length of the series [s].
     limit : int, optional
         Most points of a series.
     """
@@ -32,8 +32,8 @@ class History:
         self._rows: deque[tuple[float, ...]] = deque()
 
     def add(self, frame: Frame) -> None:
-        """Take in a frame; one that is fresh begins a new history."""
-        if frame.fresh:
+        """Add a frame; one of a restarted run deletes the series first."""
+        if frame.restarted:
             self._rows.clear()
         if frame.state is None or (
             self._rows and frame.time < self._rows[-1][0] + self._spacing
@@ -51,6 +51,6 @@ class History:
             self._rows.popleft()
 
     def series(self) -> dict[str, Vector]:
-        """Return the series by name, all of one length; nan where nothing was known."""
+        """Return the series by name, all of one length; nan where a value is unknown."""
         table = np.array(self._rows, dtype=float).reshape(-1, len(NAMES))
         return dict(zip(NAMES, table.T, strict=True))

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The charts beside the scene."""
+"""Plots beside the scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from sphere_sim.viewer.colours import Colour, css
 from sphere_sim.viewer.history import History
 
 _SMALLEST = 1e-9
-"""Least value of which the logarithm is drawn."""
+"""Least value on a logarithmic axis."""
 _HEIGHT = 112
-"""[px]."""
-_SPACE = 15
-"""Least distance of two numbers on the upright axis [px]."""
+"""Height of a plot [px]."""
+_LABEL_SPACING = 15
+"""Least distance of two labels on the vertical axis [px]."""
 _TICKS = uplot.Axis_Ticks(size=3, width=1)
-_SLACK = 0.03
-"""What may stick out of an axis, in its steps: a hair beyond a limit is not worth another step."""
+_OVERSHOOT = 0.03
+"""Part of a step by which values may exceed an axis before it grows."""
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Chart:
-    """What one chart shows: names of the series in the history, their labels and colours.
+    """Series of the history in one plot, with labels and colours.
 
-    `least` is what its upright axis shows at the least: what hardly moves should look so.
+    `least` is the smallest range of the vertical axis, so that small changes look small.
     """
 
     title: str
@@ -57,12 +57,12 @@ CHARTS = (
 
 
 class Plots:
-    """Charts in a panel of their own.
+    """Plots in a separate panel.
 
     Parameters
     ----------
     server : viser.ViserServer
-        Whose page it is.
+        Server of the page.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -75,30 +75,30 @@ class Plots:
         self._ranges: dict[Chart, Range] = {}
 
     def show(self, history: History) -> None:
-        """Draw what the history holds; a chart is there while there is something in it."""
+        """Draw the history; plots without any value are hidden."""
         series = history.series()
         times = series["time"]
         for order, chart in enumerate(CHARTS):
             lines = [_drawable(series[name], chart) for name in chart.names]
-            there = len(times) >= 2 and any(np.any(np.isfinite(line)) for line in lines)
+            has_values = len(times) >= 2 and any(np.any(np.isfinite(line)) for line in lines)
             handle = self._drawn.get(chart)
             if handle is None:
-                # Not before: a chart that is made while it is hidden keeps a width of nothing.
-                if there:
+                # Created only with values: a plot that is created hidden keeps a width of 0.
+                if has_values:
                     with self._tab:
                         self._drawn[chart] = self._add(chart, order, (times, *lines))
                 continue
-            if there:
-                wanted = upright_range(lines, chart.least)
+            if has_values:
+                wanted = axis_range(lines, chart.least)
                 if wanted != self._ranges[chart]:
                     self._ranges[chart] = wanted
                     handle.scales = _scales(wanted)
                 handle.data = (times, *lines)
-            if handle.visible != there:
-                handle.visible = there
+            if handle.visible != has_values:
+                handle.visible = has_values
 
     def _add(self, chart: Chart, order: int, data: tuple[Vector, ...]) -> viser.GuiUplotHandle:
-        self._ranges[chart] = upright_range(data[1:], chart.least)
+        self._ranges[chart] = axis_range(data[1:], chart.least)
         lines = tuple(
             uplot.Series(label=label, stroke=css(colour), width=2)
             for label, colour in zip(chart.labels, chart.colours, strict=True)
@@ -109,38 +109,38 @@ class Plots:
             title=chart.title, scales=_scales(self._ranges[chart]), height=_HEIGHT, order=order,
             axes=(
                 uplot.Axis(size=22, gap=2, ticks=_TICKS),
-                uplot.Axis(size=44, gap=2, space=_SPACE, ticks=_TICKS),
+                uplot.Axis(size=44, gap=2, space=_LABEL_SPACING, ticks=_TICKS),
             ),
             padding=(12, 8, 0, 0),
-            # Values under the mouse would take a line more of each chart.
+            # Values under the mouse pointer would need another line in each plot.
             legend=uplot.Legend(show=len(chart.names) > 1, live=False),
         )
 
 
-def upright_range(lines: Sequence[Vector], least: Range) -> Range:
-    """Return what an upright axis shows: `least` and all that is known, in steps that stay.
+def axis_range(lines: Sequence[Vector], least: Range) -> Range:
+    """Return the range of a vertical axis: `least`, extended in steps to all known values.
 
     Parameters
     ----------
     lines : sequence of ndarray
-        Values, nan where nothing is known.
+        Values; nan where unknown.
     least : (float, float)
-        What is shown at the least.
+        Smallest range.
     """
     known = np.concatenate([line[np.isfinite(line)] for line in lines])
     low, high = min((least[0], *known)), max((least[1], *known))
-    # Half a power of ten: the axis changes now and then, not with each sample.
+    # With steps of half a power of ten the axis does not change with each sample.
     step = 10.0 ** np.floor(np.log10(high - low)) / 2.0
-    low, high = np.floor(low / step + _SLACK), np.ceil(high / step - _SLACK)
+    low, high = np.floor(low / step + _OVERSHOOT), np.ceil(high / step - _OVERSHOOT)
     return float(step * low), float(step * high)
 
 
-def _scales(upright: Range) -> dict[str, uplot.Scale]:
-    return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=upright)}
+def _scales(vertical: Range) -> dict[str, uplot.Scale]:
+    return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=vertical)}
 
 
 def _drawable(values: Vector, chart: Chart) -> Vector:
-    """Return what a chart draws: a logarithm of its own, as its axis would be black with lines."""
+    """Return the values to draw; logarithms, as a logarithmic axis has too many grid lines."""
     if not chart.logarithmic:
         return values
     positive = np.where(values > 0.0, values, np.nan)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run as a source of frames, with a time that can be set."""
+"""Recorded run as a source of frames, with pause, speed and seek."""
 
 import time
 from collections.abc import Sequence
@@ -9,17 +9,19 @@ import numpy as np
 
 from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.model.state import Vector
+from sphere_sim.recording.controller_status import HOLDING
 from sphere_sim.recording.run import Run
-from sphere_sim.viewer.frame import Frame, Offers, Pause, Request, Reset, Seek, SetSpeed
+from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.source import Pause, Request, Reset, Seek, SetSpeed
 
-_REACH = 60.0
-"""How far back lines are drawn after a jump [s]."""
+_LINE_DURATION = 60.0
+"""Length of the lines that are drawn after a seek [s]."""
 _STEP = 0.05
-"""Longest time between two frames that lines go through [s]."""
+"""Longest time between two frames that lines pass through [s]."""
 
 
 class Replay:
-    """Plays a run, in a loop of its own time.
+    """Playback of a run; it stops at the end.
 
     Parameters
     ----------
@@ -35,45 +37,48 @@ class Replay:
         self._time = 0.0
         self._speed = 1.0
         self._paused = False
-        self._jumped = True
+        self._sought = True
         self._wall = time.monotonic()
         self._plan_index = -1
         self._plan = np.empty((0, 6))
 
     def frames(self) -> Sequence[Frame]:
-        """Return the frames since the last call; after a jump, those that lead there."""
+        """Return the frames since the last call; after a seek, those before the new time."""
         wall = time.monotonic()
         elapsed, self._wall = wall - self._wall, wall
         start = self._time
         if not self._paused:
             self._time = min(self._time + elapsed * self._speed, self._duration)
-            # At the end it waits to be started anew.
             self._paused = self._time >= self._duration
-        fresh, self._jumped = self._jumped, False
-        if fresh:
-            start = max(0.0, self._time - _REACH)
+        restarted, self._sought = self._sought, False
+        if restarted:
+            start = max(0.0, self._time - _LINE_DURATION)
         number = max(1, int(np.ceil((self._time - start) / _STEP)))
-        times = np.linspace(start, self._time, number + 1)[(0 if fresh else 1) :]
-        frames = [self._frame(float(t), fresh and i == 0) for i, t in enumerate(times[:-1])]
-        return [*frames, self._frame(float(times[-1]), fresh and len(times) == 1, newest=True)]
+        times = np.linspace(start, self._time, number + 1)[(0 if restarted else 1) :]
+        frames = [self._frame(float(t), restarted and i == 0) for i, t in enumerate(times[:-1])]
+        last = self._frame(float(times[-1]), restarted and len(times) == 1, newest=True)
+        return [*frames, last]
 
     def handle(self, request: Request) -> str:
-        """Go to a time, stop and go on, or change the speed."""
+        """Pause, resume, seek, or change the speed."""
         if isinstance(request, Pause):
             if not request.paused and self._time >= self._duration:
-                self._time, self._jumped = 0.0, True
+                self._seek(0.0)
             self._paused = request.paused
         elif isinstance(request, SetSpeed):
             self._speed = max(0.0, request.factor)
         elif isinstance(request, Seek):
-            self._time, self._jumped = min(max(0.0, request.time), self._duration), True
+            self._seek(min(max(0.0, request.time), self._duration))
         elif isinstance(request, Reset):
-            self._time, self._jumped = 0.0, True
+            self._seek(0.0)
         else:
             return "a recording cannot be changed"
         return ""
 
-    def _frame(self, moment: float, fresh: bool, newest: bool = False) -> Frame:
+    def _seek(self, moment: float) -> None:
+        self._time, self._sought = moment, True
+
+    def _frame(self, moment: float, restarted: bool, newest: bool = False) -> Frame:
         run = self._run
         at = int(np.searchsorted(run.times, moment, side="right")) - 1
         joint = int(np.searchsorted(run.joint_times, moment, side="right")) - 1
@@ -93,22 +98,28 @@ class Replay:
             cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,
             to_go=to_go,
             mode=run.solves.statuses[solve] if solve >= 0 else "",
-            fresh=fresh,
-            offers=Offers(
+            restarted=restarted,
+            capabilities=Capabilities(
                 pause=True, reset=True, paused=self._paused, speed=self._speed,
                 duration=self._duration,
             ),
         )
 
     def _to_go(self, solve: int) -> float:
-        """Return in what time the plan of a solve arrives [s]; one that holds has."""
+        """Return the time until the plan of a solve reaches the goal [s]; 0 if it holds there."""
         solves = self._run.solves
         if solve < 0 or not solves.to_go.size:
             return float("nan")
-        return 0.0 if solves.statuses[solve] == "holding" else float(solves.to_go[solve])
+        return 0.0 if solves.statuses[solve] == HOLDING else float(solves.to_go[solve])
 
     def _plan_at(self, moment: float) -> Vector:
-        """Return the plan in force as the model predicts it from the state where it begins."""
+        """Return the predicted states of the plan in force, from the measured state at its start.
+
+        Returns
+        -------
+        ndarray, shape (n, 6)
+            States at the knots of the plan; empty before the first plan.
+        """
         plans = self._run.plans
         starts = [plan.start for plan in plans]
         index = int(np.searchsorted(starts, moment, side="right")) - 1

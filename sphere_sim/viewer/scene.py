@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The three-dimensional scene: built once, then only poses and growing lines are sent."""
+"""Three-dimensional scene: created once, then only poses and new points of lines are sent."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,27 +13,27 @@ from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import Ball
 from sphere_sim.viewer.floor import add_floor, add_lights
 from sphere_sim.viewer.frame import Frame
-from sphere_sim.viewer.geometry import apart, arc
+from sphere_sim.viewer.geometry import arc, without_repeats
 from sphere_sim.viewer.trail import Trail
 
 CAMERA = (4.0, -4.4, 2.7)
 LOOK_AT = (0.9, -1.2, 0.0)
-"""Where the camera stands at first, and where it looks [m; world]."""
+"""Initial position of the camera, and the point it looks at [m; world frame]."""
 _ON_FLOOR = 0.004
-"""Height of what is drawn on the floor [m]."""
-_STRAYED = 3.5
-"""How far the sphere may be from the middle of the floor before that follows [m]."""
+"""Height of lines on the floor [m]."""
+_FLOOR_MARGIN = 3.5
+"""Distance of the sphere from the middle of the floor from which on the floor follows [m]."""
 _SPAN = 3.6
-"""How long a way the camera sees from where it stands at first [m]."""
+"""Length that the initial view shows [m]."""
 
 
 class Scene:
-    """Show frames.
+    """Scene with the sphere, its lines, its plan and the floor.
 
     Parameters
     ----------
     server : viser.ViserServer
-        Whose scene it is.
+        Server of the page.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -56,23 +56,23 @@ class Scene:
             "/plan/knots", np.zeros((1, 3)), colours.PLAN, point_size=0.035,
             point_shape="circle", precision="float32", visible=False,
         )
-        self._told = self._scene.add_label(
-            "/told", "", anchor="bottom-center", visible=False, font_screen_scale=1.1
+        self._alerts = self._scene.add_label(
+            "/alerts", "", anchor="bottom-center", visible=False, font_screen_scale=1.1
         )
         self._ball: Ball | None = None
         self._trace: Trail | None = None
         self._drawn_plan: Vector | None = None
 
-    def follow(self, frame: Frame) -> None:
-        """Take in a frame that need not be shown itself: lines go through it."""
-        if frame.fresh:
+    def extend_lines(self, frame: Frame) -> None:
+        """Extend the lines to a frame, which itself need not be shown."""
+        if frame.restarted:
             self._path.clear()
             if self._trace is not None:
                 self._trace.clear()
         if frame.state is None:
             return
         if self._ball is None or abs(self._ball.radius - frame.radius) > 1e-3 * frame.radius:
-            self._make(frame.radius)
+            self._create_ball(frame.radius)
         self._path.add(np.array([*frame.state[POSITION], _ON_FLOOR]))
         trace = self._trace
         if trace is not None:
@@ -82,30 +82,30 @@ class Scene:
                 trace.add(point)
 
     def show(self, frame: Frame) -> None:
-        """Show a frame that was followed."""
+        """Show a frame, after `extend_lines` with it."""
         if frame.state is not None and self._ball is not None and self._trace is not None:
-            self._keep_floor(frame.state[POSITION])
+            self._move_floor(frame.state[POSITION])
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)
             self._path.draw()
             self._trace.draw()
             above = (float(frame.state[0]), float(frame.state[1]), 2.3 * frame.radius)
-            self._told.position = above
-        told = "; ".join(frame.alerts)
-        if told != self._told.text:
-            self._told.text = told
-            self._told.visible = bool(told)
+            self._alerts.position = above
+        alerts = "; ".join(frame.alerts)
+        if alerts != self._alerts.text:
+            self._alerts.text = alerts
+            self._alerts.visible = bool(alerts)
         if frame.plan is not self._drawn_plan:
             self._drawn_plan = frame.plan
             self._show_plan(frame.plan)
 
     def look_at(self, places: Vector) -> None:
-        """Let pages that are opened from now on begin with a view of these places, (n, 2) [m]."""
+        """Set the initial view of pages opened from now on to these places, shape (n, 2) [m]."""
         low, high = places.min(axis=0), places.max(axis=0)
         span = max(0.5 * _SPAN, 1.2 * float(np.linalg.norm(high - low)))
         self._look(0.5 * (low + high), span, self._server.initial_camera)
 
     def find(self, state: Vector) -> None:
-        """Let all pages look at the sphere."""
+        """Point the camera of all pages at the sphere."""
         for client in self._server.get_clients().values():
             self._look(state[POSITION], 0.5 * _SPAN, client.camera)
 
@@ -114,12 +114,12 @@ class Scene:
         camera.position = place + span / _SPAN * np.subtract(CAMERA, LOOK_AT)
         camera.look_at = place
 
-    def _keep_floor(self, position: Vector) -> None:
-        """Let the floor come along when the sphere gets near its edge, by whole metres."""
-        if np.max(np.abs(position - self._floor.position[:2])) > _STRAYED:
+    def _move_floor(self, position: Vector) -> None:
+        """Move the floor by whole metres when the sphere is near its edge."""
+        if np.max(np.abs(position - self._floor.position[:2])) > _FLOOR_MARGIN:
             self._floor.position = np.append(np.round(position), 0.0)
 
-    def _make(self, radius: float) -> None:
+    def _create_ball(self, radius: float) -> None:
         if self._trace is not None:
             self._trace.clear()
         self._ball = Ball(self._scene, radius)
@@ -128,10 +128,10 @@ class Scene:
 
     def _show_plan(self, plan: Vector) -> None:
         floor = np.full((len(plan), 1), 1.5 * _ON_FLOOR)
-        # Of points that coincide, as at the goal, no curve can be made.
-        points = apart(np.hstack((plan[:, POSITION], floor)), 2e-3)
-        there = len(points) >= 2
-        if there:
+        # A curve needs distinct points, which a plan at its goal does not have.
+        points = without_repeats(np.hstack((plan[:, POSITION], floor)), 2e-3)
+        drawable = len(points) >= 2
+        if drawable:
             self._plan.points = points.astype(np.float32)
             self._knots.points = points[1:].astype(np.float32)
-        self._plan.visible = self._knots.visible = there
+        self._plan.visible = self._knots.visible = drawable

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The web server: on this machine only, behind a gate, and silent about itself."""
+"""Web server of the viewer: on this machine only, with access control."""
 
 import asyncio
 import contextlib
@@ -18,39 +18,39 @@ import viser
 from websockets.asyncio import server as websockets_server
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_sim.viewer.complaints import Complaints
-from sphere_sim.viewer.gate import HOST, Gate
+from sphere_sim.viewer.access import HOST, AccessControl
+from sphere_sim.viewer.connection_errors import ConnectionErrors
 
 DEFAULT_PORT = 8080
 
 
 class ServerError(SphereNmpcError):
-    """The page cannot be served."""
+    """Failure to serve the page."""
 
 
 class LocalServer(viser.ViserServer):
-    """A server for who knows its address on this machine.
+    """Server for clients on this machine that know its address with the token.
 
     Parameters
     ----------
     port : int
-        Where to listen; a free port if it is taken.
+        Preferred port; a free port is used if it is taken.
 
     Raises
     ------
     ServerError
-        If no port can be had, or the server would stand open.
+        If no port is available, or access control cannot be installed.
     """
 
     def __init__(self, port: int) -> None:
         listener = _listen(port)
-        self._gate = Gate(listener.getsockname()[1])
-        # viser draws a box about itself; the address is told by whoever starts the viewer.
-        with contextlib.redirect_stdout(io.StringIO()), _behind(self._gate, listener):
+        self._access = AccessControl(listener.getsockname()[1])
+        # viser prints a banner; `announce` prints the address instead.
+        with contextlib.redirect_stdout(io.StringIO()), _protected(self._access, listener):
             super().__init__(host=HOST, port=port, label="sphere_nmpc", verbose=False)
-        if not self._gate.stands:
+        if not self._access.is_installed:
             self.stop()
-            raise ServerError(f"viser {viser.__version__} serves in a way that is not known here")
+            raise ServerError(f"viser {viser.__version__} is not supported: no access control")
         self.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
         )
@@ -58,22 +58,22 @@ class LocalServer(viser.ViserServer):
 
     @property
     def url(self) -> str:
-        """Address of the page, with the token that lets in."""
-        return self._gate.url
+        """Address of the page, with its access token."""
+        return self._access.url
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Refuse what a page could ask for: a tunnel to this server through a foreign host."""
+        """Do nothing: pages must not open a tunnel to this server through another host."""
 
     def stop(self) -> None:
-        """End without a word."""
+        """Stop the server without the message of viser."""
         with contextlib.redirect_stdout(io.StringIO()):
             super().stop()
 
 
 def announce(url: str) -> None:
-    """Print where the page is, for its owner alone: whoever reads the address may steer.
+    """Print the address of the page, with which anybody on this machine can send goals.
 
-    A file that standard output goes to is no longer readable for others from then on.
+    If standard output is a file, other users lose the right to read it.
     """
     with contextlib.suppress(OSError, AttributeError):
         mode = os.fstat(sys.stdout.fileno()).st_mode
@@ -83,9 +83,9 @@ def announce(url: str) -> None:
 
 
 def _listen(preferred: int) -> socket.socket:
-    """Return a socket that listens on this machine, at `preferred` or else at a free port."""
+    """Return a socket that listens on this machine, on `preferred` or else on a free port."""
     try:
-        # viser would wait for ever for an event loop that finds no file descriptors.
+        # Without free file descriptors viser would wait for its event loop for ever.
         for end in (*socket.socketpair(), *socket.socketpair()):
             end.close()
         try:
@@ -93,8 +93,8 @@ def _listen(preferred: int) -> socket.socket:
         except OSError as error:
             listener = socket.create_server((HOST, 0))
             reason = os.strerror(error.errno or 0).lower()
-            told = f"viewer: port {preferred}: {reason}; taking {listener.getsockname()[1]}"
-            print(told, file=sys.stderr, flush=True)
+            message = f"viewer: port {preferred}: {reason}; using {listener.getsockname()[1]}"
+            print(message, file=sys.stderr, flush=True)
             return listener
     except OSError as error:
         reason = os.strerror(error.errno or 0).lower()
@@ -102,26 +102,26 @@ def _listen(preferred: int) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _behind(gate: Gate, listener: socket.socket) -> Iterator[None]:
-    """Let the server that viser starts meanwhile listen there and ask the gate.
+def _protected(access: AccessControl, listener: socket.socket) -> Iterator[None]:
+    """Make a server that viser starts meanwhile use this listener and this access control.
 
-    viser has no setting for either, nor for where complaints go.
+    viser has no setting for either of them, nor for the logging of errors.
     """
     serve = websockets_server.serve
     logger = logging.Logger("sphere_nmpc.viewer", logging.WARNING)
-    complaints = Complaints()
-    logger.addHandler(complaints)
-    # viser takes values of another shape than announced, with a warning, and fails on them later.
+    errors = ConnectionErrors()
+    logger.addHandler(errors)
+    # viser accepts values of a wrong shape with a warning, and fails on them later.
     warnings.filterwarnings("error", r"\[viser\] .* does not match annotation")
-    # A page may go any time.
+    # Pages may be closed at any time.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection")
 
-    def serve_behind(handler: Any, host: str, port: int, **settings: Any) -> Any:
-        asyncio.get_running_loop().set_exception_handler(complaints.take)
-        settings["process_request"] = gate.before(settings["process_request"])
+    def serve_protected(handler: Any, host: str, port: int, **settings: Any) -> Any:
+        asyncio.get_running_loop().set_exception_handler(errors.handle_loop_error)
+        settings["process_request"] = access.protect(settings["process_request"])
         return serve(handler, sock=listener, logger=logger, **settings)
 
-    websockets_server.serve = serve_behind  # type: ignore[assignment, misc]
+    websockets_server.serve = serve_protected  # type: ignore[assignment, misc]
     try:
         yield
     finally:

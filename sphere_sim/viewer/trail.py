@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A line that grows point by point, sent in pieces so that what is done is not sent again."""
+"""Line that grows point by point, sent to pages in pieces of limited length."""
 
 from collections import deque
 
@@ -8,30 +8,30 @@ import numpy as np
 import viser
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.viewer.colours import Colour, as_light
+from sphere_sim.viewer.colours import Colour, linear
 from sphere_sim.viewer.geometry import segments
 
 _PIECE = 40
-"""Points of a piece; only the last piece is sent with each frame."""
+"""Points of a piece; with each frame only the last piece is sent."""
 
 
 class Trail:
-    """A line of limited length.
+    """Growing line of limited length.
 
     Parameters
     ----------
     scene : viser.SceneApi
-        Where it is drawn.
+        The scene.
     name : str
-        Of its nodes; a parent's pose applies.
+        Name of its node, which may have a parent that moves it.
     colour : tuple of int
         Red, green, blue.
     thickness : float
-        [m].
+        Thickness [m].
     spacing : float
-        Points nearer than this to the last one are left out [m].
+        Least distance between two points [m].
     pieces : int, optional
-        Most pieces; the oldest one goes.
+        Most pieces; beyond it the oldest piece is removed.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Trail:
     ) -> None:
         self._scene = scene
         self._name = name
-        self._colour = as_light(colour)
+        self._colour = linear(colour)
         self._thickness = thickness
         self._spacing = spacing
         self._limit = pieces
@@ -52,11 +52,11 @@ class Trail:
 
     @property
     def last(self) -> Vector | None:
-        """The newest point."""
+        """Newest point; None without any."""
         return self._points[-1] if self._points else None
 
     def add(self, point: Vector) -> None:
-        """Let the line go on to a point, shape (3,)."""
+        """Extend the line to a point, shape (3,) [m]."""
         last = self.last
         if last is not None and float(np.linalg.norm(point - last)) < self._spacing:
             return
@@ -64,11 +64,11 @@ class Trail:
         self._changed = True
         if len(self._points) > _PIECE:
             self.draw()
-            # The next piece begins where this one ends.
+            # The next piece begins at the end of this one.
             self._points, self._begun = [self._points[-1]], False
 
     def draw(self) -> None:
-        """Send what is new."""
+        """Send the points since the last call."""
         if not self._changed or len(self._points) < 2:
             return
         pieces = segments(np.array(self._points))
@@ -80,7 +80,7 @@ class Trail:
         self._changed = False
 
     def clear(self) -> None:
-        """Wipe the line away."""
+        """Delete the line."""
         while self._handles:
             self._handles.popleft().remove()
         self._points, self._changed, self._begun = [], False, False

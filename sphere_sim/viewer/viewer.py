@@ -1,40 +1,41 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer: takes frames from a source and requests from the page, and owns no control loop."""
+"""Viewer: shows the frames of a source and passes the requests of its page on."""
 
 import time
 
 import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector, make_state
-from sphere_sim.viewer.controls import Controls
-from sphere_sim.viewer.frame import Frame, Request, SetGoal, Source
+from sphere_sim.viewer.control_panel import ControlPanel
+from sphere_sim.viewer.frame import Frame
 from sphere_sim.viewer.goal_gizmo import GoalGizmo
+from sphere_sim.viewer.goal_presets import GOAL_PRESETS
 from sphere_sim.viewer.history import History
 from sphere_sim.viewer.plots import Plots
-from sphere_sim.viewer.presets import PRESETS
 from sphere_sim.viewer.scene import LOOK_AT, Scene
 from sphere_sim.viewer.server import LocalServer
+from sphere_sim.viewer.source import Request, SetGoal, Source
 
 FRAME_PERIOD = 0.04
-"""Time between two frames [s]; what happens in between is not shown."""
-_WORDS_PERIOD = 0.2
-"""Time between two updates of plots and words [s]."""
-_NEAR = 4.0
-"""How far from where the page looks at first the sphere may be for that to be left so [m]."""
+"""Time between two frames [s]."""
+_PANEL_PERIOD = 0.2
+"""Time between two updates of plots and panel [s]."""
+_INITIAL_VIEW = 4.0
+"""Distance from the initial look-at point within which the sphere needs no other view [m]."""
 
 
 class Viewer:
-    """A page, the frames it shows, and the requests that come from it.
+    """Page that shows the frames of a source, without any part in the control loop.
 
-    Everything but the server's callbacks, which only queue requests, happens in `tick`.
+    Everything happens in `tick`, except the server's callbacks, which only queue requests.
 
     Parameters
     ----------
     source : Source
-        Where frames come from and where requests go.
+        Source of the frames, which handles the requests.
     port : int
-        Where to listen on this machine.
+        Port on this machine.
     live : bool
         Whether the source is live; else it is a recording.
     """
@@ -44,48 +45,48 @@ class Viewer:
         self._server = LocalServer(port)
         self._history = History()
         self._scene = Scene(self._server)
-        self._controls = Controls(self._server, live)
+        self._panel = ControlPanel(self._server, live)
         self._plots = Plots(self._server)
         self._live = live
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
-        self._worded = 0.0
-        self._seen = False
+        self._panel_updated = 0.0
+        self._has_view = False
 
     @property
     def url(self) -> str:
-        """Address of the page, with the token that lets in."""
+        """Address of the page, with its access token."""
         return self._server.url
 
     def tick(self) -> None:
-        """Take up requests and show what is new; to be called once a `FRAME_PERIOD`."""
-        for request in self._controls.take():
-            self._take_up(request)
+        """Handle requests and show new frames; to be called once a `FRAME_PERIOD`."""
+        for request in self._panel.take():
+            self._handle(request)
         frames = self._source.frames()
         for frame in frames:
-            self._scene.follow(frame)
+            self._scene.extend_lines(frame)
             self._history.add(frame)
-            for news in frame.news:
-                self._tell(news)
+            for notice in frame.notices:
+                self._notify(notice)
         self._frame = frames[-1]
         state = self._frame.state
-        if not self._seen and self._live and state is not None:
-            # Who runs far from the origin is seen all the same.
-            self._seen = True
-            if np.linalg.norm(state[POSITION] - LOOK_AT[:2]) > _NEAR:
+        if not self._has_view and self._live and state is not None:
+            # A sphere far from the origin would be outside of the initial view.
+            self._has_view = True
+            if np.linalg.norm(state[POSITION] - LOOK_AT[:2]) > _INITIAL_VIEW:
                 self._scene.look_at(state[None, POSITION])
         with self._server.atomic():
             self._scene.show(self._frame)
             self._show_goal()
         now = time.monotonic()
-        if now > self._worded + _WORDS_PERIOD:
-            self._worded = now
-            self._controls.show(self._frame)
+        if now > self._panel_updated + _PANEL_PERIOD:
+            self._panel_updated = now
+            self._panel.show(self._frame)
             if self._server.get_clients():
                 self._plots.show(self._history)
 
     def look_at(self, places: Vector) -> None:
-        """Let the page begin with a view of these places, shape (n, 2) [m]."""
+        """Set the initial view of the page to these places, shape (n, 2) [m]."""
         self._scene.look_at(places)
 
     def close(self) -> None:
@@ -95,40 +96,40 @@ class Viewer:
     def _show_goal(self) -> None:
         frame = self._frame
         if self._goal is None:
-            # A ghost of the right size needs to know the size; nothing is asked of no sphere, nor
-            # of one that was recorded without a goal.
+            # The gizmo needs the radius of the sphere. A recording without a goal has none.
             if frame.state is None or (frame.goal is None and not self._live):
                 return
-            moved = self._controls.put if self._live else None
-            self._goal = GoalGizmo(self._server.scene, frame.radius, moved)
+            on_drag = self._panel.put if self._live else None
+            self._goal = GoalGizmo(self._server.scene, frame.radius, on_drag)
         self._goal.show(frame.goal)
 
-    def _take_up(self, request: Request | str) -> None:
+    def _handle(self, request: Request | str) -> None:
         if not isinstance(request, str):
-            self._tell(self._source.handle(request))
-            return
-        if request == "find":
-            self._scene.find(self._where())
+            self._notify(self._source.handle(request))
+        elif request == "find":
+            self._scene.find(self._state())
         elif self._goal is not None:
-            self._steer(request, self._goal)
+            self._change_goal(request, self._goal)
 
-    def _steer(self, request: str, ghost: GoalGizmo) -> None:
-        if request in PRESETS:
-            ghost.put(PRESETS[request](self._where()))
-            self._controls.picked()
+    def _change_goal(self, request: str, gizmo: GoalGizmo) -> None:
+        """Handle a preset, a phase of a drag, or the button that sends the goal."""
+        if request in GOAL_PRESETS:
+            gizmo.move_to(GOAL_PRESETS[request](self._state()))
+            self._panel.reset_preset()
         else:
-            ghost.hold(request in ("start", "update"))
+            gizmo.set_dragged(request in ("start", "update"))
         if request == "send" or (
-            self._controls.sends_at_once and (request == "end" or request in PRESETS)
+            self._panel.sends_at_once and (request == "end" or request in GOAL_PRESETS)
         ):
-            goal = ghost.goal
+            goal = gizmo.goal
             if goal is not None:
-                self._tell(self._source.handle(SetGoal(goal)))
+                self._notify(self._source.handle(SetGoal(goal)))
 
-    def _where(self) -> Vector:
+    def _state(self) -> Vector:
+        """Return the state of the sphere; the origin where it is unknown."""
         state = self._frame.state
         return make_state(np.zeros(2), (1.0, 0.0, 0.0, 0.0)) if state is None else state
 
-    def _tell(self, news: str) -> None:
-        for client in self._server.get_clients().values() if news else ():
-            client.add_notification("sphere_nmpc", news, auto_close_seconds=6.0)
+    def _notify(self, text: str) -> None:
+        for client in self._server.get_clients().values() if text else ():
+            client.add_notification("sphere_nmpc", text, auto_close_seconds=6.0)

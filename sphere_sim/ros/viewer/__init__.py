@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer node and the marker node."""
+"""Viewer node, and the node of RViz markers."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The marker node: the shell with circle Gamma, the goal, the plan and the path for RViz.
+"""Marker node: shell with circle Gamma, goal, plan and path for RViz.
 
 subscribes  pose, controller/active_goal, controller/predicted_path
 publishes   markers
@@ -29,14 +29,14 @@ from sphere_sim.viewer.geometry import great_circle
 
 _PERIOD = 0.1
 """Wall time between two messages [s]."""
-_PATH = 2000
-"""Points of the path that are kept."""
+_PATH_POINTS = 2000
+"""Most points of the path."""
 _SPACING = 0.02
-"""Distance of two of them [m]."""
+"""Least distance of two points of the path [m]."""
 
 
 class MarkerNode(RunnableNode):
-    """Publish markers, while somebody listens to them."""
+    """Node that publishes markers while they have a subscriber."""
 
     def __init__(self) -> None:
         super().__init__("markers")
@@ -45,18 +45,14 @@ class MarkerNode(RunnableNode):
         self._pose: PoseStamped | None = None
         self._goal: PoseStamped | None = None
         self._plan = Path()
-        self._path: deque[tuple[float, float]] = deque(maxlen=_PATH)
-        self._listens = [
-            self.create_subscription(PoseStamped, "pose", self._take_pose, newest),
-            self.create_subscription(
-                PoseStamped, "controller/active_goal", self._take_goal, latched
-            ),
-            self.create_subscription(Path, "controller/predicted_path", self._take_plan, newest),
-        ]
+        self._path: deque[tuple[float, float]] = deque(maxlen=_PATH_POINTS)
+        self.create_subscription(PoseStamped, "pose", self._take_pose, newest)
+        self.create_subscription(PoseStamped, "controller/active_goal", self._take_goal, latched)
+        self.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
         self._markers = self.create_publisher(MarkerArray, "markers", 1)
-        # Wall time: what stands still in simulated time is to be seen as well.
+        # Wall time: markers are needed while simulated time is paused, too.
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(_PERIOD, self._publish, clock=wall)
+        self.create_timer(_PERIOD, self._publish, clock=wall)
 
     def _take_pose(self, message: PoseStamped) -> None:
         self._pose = message
@@ -81,7 +77,7 @@ class MarkerNode(RunnableNode):
             _line("plan", ((p.pose.position.x, p.pose.position.y, 0.006)
                            for p in self._plan.poses), 0.02, colours.PLAN),
         ]
-        # Gamma is drawn in the body frame, so it has the sphere's pose for its own.
+        # Gamma is given in the body frame, so its marker has the pose of the sphere.
         markers[1].pose = self._pose.pose
         if self._goal is not None:
             markers.append(_shell("goal", self._goal, radius, colours.GOAL, 0.3))
@@ -90,7 +86,7 @@ class MarkerNode(RunnableNode):
 
 def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
-    # Stamp 0 stands for the newest transform: no marker is refused for being early.
+    # With stamp 0 RViz uses the newest transform, and never waits for one of that time.
     marker.header.frame_id, marker.header.stamp = WORLD_FRAME, Time()
     red, green, blue = (part / 255.0 for part in colour)
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
@@ -112,7 +108,7 @@ def _line(
     marker.scale.x = width
     marker.points = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in points]
     if len(marker.points) < 2:
-        # RViz complains about a line that is none.
+        # RViz reports lines without two points as errors.
         marker.action, marker.points = Marker.DELETE, []
     return marker
 

@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer node: shows what the topics say, and sends what the user asks for.
+"""Viewer node: shows the topics of a robot in the browser, and sends the requests of users.
 
 subscribes  pose, joint_states, controller/active_goal, controller/predicted_path,
             controller/status, /diagnostics
 publishes   goal_pose
-calls       simulator/pause, simulator/reset, simulator/push and parameters, where they are there
+calls       simulator/pause, simulator/reset, simulator/push and parameters, where available
 """
 
 import time
@@ -20,16 +20,16 @@ from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 
 _MOST_CALLBACKS = 40
-"""Of one frame; what is left waits for the next."""
+"""Most callbacks between two frames."""
 
 
 class ViewerNode(RunnableNode):
-    """Show frames from topics at a steady rate.
+    """Node that shows frames of live topics at a constant rate.
 
     Parameters
     ----------
     port : int
-        Where the page is served on this machine; a free port if it is taken.
+        Port of the page on this machine; a free port is used if it is taken.
     """
 
     def __init__(self, port: int) -> None:
@@ -37,23 +37,23 @@ class ViewerNode(RunnableNode):
         self._source = TopicSource(self)
         self._viewer = Viewer(self._source, port, live=True)
         self._due = time.monotonic()
-        # Not in the node's log, which goes to /rosout and so to everybody.
+        # Not logged: every node can read /rosout, and the address holds the access token.
         announce(self._viewer.url)
 
     def work(self, executor: Executor) -> None:
-        """Sleep until the next frame is due, look at what has come, and show it.
+        """Wait until the next frame is due, receive the newest messages, and show the frame.
 
-        Between two frames the middleware keeps the newest message of each topic, so that the
-        viewer's work does not grow with the robot's rates.
+        Between two frames the middleware keeps the newest message of each topic only, so that the
+        load does not depend on the robot's rates.
         """
         wait = self._due - time.monotonic()
         if wait > 0.0:
             time.sleep(wait)
         self._due = max(self._due + FRAME_PERIOD, time.monotonic())
         for _ in range(_MOST_CALLBACKS):
-            before = self._source.inputs.heard
+            before = self._source.subscriptions.message_count
             executor.spin_once(timeout_sec=0.0)
-            if self._source.inputs.heard == before:
+            if self._source.subscriptions.message_count == before:
                 break
         self._viewer.tick()
 

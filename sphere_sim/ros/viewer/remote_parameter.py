@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A parameter of another node, read now and then and set without waiting."""
+"""Parameter of another node, polled and set without waiting."""
 
 import time
 from collections.abc import Callable
@@ -12,52 +12,52 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
 _PERIOD = 2.0
-"""Wall time between two questions [s]."""
+"""Wall time between two polls [s]."""
 
 
 class RemoteParameter:
-    """What is known of the parameter; nothing while its node is not there.
+    """Parameter of another node; unknown while that node is not running.
 
     Parameters
     ----------
     node : Node
-        Who asks.
+        Node that sends the requests.
     remote : str
-        Name of the node that has it.
+        Name of the node that has the parameter.
     name : str
-        Of the parameter.
-    refused : callable
-        Called with the reason when the node did not take a value that was set.
+        Name of the parameter.
+    on_refusal : callable
+        Called with the reason if the node refuses a value.
     """
 
     def __init__(
-        self, node: Node, remote: str, name: str, refused: Callable[[str], object]
+        self, node: Node, remote: str, name: str, on_refusal: Callable[[str], object]
     ) -> None:
         self._name = name
-        self._refused = refused
+        self._on_refusal = on_refusal
         self._client = AsyncParameterClient(node, remote)
-        self._asked = -_PERIOD
+        self._polled = -_PERIOD
         self._descriptor = ParameterDescriptor(read_only=True)
         self.value: Any = None
-        """None where the node or the parameter is not there."""
+        """Value; None while the node or the parameter is not available."""
 
     @property
     def writable(self) -> bool:
-        """Whether it can be set while the node runs."""
+        """Whether the parameter can be set while its node runs."""
         return self.value is not None and not self._descriptor.read_only
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """What it can be set to, where the node tells."""
+        """Allowed values, if the description of the parameter lists them."""
         _, _, listed = self._descriptor.additional_constraints.partition("one of: ")
         return tuple(filter(None, listed.split(", ")))
 
     def refresh(self) -> None:
-        """Ask, if it was not asked a moment ago; the answer comes when it comes."""
+        """Request the value, at most once a period; the answer arrives later."""
         now = time.monotonic()
-        if now < self._asked + _PERIOD:
+        if now < self._polled + _PERIOD:
             return
-        self._asked = now
+        self._polled = now
         if not self._client.services_are_ready():
             self.value = None
             return
@@ -65,8 +65,8 @@ class RemoteParameter:
         self._client.describe_parameters([self._name], callback=self._take_descriptor)
 
     def set(self, value: Any) -> None:
-        """Ask for another value."""
-        self.value, self._asked = value, time.monotonic()
+        """Request another value."""
+        self.value, self._polled = value, time.monotonic()
         wanted = [Parameter(self._name, value=value)]
         self._client.set_parameters(wanted, callback=self._take_answer)
 
@@ -82,5 +82,5 @@ class RemoteParameter:
     def _take_answer(self, future: Any) -> None:
         results = getattr(future.result(), "results", None)
         if not results or not results[0].successful:
-            self._refused(results[0].reason if results else f"{self._name}: no answer")
-        self._asked = -_PERIOD  # what holds now is asked for at once
+            self._on_refusal(results[0].reason if results else f"{self._name}: no answer")
+        self._polled = -_PERIOD  # request the value in force at once

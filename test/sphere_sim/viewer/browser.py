@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A headless Chromium, spoken to in its own protocol over the websocket library of viser."""
+"""Headless Chromium, controlled by its DevTools protocol."""
 
 import base64
 import json
@@ -15,14 +15,14 @@ from typing import Any
 from websockets.sync.client import connect
 
 PATIENCE = 180.0
-"""How long a page that is drawn without a graphics card may take on a busy machine [s]."""
+"""Time-out for a page that is drawn without a graphics card on a busy machine [s]."""
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = (
     "--headless", "--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync",
     "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
-    # Without a graphics card; slow, but the same pixels everywhere.
+    # Software rendering: slow, but the same on every machine.
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    # A busy machine is not a graphics card that hangs.
+    # On a busy machine software rendering would be taken for a graphics card that hangs.
     "--disable-gpu-watchdog",
     "--remote-debugging-port=0", "--remote-debugging-address=127.0.0.1",
 )
@@ -48,9 +48,8 @@ document.addEventListener('DOMContentLoaded', () => {
   document.head.append(style);
 });
 """
-"""At most six frames a second, and what is asked for meanwhile is drawn with them: drawn without a
-graphics card, a page would take the processor from the nodes under test. It says so in a notice
-before the scene, which is hidden."""
+"""Limit of six frames a second, as software rendering would use the processor time of the nodes
+under test. The page's notification about its low frame rate, which covers the scene, is hidden."""
 
 
 def find_browser() -> str | None:
@@ -59,7 +58,7 @@ def find_browser() -> str | None:
 
 
 class Browser:
-    """One page in a browser of its own; ends with the context."""
+    """Browser with one page; it ends with the context."""
 
     def __init__(self, executable: str, folder: Path, size: tuple[int, int] = (800, 400),
                  sharpness: float = 1.0) -> None:
@@ -67,20 +66,20 @@ class Browser:
         self.size = size
         self._sharpness = sharpness
         self.console: list[str] = []
-        """Errors and warnings of the page, as it logs them."""
+        """Errors that the page has logged."""
         self.requested: list[str] = []
-        """Addresses the page has asked for."""
+        """Addresses that the page has requested."""
         self._number = 0
         command = [executable, *_FLAGS, f"--window-size={size[0]},{size[1]}",
                    f"--user-data-dir={folder}", "about:blank"]
         self._log = (folder / "browser.log").open("wb")
         self._socket: Any = None
-        # What it leaves behind there goes with this; a long path would be too long for its socket.
-        self._left_behind = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        # Short, as the path of a socket in it is limited, and removed with the browser.
+        self._temporary = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self._process = subprocess.Popen(
             command, stdout=self._log, stderr=self._log,
-            env={**os.environ, "TMPDIR": self._left_behind.name},
-            # As with people: the scheduler shares processors out between sessions first.
+            env={**os.environ, "TMPDIR": self._temporary.name},
+            # As for a user: the scheduler divides processor time between sessions first.
             start_new_session=True,
         )
 
@@ -94,7 +93,7 @@ class Browser:
 
     def _attach(self) -> None:
         self._socket = connect(self._address(), max_size=None, compression=None)
-        # A page of its own: the first target of a browser that comes up need not be one yet.
+        # The first target of a browser that starts may not be a page yet.
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
@@ -114,13 +113,13 @@ class Browser:
         except subprocess.TimeoutExpired:
             self._process.kill()
         self._log.close()
-        self._left_behind.cleanup()
+        self._temporary.cleanup()
 
     _session: str | None = None
     _drawn: bytes | None = None
 
     def call(self, method: str, **parameters: Any) -> Any:
-        """Return the answer of the browser; what happens meanwhile is noted."""
+        """Return the answer to a command; events that arrive before it are stored."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
         if self._session is not None:
@@ -131,7 +130,7 @@ class Browser:
             if answer.get("id") == self._number:
                 assert "error" not in answer, f"{method}: {answer['error']}"
                 return answer["result"]
-            self._note(answer.get("method", ""), answer.get("params", {}))
+            self._store(answer.get("method", ""), answer.get("params", {}))
 
     def open(self, url: str) -> None:
         self.call("Page.navigate", url=url)
@@ -142,11 +141,11 @@ class Browser:
 
     @property
     def text(self) -> str:
-        """What there is to read on the page."""
+        """Visible text of the page."""
         return str(self.evaluate("document.body ? document.body.innerText : ''"))
 
     def wait_for(self, words: str) -> None:
-        """Wait until the page has some words."""
+        """Wait until the page has a text."""
         end = time.monotonic() + PATIENCE
         while words not in self.text:
             assert time.monotonic() < end, (
@@ -155,7 +154,7 @@ class Browser:
             time.sleep(0.05)
 
     def settle(self, patience: float = PATIENCE) -> None:
-        """Wait until the page draws steadily: first its shaders are compiled, for some seconds."""
+        """Wait until the page draws regularly, after the compilation of its shaders."""
         end = time.monotonic() + patience
         while True:
             before = self.evaluate("window.drawn")
@@ -165,17 +164,16 @@ class Browser:
             assert time.monotonic() < end, "the page does not draw"
 
     def click_button(self, label: str) -> None:
-        """Click the button with this label, with the mouse."""
+        """Click the button with this label."""
         self._click("button", f"e.innerText.trim() === {json.dumps(label)}")
 
     def choose(self, shown: str, option: str) -> None:
-        """Open the list that shows one thing and take another from it."""
+        """Open the list that shows one option, and select another."""
         self._click("input[role=combobox]", f"e.value === {json.dumps(shown)}")
-        # It unfolds.
         self._click("[role=option]", f"e.innerText.trim() === {json.dumps(option)}")
 
     def type_number(self, label: str, number: str) -> None:
-        """Put a number in place of the one in the field beside a label."""
+        """Replace the number in the field beside a label."""
         beside = (
             "(() => { let n = e; while (n && !n.innerText.trim()) n = n.parentElement;"
             f" return n && n.innerText.trim() === {json.dumps(label)}; }})()"
@@ -185,7 +183,7 @@ class Browser:
         self.call("Input.insertText", text=number)
 
     def boxes(self, selector: str) -> list[tuple[float, float, float, float]]:
-        """Return left, top, width and height of what is seen of a kind of elements [px]."""
+        """Return left, top, width and height of the visible elements of a selector [px]."""
         script = (
             f"[...document.querySelectorAll({json.dumps(selector)})]"
             ".map(e => e.getBoundingClientRect()).filter(r => r.width > 0)"
@@ -193,23 +191,22 @@ class Browser:
         )
         return [tuple(box) for box in self.evaluate(script)]
 
-    def _click(self, selector: str, condition: str, patience: float = 30.0) -> None:
+    def _click(self, selector: str, condition: str) -> None:
+        """Wait for a visible element that satisfies a condition, and click it.
+
+        The element gets the events of a click in the script that finds it: mouse coordinates
+        would be outdated where a slow page moves its elements.
+        """
         script = (
             f"(() => {{ const e = [...document.querySelectorAll({json.dumps(selector)})]"
             f".find(e => e.getBoundingClientRect().width > 0 && ({condition}));"
-            " if (!e) return null; e.scrollIntoView({block: 'center'});"
-            " const r = e.getBoundingClientRect();"
-            " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+            " if (!e) return false; e.scrollIntoView({block: 'center'}); e.focus();"
+            " e.click(); return true; })()"
         )
-        end, place = time.monotonic() + patience, None
-        # What still moves, as lists that unfold do, would be missed.
-        while place is None or self.evaluate(script) != place:
+        end = time.monotonic() + PATIENCE
+        while not self.evaluate(script):
             assert time.monotonic() < end, f"no {selector} with {condition}"
-            place = self.evaluate(script)
             time.sleep(0.1)
-        self._mouse("mouseMoved", *place)
-        self._mouse("mousePressed", *place)
-        self._mouse("mouseReleased", *place)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
         """Drag with the mouse from one pixel to another."""
@@ -226,7 +223,7 @@ class Browser:
         self._mouse("mouseReleased", *end)
 
     def screenshot(self, path: Path) -> bytes:
-        """Save what is seen; from the stream of drawn frames, as a snapshot may never come."""
+        """Save the next drawn frame; on a busy machine a snapshot may never be taken."""
         self._drawn = None
         self.call("Page.startScreencast", format="png")
         end = time.monotonic() + PATIENCE
@@ -245,22 +242,22 @@ class Browser:
                   clickCount=int(kind != "mouseMoved"))
 
     def _address(self) -> str:
-        """Return where the browser listens, which it writes to a file."""
+        """Return the DevTools address of the browser, which it writes to a file."""
         file, end = self._folder / "DevToolsActivePort", time.monotonic() + PATIENCE
         while not (file.exists() and file.read_text().count("\n")):
-            assert time.monotonic() < end and self._process.poll() is None, "no browser came up"
+            assert time.monotonic() < end and self._process.poll() is None, "no browser"
             time.sleep(0.05)
         port, path = file.read_text().splitlines()[:2]
         return f"ws://127.0.0.1:{port}{path}"
 
-    def _note(self, method: str, told: dict[str, Any]) -> None:
-        if method == "Runtime.consoleAPICalled" and told["type"] in ("error", "assert"):
-            self.console.append(" ".join(str(a.get("value", a)) for a in told["args"]))
+    def _store(self, method: str, event: dict[str, Any]) -> None:
+        if method == "Runtime.consoleAPICalled" and event["type"] in ("error", "assert"):
+            self.console.append(" ".join(str(a.get("value", a)) for a in event["args"]))
         elif method == "Runtime.exceptionThrown":
-            self.console.append(told["exceptionDetails"]["text"])
-        elif method == "Log.entryAdded" and told["entry"]["level"] == "error":
-            self.console.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+            self.console.append(event["exceptionDetails"]["text"])
+        elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
+            self.console.append(f"{event['entry']['text']} {event['entry'].get('url', '')}")
         elif method == "Page.screencastFrame":
-            self._drawn = base64.b64decode(told["data"])
+            self._drawn = base64.b64decode(event["data"])
         elif method == "Network.requestWillBeSent":
-            self.requested.append(told["request"]["url"])
+            self.requested.append(event["request"]["url"])

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The tests of the viewer share a helper beside them."""
+"""Import path for the helper modules of the viewer's tests."""
 
 import sys
 from pathlib import Path

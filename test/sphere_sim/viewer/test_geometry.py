@@ -1,20 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes are closed where they should be and face outwards; curves lie where they should."""
+"""Meshes are closed and face outwards; curves lie on their surfaces."""
 
 import numpy as np
 import pytest
 
 from sphere_sim.viewer.geometry import (
     Mesh,
-    apart,
     arc,
     cap,
     great_circle,
-    joined,
+    merged,
     octants,
     sector,
     segments,
+    without_repeats,
 )
 
 
@@ -23,14 +23,14 @@ def volume(mesh: Mesh) -> float:
     return float(np.sum(np.einsum("ij,ij->i", a, np.cross(b, c)))) / 6.0
 
 
-def test_both_sets_of_octants_make_a_sphere_that_faces_outwards() -> None:
-    whole = joined([octants(0.3, True), octants(0.3, False)])
+def test_both_sets_of_octants_form_a_sphere_that_faces_outwards() -> None:
+    whole = merged([octants(0.3, True), octants(0.3, False)])
     assert np.allclose(np.linalg.norm(whole.vertices, axis=1), 0.3, atol=1e-6)
     assert volume(whole) == pytest.approx(4.0 / 3.0 * np.pi * 0.3**3, rel=0.02)
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_octants_have_the_sign_that_was_asked_for(even) -> None:
+def test_octants_have_the_requested_sign(even) -> None:
     mesh = octants(1.0, even)
     centres = mesh.vertices[mesh.faces].mean(axis=1)
     assert np.all((np.prod(centres, axis=1) > 0) == even)
@@ -38,8 +38,8 @@ def test_octants_have_the_sign_that_was_asked_for(even) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_caps_and_sectors_lie_along_their_axis(axis) -> None:
-    pole = cap(1.0, axis, 0.2, sign=-1.0)
-    assert np.all(pole.vertices[:, axis] < -0.97)
+    pole = cap(1.0, axis, 0.2)
+    assert np.all(pole.vertices[:, axis] > 0.97)
     disc = sector(0.5, 0.1, axis)
     assert np.allclose(np.ptp(disc.vertices[:, axis]), 0.1)
     assert volume(disc) == pytest.approx(np.pi * 0.25 * 0.1, rel=0.02)
@@ -53,14 +53,14 @@ def test_arc_stays_on_the_sphere_in_short_steps() -> None:
     assert len(way) >= 8
 
 
-def test_segments_join_up_and_gamma_is_closed() -> None:
+def test_segments_are_connected_and_gamma_is_closed() -> None:
     circle = great_circle(0.3)
     pieces = segments(circle)
     assert np.array_equal(pieces[1:, 0], pieces[:-1, 1])
     assert circle[0] == pytest.approx(circle[-1]) and np.all(circle[:, 2] == 0.0)
 
 
-def test_apart_leaves_out_what_coincides() -> None:
+def test_repeated_points_are_removed() -> None:
     points = np.array([[0.0, 0.0], [1e-4, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    assert apart(points, 1e-3).tolist() == [[0.0, 0.0], [1.0, 0.0]]
-    assert apart(np.empty((0, 3)), 1.0).shape == (0, 3)
+    assert without_repeats(points, 1e-3).tolist() == [[0.0, 0.0], [1.0, 0.0]]
+    assert without_repeats(np.empty((0, 3)), 1.0).shape == (0, 3)

@@ -1,10 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer in a real browser, beside real nodes over DDS; the tests build on each other."""
+"""Viewer in a real browser, with real nodes over DDS; the tests depend on their order."""
 
 import re
 import subprocess
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +19,10 @@ pytest.importorskip("mujoco")
 from browser import Browser, find_browser
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from page_helpers import page_of, pixel, scene_of, start, stop, wait_for_scene
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
-from stage import insist, page_of, pixel, scene_of, start, stop, wait_for_scene
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
@@ -35,15 +35,15 @@ pytestmark = [
 ]
 SIMULATOR = (
     "-p", "initial_state:=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]", "-p", "real_time_factor:=2.0",
-    "-p", "plant:=rigid_body",  # it can be pushed
+    "-p", "plant:=rigid_body",  # accepts pushes
 )
 CONTROLLER = ("-p", "use_sim_time:=true", "-p", "strategy:=time_optimal")
 RADIUS = 0.3
 
 
 @dataclass
-class Stage:
-    """The nodes, the page, and a probe in the graph."""
+class Session:
+    """Nodes, page, and a probe in the graph."""
 
     page: Browser
     graph: Graph
@@ -60,16 +60,22 @@ class Stage:
 
     @property
     def status(self) -> dict[str, str]:
-        """What the controller said last."""
+        """Values of the newest status of the controller."""
         return {pair.key: pair.value for pair in self.statuses[-1].values}
+
+    def real_time_factor(self) -> float:
+        """Return the parameter of the simulator."""
+        request = GetParameters.Request(names=["real_time_factor"])
+        answer = self.graph.call(GetParameters, "simulator/get_parameters", request)
+        return float(answer.values[0].double_value)
 
     def restart(self, verb: str, *arguments: str) -> None:
         self.processes[verb] = start(self.folder, verb, "--ros-args", *arguments)
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory) -> Iterator[Stage]:
-    folder = tmp_path_factory.mktemp("stage")
+def session(tmp_path_factory) -> Iterator[Session]:
+    folder = tmp_path_factory.mktemp("session")
     processes = {
         "simulator": start(folder, "simulator", "--ros-args", *SIMULATOR),
         "controller": start(folder, "controller", "--ros-args", *CONTROLLER),
@@ -86,7 +92,7 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
         graph.until(lambda: page_of(folder))
         with Browser(BROWSER, home) as page:
             page.open(page_of(folder))
-            yield Stage(page, graph, processes, poses, goals, statuses, folder)
+            yield Session(page, graph, processes, poses, goals, statuses, folder)
     finally:
         graph.close()
         stop(processes.values())
@@ -94,102 +100,88 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
             print(f"{log.name}:\n{log.read_text(errors='replace')[-3000:]}")
 
 
-def test_page_comes_up_live_and_without_errors(stage, tmp_path) -> None:
-    stage.page.wait_for("live")
-    assert stage.page.console == []
+def test_page_loads_without_errors_or_other_hosts(session, tmp_path) -> None:
+    session.page.wait_for("live")
+    assert session.page.console == []
     own = re.compile(r"http://127\.0\.0\.1|data:|blob:")
-    assert [url for url in stage.page.requested if not own.match(url)] == []
-    stage.page.settle()
-    wait_for_scene(stage.page, tmp_path / "start.png")
+    assert [url for url in session.page.requested if not own.match(url)] == []
+    session.page.settle()
+    wait_for_scene(session.page, tmp_path / "start.png")
 
 
-def test_dragging_the_goal_makes_the_sphere_roll_there(stage, tmp_path) -> None:
-    before = scene_of(stage.page, tmp_path / "before.png")
-    # The arrow along x, by its shaft, one metre on.
-    stage.page.drag(pixel(stage.page, (0.5, 0.0, RADIUS)), pixel(stage.page, (1.5, 0.0, RADIUS)))
-    stage.graph.until(lambda: stage.goals)
-    goal = pose_from_ros(stage.goals[-1])
+def test_sphere_rolls_to_a_goal_that_is_dragged(session, tmp_path) -> None:
+    before = scene_of(session.page, tmp_path / "before.png")
+    # Drag the arrow along x by one metre.
+    grab, release = (pixel(session.page, (x, 0.0, RADIUS)) for x in (0.5, 1.5))
+    session.page.drag(grab, release)
+    session.graph.until(lambda: session.goals)
+    goal = pose_from_ros(session.goals[-1])
     assert goal[0] == pytest.approx(1.0, abs=0.3) and abs(goal[1]) < 1e-3
     assert abs(goal[2]) == pytest.approx(1.0, abs=1e-3)
-    stage.graph.until(lambda: state_error(pose_from_ros(stage.poses[-1]), goal) < 0.05)
-    time.sleep(1.0)
-    after = scene_of(stage.page, tmp_path / "after.png")
-    assert np.mean(np.abs(after - before)) > 1.0
-
-
-def test_pause_stops_time_and_resume_lets_it_go_on(stage) -> None:
-    insist(
-        stage.graph.until, lambda: stage.page.click_button("Pause"),
-        lambda: "time stands still" in stage.page.text,
+    session.graph.until(lambda: state_error(pose_from_ros(session.poses[-1]), goal) < 0.05)
+    session.graph.until(
+        lambda: np.mean(np.abs(scene_of(session.page, tmp_path / "after.png") - before)) > 1.0
     )
-    stage.graph.spin_for(0.5)
-    stood = stage.time
-    stage.graph.spin_for(1.0)
-    assert stage.time == stood
-    insist(
-        stage.graph.until, lambda: stage.page.click_button("Resume"), lambda: stage.time > stood
-    )
-    stage.page.wait_for("live")
 
 
-def test_a_push_moves_the_sphere_and_the_controller_brings_it_back(stage) -> None:
-    goal = pose_from_ros(stage.goals[-1])
-    stage.graph.spin_for(0.2)
-    insist(
-        stage.graph.until, lambda: stage.page.click_button("Push"),
-        lambda: state_error(pose_from_ros(stage.poses[-1]), goal) > 0.1,
-    )
-    stage.graph.until(lambda: state_error(pose_from_ros(stage.poses[-1]), goal) < 0.05)
+def test_pause_and_resume_reach_the_simulator(session) -> None:
+    session.page.click_button("Pause")
+    session.page.wait_for("paused")
+    session.graph.spin_for(0.5)
+    paused_at = session.time
+    session.graph.spin_for(1.0)
+    assert session.time == paused_at
+    session.page.click_button("Resume")
+    session.graph.until(lambda: session.time > paused_at)
+    session.page.wait_for("live")
 
 
-def test_speed_and_strategy_can_be_chosen(stage) -> None:
-    def change(before: str, after: str) -> None:
-        insist(
-            stage.graph.until, lambda: stage.page.choose(before, after),
-            lambda: bool(stage.statuses) and stage.status["strategy"] == after,
+def test_controller_recovers_from_a_push(session) -> None:
+    goal = pose_from_ros(session.goals[-1])
+    session.page.click_button("Push")
+    session.graph.until(lambda: state_error(pose_from_ros(session.poses[-1]), goal) > 0.1)
+    session.graph.until(lambda: state_error(pose_from_ros(session.poses[-1]), goal) < 0.05)
+
+
+def test_speed_and_strategy_can_be_changed(session) -> None:
+    for before, after in (("time_optimal", "paper"), ("paper", "time_optimal")):
+        session.page.choose(before, after)
+        session.graph.until(
+            lambda after=after: session.statuses and session.status["strategy"] == after
         )
-
-    change("time_optimal", "paper")
-    change("paper", "time_optimal")
-
-    def pace() -> float:
-        then, began = stage.time, time.monotonic()
-        stage.graph.spin_for(1.0)
-        return (stage.time - then) * 1e-9 / (time.monotonic() - began)
-
-    insist(stage.graph.until, lambda: stage.page.type_number("speed", "0.1"), lambda: pace() < 0.3)
-    insist(stage.graph.until, lambda: stage.page.type_number("speed", "2"), lambda: pace() > 0.5)
+    for factor in (0.5, 2.0):
+        session.page.type_number("speed", str(factor))
+        session.graph.until(lambda factor=factor: session.real_time_factor() == factor)
 
 
-def test_a_goal_can_be_picked_from_the_list(stage) -> None:
-    insist(
-        stage.graph.until,
-        lambda: stage.page.choose("pick a goal …", "goal of the paper's case 2"),
-        lambda: state_error(pose_from_ros(stage.goals[-1]), PAPER_CASES[2].goal) < 1e-9,
+def test_goal_can_be_selected_from_the_list(session) -> None:
+    session.page.choose("pick a goal …", "goal of the paper's case 2")
+    session.graph.until(
+        lambda: state_error(pose_from_ros(session.goals[-1]), PAPER_CASES[2].goal) < 1e-9
     )
 
 
-def test_a_page_and_a_viewer_that_join_late_show_what_holds(stage) -> None:
-    stage.page.open("about:blank")
-    stop([stage.processes["viewer"]])
-    stage.processes["viewer"] = start(stage.folder, "viewer", "--port", "0")
-    stage.graph.until(lambda: page_of(stage.folder))
-    stage.page.open(page_of(stage.folder))
-    stage.page.wait_for("to the goal")
-    stage.page.wait_for("live")
+def test_viewer_and_page_that_start_late_show_the_present_state(session) -> None:
+    session.page.open("about:blank")
+    stop([session.processes["viewer"]])
+    session.processes["viewer"] = start(session.folder, "viewer", "--port", "0")
+    session.graph.until(lambda: page_of(session.folder))
+    session.page.open(page_of(session.folder))
+    session.page.wait_for("to the goal")
+    session.page.wait_for("live")
 
 
 @pytest.mark.parametrize(
-    ("name", "arguments", "told"),
+    ("name", "arguments", "alert"),
     [("controller", CONTROLLER, "controller silent for"), ("simulator", SIMULATOR, "no pose for")],
 )
-def test_a_node_that_is_killed_is_missed_and_welcome_again(stage, name, arguments, told) -> None:
-    # How soon is a matter of `Health`, which is tested without a page.
-    stage.processes[name].kill()
-    stage.page.wait_for(told)
-    stage.restart(name, *arguments)
-    stage.page.wait_for("live")
+def test_killed_node_causes_an_alert_until_it_restarts(session, name, arguments, alert) -> None:
+    # The time-outs are tested without a page, see `Liveness`.
+    session.processes[name].kill()
+    session.page.wait_for(alert)
+    session.restart(name, *arguments)
+    session.page.wait_for("live")
 
 
-def test_the_page_had_no_error_all_the_while(stage) -> None:
-    assert stage.page.console == []
+def test_page_has_logged_no_error(session) -> None:
+    assert session.page.console == []

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run gives the same kind of frames as topics do, at the time that is asked for."""
+"""Frames of a recorded run, with pause, speed and seek."""
 
 from pathlib import Path
 
@@ -11,8 +11,8 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import make_state
 from sphere_sim.recording.run import Run, Solves
 from sphere_sim.viewer import replay as module
-from sphere_sim.viewer.frame import Pause, Reset, Seek, SetGoal, SetSpeed
 from sphere_sim.viewer.replay import Replay
+from sphere_sim.viewer.source import Pause, Reset, Seek, SetGoal, SetSpeed
 
 DURATION = 20.0
 
@@ -39,24 +39,24 @@ def replay(wall) -> Replay:
     return Replay(run)
 
 
-def test_the_first_frame_is_fresh_and_the_next_follow_the_wall(replay, wall) -> None:
+def test_first_frame_is_a_restart_and_the_next_follow_wall_time(replay, wall) -> None:
     first = replay.frames()
-    assert first[0].fresh and first[-1].time == 0.0 and first[-1].goal is None
+    assert first[0].restarted and first[-1].time == 0.0 and first[-1].goal is None
     wall[0] = 1.0
     frames = replay.frames()
     assert frames[-1].time == pytest.approx(1.0)
-    assert not any(frame.fresh for frame in frames)
+    assert not any(frame.restarted for frame in frames)
     steps = np.diff([0.0, *(frame.time for frame in frames)])
-    assert np.all(steps <= 0.05 + 1e-9), "lines go through every twentieth of a second"
+    assert np.all(steps <= 0.05 + 1e-9), "lines pass through every twentieth of a second"
 
 
-def test_seeking_leads_there_from_the_past(replay, wall) -> None:
+def test_seek_gives_the_frames_before_the_new_time(replay, wall) -> None:
     replay.handle(Pause(True))
     replay.handle(Seek(10.0))
     frames = replay.frames()
-    assert frames[0].fresh and frames[0].time == 0.0
+    assert frames[0].restarted and frames[0].time == 0.0
     assert frames[-1].time == pytest.approx(10.0) and frames[-1].state[0] == pytest.approx(10.0)
-    assert sum(frame.fresh for frame in frames) == 1
+    assert sum(frame.restarted for frame in frames) == 1
     wall[0] = 5.0
     assert replay.frames()[-1].time == pytest.approx(10.0), "it is paused"
 
@@ -69,15 +69,15 @@ def test_speed_pause_and_reset(replay, wall) -> None:
     assert replay.frames()[-1].time == pytest.approx(0.0)
 
 
-def test_the_end_pauses_and_playing_begins_anew(replay, wall) -> None:
+def test_playback_pauses_at_the_end_and_resumes_at_the_start(replay, wall) -> None:
     wall[0] = 100.0
     last = replay.frames()[-1]
-    assert last.time == pytest.approx(DURATION) and last.offers.paused
+    assert last.time == pytest.approx(DURATION) and last.capabilities.paused
     replay.handle(Pause(False))
     assert replay.frames()[-1].time == pytest.approx(0.0)
 
 
-def test_plan_solve_and_goal_are_those_of_the_moment(replay) -> None:
+def test_plan_solve_and_goal_are_those_at_the_time_of_the_frame(replay) -> None:
     replay.handle(Seek(4.0))
     before = replay.frames()[-1]
     assert len(before.plan) == 0 and np.isnan(before.cost)
@@ -87,11 +87,11 @@ def test_plan_solve_and_goal_are_those_of_the_moment(replay) -> None:
     # A positive speed of rotor 1 rolls an upright sphere along +y.
     assert frame.plan[-1, 1] > 0.0
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
-    assert np.isnan(frame.to_go), "this one tells no arrival"
+    assert np.isnan(frame.to_go), "this solve reports no arrival"
     assert frame.goal[0] == DURATION
 
 
-def test_what_a_recording_cannot_do_is_told(replay) -> None:
+def test_goal_request_is_refused(replay) -> None:
     assert "recording" in replay.handle(SetGoal(np.zeros(6)))
-    offers = replay.frames()[-1].offers
-    assert not offers.goal and not offers.push and offers.duration == pytest.approx(DURATION)
+    capabilities = replay.frames()[-1].capabilities
+    assert not capabilities.push and capabilities.duration == pytest.approx(DURATION)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording in a real browser; the tests build on each other."""
+"""Replay of a recording in a real browser; the tests depend on their order."""
 
 import re
 import time
@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("viser")
 
 from browser import PATIENCE, Browser, find_browser
+from page_helpers import page_of, scene_of, start, stop, wait_for_scene
 from rosbags.typesys import Stores, get_typestore
-from stage import insist, page_of, scene_of, start, stop, wait_for_scene
 
 from sphere_sim.recording.bag_writer import BagWriter
 
@@ -26,7 +26,7 @@ pytestmark = [
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POSE = "geometry_msgs/msg/PoseStamped"
 LENGTH, STEP = 20.0, 0.02
-"""Of the recording and between its poses [s]; the sphere rolls 0.2 m a second along x."""
+"""Length of the recording and time between its poses [s]; the sphere rolls at 0.2 m/s in x."""
 
 
 def write_bag(folder: Path) -> Path:
@@ -57,8 +57,8 @@ def page(tmp_path_factory) -> Iterator[Browser]:
     try:
         end = time.monotonic() + 40.0
         while not page_of(folder):
-            told = (folder / "viewer.log").read_text()
-            assert time.monotonic() < end and viewer.poll() is None, told
+            log = (folder / "viewer.log").read_text()
+            assert time.monotonic() < end and viewer.poll() is None, log
             time.sleep(0.1)
         with Browser(BROWSER, home) as browser:
             browser.open(page_of(folder))
@@ -75,11 +75,11 @@ def shown(page: Browser) -> float:
 def wait_until(condition, patience: float = PATIENCE) -> None:
     end = time.monotonic() + patience
     while not condition():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "time-out"
         time.sleep(0.1)
 
 
-def test_a_recording_plays_to_its_end_and_stops(page, tmp_path) -> None:
+def test_recording_plays_to_its_end_and_stops(page, tmp_path) -> None:
     page.wait_for("recording")
     page.settle()
     wait_for_scene(page, tmp_path / "scene.png")
@@ -87,7 +87,7 @@ def test_a_recording_plays_to_its_end_and_stops(page, tmp_path) -> None:
     wait_until(lambda: shown(page) == pytest.approx(LENGTH, abs=0.01))
 
 
-def test_the_slider_goes_to_a_time(page, tmp_path) -> None:
+def test_slider_seeks_a_time(page, tmp_path) -> None:
     at_the_end = scene_of(page, tmp_path / "end.png")
     ((left, top, width, height),) = page.boxes(".mantine-Slider-track")
     middle = top + 0.5 * height
@@ -95,22 +95,20 @@ def test_the_slider_goes_to_a_time(page, tmp_path) -> None:
     wait_until(lambda: shown(page) == pytest.approx(0.25 * LENGTH, abs=0.1 * LENGTH))
     chosen = shown(page)
     time.sleep(1.0)
-    assert shown(page) == chosen, "it stays where it was put"
-    # A page that is slow to draw shows it later.
+    assert shown(page) == chosen, "time is still paused"
+    # A slow page draws the scene later.
     wait_until(
         lambda: np.mean(np.abs(scene_of(page, tmp_path / "then.png") - at_the_end)) > 0.5
     )
 
 
-def test_it_goes_on_from_there(page) -> None:
+def test_playback_continues_from_there(page) -> None:
     began = shown(page)
-    insist(
-        wait_until, lambda: page.click_button("Play"), lambda: began < shown(page) < LENGTH
-    )
-    insist(
-        wait_until, lambda: page.click_button("Pause"), lambda: "recording, stopped" in page.text
-    )
+    page.click_button("Play")
+    wait_until(lambda: began < shown(page) < LENGTH)
+    page.click_button("Pause")
+    page.wait_for("recording, stopped")
 
 
-def test_the_page_had_no_error_all_the_while(page) -> None:
+def test_page_has_logged_no_error(page) -> None:
     assert page.console == []

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer without a browser: where it listens, what it does with requests."""
+"""Viewer without a browser: address, requests, goal and scene."""
 
 import itertools
 import socket
@@ -14,9 +14,10 @@ import pytest
 pytest.importorskip("viser")
 
 from sphere_nmpc.model.state import make_state, state_error
-from sphere_sim.viewer.frame import Frame, Offers, Pause, Request, SetGoal
-from sphere_sim.viewer.gate import HOST
-from sphere_sim.viewer.presets import PRESETS
+from sphere_sim.viewer.access import HOST
+from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.goal_presets import GOAL_PRESETS
+from sphere_sim.viewer.source import Pause, Request, SetGoal
 from sphere_sim.viewer.trail import Trail
 from sphere_sim.viewer.viewer import Viewer
 
@@ -24,7 +25,7 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 class Script:
-    """A source that plays given frames and notes requests."""
+    """Source of given frames that collects requests."""
 
     def __init__(self) -> None:
         self.next: list[Frame] = [Frame()]
@@ -51,83 +52,83 @@ def viewer(script) -> Iterator[Viewer]:
 
 
 def at(x: float, y: float, **more) -> Frame:
-    return Frame(state=make_state((x, y), UPRIGHT), offers=Offers(goal=True, pause=True), **more)
+    return Frame(state=make_state((x, y), UPRIGHT), capabilities=Capabilities(pause=True), **more)
 
 
-def test_the_page_is_served_to_this_machine_only(viewer) -> None:
+def test_page_is_served_to_this_machine_only(viewer) -> None:
     assert viewer.url.startswith(f"http://{HOST}:")
     with urllib.request.urlopen(viewer.url, timeout=10.0) as page:
         assert page.status == 200
     port = urlsplit(viewer.url).port
     with socket.socket() as other:
-        # The whole of 127.0.0.0/8 is this machine; a listener on every address would answer.
+        # 127.0.0.0/8 is this machine; a listener on all addresses would answer here too.
         other.settimeout(2.0)
         assert other.connect_ex(("127.0.0.2", port)) != 0
 
 
-def test_no_tunnel_to_the_outside_can_be_asked_for(viewer) -> None:
+def test_pages_cannot_open_a_tunnel(viewer) -> None:
     assert viewer._server.request_share_url() is None
 
 
-def test_nothing_known_is_shown_without_error(viewer) -> None:
+def test_empty_frame_is_shown(viewer) -> None:
     viewer.tick()
     viewer.tick()
 
 
-def test_a_drag_sends_its_goal_when_let_go_of(viewer, script) -> None:
+def test_goal_is_sent_at_the_end_of_a_drag(viewer, script) -> None:
     script.next = [at(1.0, 2.0)]
     viewer.tick()
     gizmo = viewer._goal
-    viewer._controls.put("start")
+    viewer._panel.put("start")
     viewer.tick()
-    gizmo._place.position = (0.5, -0.5, 0.3)
+    gizmo._position.position = (0.5, -0.5, 0.3)
     script.next = [at(1.0, 2.0, goal=make_state((3.0, 3.0), UPRIGHT))]
     viewer.tick()
-    assert gizmo.goal[:2].tolist() == [0.5, -0.5], "nobody moves what a user has in hand"
-    viewer._controls.put("end")
+    assert gizmo.goal[:2].tolist() == [0.5, -0.5], "a drag has precedence"
+    viewer._panel.put("end")
     viewer.tick()
     (request,) = script.requests
     assert isinstance(request, SetGoal) and request.goal[:2].tolist() == [0.5, -0.5]
 
 
-def test_the_ghost_follows_a_goal_of_somebody_else(viewer, script) -> None:
+def test_gizmo_follows_the_goal_in_force(viewer, script) -> None:
     goal = make_state((1.0, -1.0), (0.5, 0.5, 0.5, 0.5))
     script.next = [at(0.0, 0.0, goal=goal)]
     viewer.tick()
     assert state_error(viewer._goal.goal, goal) < 1e-9
 
 
-def test_a_preset_is_sent_at_once_or_with_the_button(viewer, script) -> None:
+def test_preset_is_sent_at_once_or_with_the_button(viewer, script) -> None:
     script.next = [at(1.0, 2.0)]
     viewer.tick()
     name = "upside down, here"
-    viewer._controls.put(name)
+    viewer._panel.put(name)
     viewer.tick()
-    expected = PRESETS[name](script.next[0].state)
+    expected = GOAL_PRESETS[name](script.next[0].state)
     assert state_error(script.requests[-1].goal, expected) < 1e-9
-    viewer._controls._at_once.value = False
-    viewer._controls.put("origin, upright")
+    viewer._panel._at_once.value = False
+    viewer._panel.put("origin, upright")
     viewer.tick()
     assert len(script.requests) == 1
-    viewer._controls.put("send")
+    viewer._panel.put("send")
     viewer.tick()
     assert script.requests[-1].goal[:2].tolist() == [0.0, 0.0]
 
 
-def test_other_requests_are_passed_on(viewer, script) -> None:
-    viewer._controls.put(Pause(True))
+def test_other_requests_are_passed_to_the_source(viewer, script) -> None:
+    viewer._panel.put(Pause(True))
     viewer.tick()
     assert script.requests == [Pause(True)]
 
 
-def test_a_sphere_of_another_size_is_made_anew(viewer, script) -> None:
+def test_sphere_of_another_radius_is_created_anew(viewer, script) -> None:
     for radius in (0.3, 0.5):
         script.next = [at(0.0, 0.0, radius=radius)]
         viewer.tick()
     assert viewer._scene._ball.radius == 0.5
 
 
-def test_plans_that_stand_still_are_not_drawn(viewer, script) -> None:
+def test_plans_at_one_point_are_not_drawn(viewer, script) -> None:
     still = np.tile(make_state((1.0, 1.0), UPRIGHT), (5, 1))
     moving = still + np.linspace(0.0, 1.0, 5)[:, None] * np.eye(6)[0]
     for plan, there in ((still, False), (moving, True), (np.empty((0, 6)), False)):
@@ -136,7 +137,7 @@ def test_plans_that_stand_still_are_not_drawn(viewer, script) -> None:
         assert viewer._scene._plan.visible is there
 
 
-def test_a_trail_is_sent_in_pieces_that_join_and_is_of_limited_length(viewer) -> None:
+def test_trail_is_connected_and_of_limited_length(viewer) -> None:
     trail = Trail(viewer._server.scene, "/test", (0, 0, 0), 0.01, 0.01, pieces=3)
     for x in np.arange(0.0, 3.0, 0.02):
         trail.add(np.array([x, 0.0, 0.0]))

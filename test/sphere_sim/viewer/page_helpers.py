@@ -1,14 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes under test, and what is seen of the scene on their page."""
+"""Processes under test, and the scene on their page."""
 
-import contextlib
 import io
 import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,46 +19,28 @@ from sphere_sim.viewer.scene import CAMERA, LOOK_AT
 
 
 def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
-    """Start ``sphere_nmpc VERB``; what it says goes to a file."""
+    """Start ``sphere_nmpc VERB`` with its output in a file."""
     command = verb_command(verb, *arguments)
     with (folder / f"{verb}.log").open("wb") as log:
         return subprocess.Popen(command, stdout=log, stderr=log)
 
 
 def page_of(folder: Path) -> str:
-    """Return the address that a viewer printed; empty where it has not yet."""
+    """Return the address that a viewer has printed; empty before."""
     found = re.search(r"http://\S+", (folder / "viewer.log").read_text(encoding="utf-8"))
     return found.group() if found else ""
 
 
 def stop(processes: Iterable[subprocess.Popen]) -> None:
-    """Ask all of them to end, then wait."""
-    asked = list(processes)
-    for process in asked:
+    """Interrupt all processes, then wait for their end."""
+    interrupted = list(processes)
+    for process in interrupted:
         process.send_signal(signal.SIGINT)
-    for process in asked:
+    for process in interrupted:
         try:
             process.wait(8.0)
         except subprocess.TimeoutExpired:
             process.kill()
-
-
-def insist(
-    until: Callable[[Callable[[], bool], float], None],
-    act: Callable[[], None],
-    effect: Callable[[], bool],
-) -> None:
-    """Act on the page until it has an effect: a click is lost where a slow page moves under it.
-
-    `until` waits for something, and fails when it takes too long.
-    """
-    for _ in range(4):
-        with contextlib.suppress(AssertionError):
-            act()
-        with contextlib.suppress(AssertionError):
-            until(effect, 40.0)
-            return
-    raise AssertionError("no effect after four tries")
 
 
 def canvas(page: Browser) -> tuple[float, float, float, float]:
@@ -73,7 +54,7 @@ def canvas(page: Browser) -> tuple[float, float, float, float]:
 
 
 def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, float]:
-    """Return where a point of the world [m] is seen from where the camera stands at first."""
+    """Return the pixel of a point [m; world frame] in the initial view."""
     left, top, width, height = canvas(page)
     camera, forward = np.array(CAMERA), np.array(LOOK_AT) - np.array(CAMERA)
     forward /= np.linalg.norm(forward)
@@ -96,8 +77,8 @@ def scene_of(page: Browser, path: Path) -> np.ndarray:
 
 
 def wait_for_scene(page: Browser, path: Path) -> None:
-    """Wait until the scene, which fades in, is there."""
+    """Wait until the scene is drawn."""
     end = time.monotonic() + PATIENCE
     while np.std(scene_of(page, path)) < 5.0:
-        assert time.monotonic() < end, "an empty scene"
+        assert time.monotonic() < end, "the scene is empty"
         time.sleep(0.5)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Who is let in to the viewer, asked by real handshakes."""
+"""Access control of the viewer, by real handshakes."""
 
 import socket
 import subprocess
@@ -18,7 +18,7 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from sphere_sim.viewer.gate import Gate
+from sphere_sim.viewer.access import AccessControl
 from sphere_sim.viewer.server import LocalServer
 
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -42,7 +42,7 @@ def shake_hands(
 
 
 def refusal(url: str, **how: str) -> str:
-    """Return the line with which a WebSocket is refused."""
+    """Return the line with which the server refuses a WebSocket."""
     with pytest.raises(InvalidStatus) as told:
         shake_hands(url, **how)
     assert told.value.response.status_code == 403
@@ -61,13 +61,13 @@ def get(url: str, host: str = "") -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
-def test_its_own_page_is_let_in_by_both_names(server, host) -> None:
+def test_own_page_is_accepted_under_both_names(server, host) -> None:
     origin = f"http://{host}:{server.get_port()}"
     with shake_hands(server.url, origin, host) as page:
         assert len(page.recv(timeout=10.0)) > 0
 
 
-def test_other_programs_of_who_knows_the_address_are_let_in(server) -> None:
+def test_program_with_the_token_is_accepted(server) -> None:
     with shake_hands(server.url) as page:
         assert page.subprotocol == PROTOCOL
 
@@ -75,17 +75,17 @@ def test_other_programs_of_who_knows_the_address_are_let_in(server) -> None:
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "https://127.0.0.1", "http://127.0.0.1:1"]
 )
-def test_a_page_of_another_site_is_refused_even_with_the_token(server, origin) -> None:
+def test_page_of_another_site_is_refused_even_with_the_token(server, origin) -> None:
     assert refusal(server.url, origin=origin).startswith("Origin: expected http://127.0.0.1:")
 
 
-def test_both_names_of_this_machine_in_one_request_are_two_sites(server) -> None:
+def test_names_of_this_machine_are_different_origins(server) -> None:
     origin = f"http://localhost:{server.get_port()}"
     assert refusal(server.url, origin=origin).startswith("Origin: ")
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "0.0.0.0"])
-def test_a_foreign_name_that_leads_here_is_refused(server, host) -> None:
+def test_foreign_name_of_this_machine_is_refused(server, host) -> None:
     origin = f"http://{host}:{server.get_port()}"
     told = refusal(server.url, origin=origin, host=host)
     assert told.startswith("Host: expected 127.0.0.1:") and "ssh -L" in told
@@ -94,7 +94,7 @@ def test_a_foreign_name_that_leads_here_is_refused(server, host) -> None:
 
 
 @pytest.mark.parametrize("query", ["", "token=", "token=x", "token=%ff", "other=1"])
-def test_without_the_token_neither_page_nor_socket_is_served(server, query) -> None:
+def test_page_and_websocket_need_the_token(server, query) -> None:
     page = urlsplit(server.url)
     url = f"http://{page.netloc}/?{query}"
     for told in (refusal(url, origin=f"http://{page.netloc}"), get(url)[1]):
@@ -103,27 +103,27 @@ def test_without_the_token_neither_page_nor_socket_is_served(server, query) -> N
     assert get(f"http://{page.netloc}/index.html?{query}")[0] == 403
 
 
-def test_the_token_twice_is_none(server) -> None:
+def test_repeated_token_is_refused(server) -> None:
     assert get(f"{server.url}&{urlsplit(server.url).query}")[0] == 403
 
 
-def test_a_page_of_another_version_is_told_to_reload(server) -> None:
+def test_page_of_another_version_has_to_be_reloaded(server) -> None:
     told = refusal(server.url, protocol="viser-v0.0.1")
     assert told.startswith("Sec-WebSocket-Protocol: ") and told.endswith("reload the page")
 
 
-def test_the_page_is_told_where_its_socket_is(server) -> None:
+def test_page_is_redirected_to_its_websocket(server) -> None:
     with urllib.request.urlopen(server.url, timeout=10.0) as page:
         page_url = page.url
         assert page.status == 200 and b"<html" in page.read()
     assert f"ws://127.0.0.1:{server.get_port()}/?token=" in page_url
-    # A page that came with a socket elsewhere is sent to this one.
+    # A page with the address of another WebSocket is redirected to the own one.
     lured = f"{server.url}&websocket=ws://evil.example"
     with urllib.request.urlopen(lured, timeout=10.0) as page:
         assert page.url == page_url
 
 
-def test_a_port_that_is_taken_is_told_and_another_one_is_used(capsys) -> None:
+def test_another_port_is_used_if_the_preferred_one_is_taken(capsys) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         taken = other.getsockname()[1]
         server = LocalServer(taken)
@@ -132,11 +132,11 @@ def test_a_port_that_is_taken_is_told_and_another_one_is_used(capsys) -> None:
             assert free != taken and get(server.url)[0] == 200
         finally:
             server.stop()
-    told = f"viewer: port {taken}: address already in use; taking {free}\n"
+    told = f"viewer: port {taken}: address already in use; using {free}\n"
     assert capsys.readouterr() == ("", told)
 
 
-def test_no_port_at_all_is_one_line_at_once(tmp_path) -> None:
+def test_no_free_port_is_an_error_of_one_line(tmp_path) -> None:
     source = (
         "import resource, sys\n"
         "from sphere_sim.viewer.server import LocalServer, ServerError\n"
@@ -152,6 +152,6 @@ def test_no_port_at_all_is_one_line_at_once(tmp_path) -> None:
     assert ended.returncode == 1
 
 
-def test_each_start_has_a_token_of_its_own() -> None:
-    assert Gate(8080).url != Gate(8080).url
-    assert len(urlsplit(Gate(8080).url).query) >= len("token=") + 22
+def test_tokens_are_new_and_long() -> None:
+    assert AccessControl(8080).url != AccessControl(8080).url
+    assert len(urlsplit(AccessControl(8080).url).query) >= len("token=") + 22

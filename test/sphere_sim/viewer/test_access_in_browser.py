@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Who is let in to the viewer, asked by pages in a real browser."""
+"""Access control of the viewer, by pages in a real browser."""
 
 import json
 import threading
@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("viser")
 
 from browser import Browser, find_browser
-from test_gate import PROTOCOL
+from test_access import PROTOCOL
 
 from sphere_sim.viewer.server import LocalServer
 
@@ -47,7 +47,7 @@ def page(tmp_path: Path) -> Iterator[Browser]:
         yield page
 
 
-def test_the_page_comes_up_and_comes_back_when_it_is_loaded_again(server, page) -> None:
+def test_page_loads_and_reloads_under_both_names(server, page) -> None:
     for address in (server.url, server.url.replace("127.0.0.1", "localhost")):
         page.open(address)
         page.wait_for("this is the panel")
@@ -61,14 +61,14 @@ def test_the_page_comes_up_and_comes_back_when_it_is_loaded_again(server, page) 
     assert page.console == []
 
 
-def test_without_the_token_the_page_says_what_to_do(server, page) -> None:
+def test_page_without_the_token_shows_a_remedy(server, page) -> None:
     page.open(server.url.partition("?")[0])
     page.wait_for("open the address that the viewer printed")
     assert not server.get_clients()
 
 
 @pytest.mark.parametrize("knows_token", [False, True])
-def test_a_page_of_another_site_reaches_nothing(server, page, knows_token) -> None:
+def test_page_of_another_site_cannot_connect(server, page, knows_token) -> None:
     port, query = urlsplit(server.url).port, urlsplit(server.url).query
     socket = f"ws://127.0.0.1:{port}/" + (f"?{query}" if knows_token else "")
     lure = (LURE % (json.dumps(socket), json.dumps(PROTOCOL))).encode()

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What may arrive at the viewer's port: it tells at most one line, and goes on serving."""
+"""Invalid input at the viewer's port causes at most one line, and the viewer keeps serving."""
 
 import base64
-import os
+import random
 import re
 import resource
 import socket
@@ -20,17 +20,19 @@ import pytest
 
 pytest.importorskip("viser")
 
-from stage import page_of, stop
-from test_gate import PROTOCOL, shake_hands
+from page_helpers import page_of, stop
+from test_access import PROTOCOL, shake_hands
 from test_replay_in_browser import write_bag
 from websockets.exceptions import ConnectionClosed
 
 from sphere_nmpc.model.state import make_state
 from sphere_sim.ros.session.child_process import verb_command
-from sphere_sim.viewer.frame import Frame, Offers, Request, SetGoal
+from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.source import Request, SetGoal
 from sphere_sim.viewer.viewer import Viewer
 
 pack = msgspec.msgpack.encode
+RANDOM = random.Random(1)
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [1, 1, 1], "fov": 1.0,
     "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100, "look_at": [0, 0, 0],
@@ -40,7 +42,7 @@ NAN = float("nan")
 ODD = (None, NAN, float("inf"), 1e308, "", "x", [], [1], ["a"], {}, [NAN] * 3, [NAN] * 4,
        [0] * 4, [1e300] * 3)
 MESSAGES = (
-    os.urandom(100), b"", "text", pack(5), pack([1, 2]), pack({}), pack({"type": "Nothing"}),
+    RANDOM.randbytes(100), b"", "text", pack(5), pack([1, 2]), pack({}), pack({"type": "Nothing"}),
     pack({"type": ["a"]}), pack({"type": "GuiUpdateMessage"}), bytes(51 * 2**20),
     pack({**CAMERA, "wxyz": [1, 2, 3]}), pack({**CAMERA, "position": "x"}),
 )
@@ -54,9 +56,9 @@ def half_a_handshake(port: int, query: str, *lines: str) -> bytes:
     return http(port, f"GET /?{query} HTTP/1.1", "Upgrade: websocket", *lines)
 
 
-def raw_garbage(port: int, query: str) -> tuple[bytes, ...]:
+def invalid_requests(port: int, query: str) -> tuple[bytes, ...]:
     return (
-        b"", os.urandom(5000), b"\x00\x01\r\n\r\n", b"\x16\x03\x01\x02\x00\x01\x00",
+        b"", RANDOM.randbytes(5000), b"\x00\x01\r\n\r\n", b"\x16\x03\x01\x02\x00\x01\x00",
         b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x",
         b"GET /" + 100_000 * b"a" + b" HTTP/1.1\r\n\r\n",
         http(port, "POST / HTTP/1.1"), http(port, "HEAD / HTTP/1.1"),
@@ -79,7 +81,7 @@ def send_raw(port: int, data: bytes) -> bytes:
 
 
 def send_broken_frames(port: int, query: str, junk: bytes) -> None:
-    key = base64.b64encode(os.urandom(16)).decode()
+    key = base64.b64encode(RANDOM.randbytes(16)).decode()
     hello = half_a_handshake(
         port, query, "Connection: Upgrade", f"Sec-WebSocket-Key: {key}",
         f"Sec-WebSocket-Protocol: {PROTOCOL}", "Sec-WebSocket-Version: 13",
@@ -92,7 +94,7 @@ def send_broken_frames(port: int, query: str, junk: bytes) -> None:
 
 
 class Process:
-    """A viewer of a recording, as a user starts it."""
+    """Viewer of a recording in a process."""
 
     def __init__(self, folder: Path, limit: Callable[[], None] | None = None) -> None:
         self.folder = folder
@@ -106,7 +108,7 @@ class Process:
     def __enter__(self) -> "Process":
         end = time.monotonic() + 60.0
         while not self.url:
-            assert self.process.poll() is None and time.monotonic() < end, self.said
+            assert self.process.poll() is None and time.monotonic() < end, self.log
             time.sleep(0.1)
         return self
 
@@ -118,7 +120,7 @@ class Process:
         return page_of(self.folder)
 
     @property
-    def said(self) -> str:
+    def log(self) -> str:
         return (self.folder / "viewer.log").read_text(encoding="utf-8")
 
     def serves(self) -> bool:
@@ -132,26 +134,26 @@ def viewer(tmp_path) -> Iterator[Process]:
         yield process
 
 
-def test_garbage_of_all_kinds_leaves_one_line(viewer) -> None:
+def test_invalid_input_of_all_kinds_causes_one_line(viewer) -> None:
     page = urlsplit(viewer.url)
-    for data in raw_garbage(page.port, page.query):
+    for data in invalid_requests(page.port, page.query):
         send_raw(page.port, data)
     for message in MESSAGES:
         with shake_hands(viewer.url) as end, suppress(ConnectionClosed, TimeoutError):
             end.send(message)
             while True:
                 end.recv(timeout=5.0)
-    for junk in (os.urandom(500), b"\xff" * 50, b"\x81\x05hello", b"\x82\xfe\xff\xff"):
+    for junk in (RANDOM.randbytes(500), b"\xff" * 50, b"\x81\x05hello", b"\x82\xfe\xff\xff"):
         send_broken_frames(page.port, page.query, junk)
     assert viewer.serves()
-    assert "Traceback" not in viewer.said
-    about_the_bag = re.compile(r"viewer: (http|nothing tells|/\w+)")
-    lines = [line for line in viewer.said.splitlines() if not about_the_bag.match(line)]
-    assert len(lines) == 1, viewer.said
-    assert lines[0].startswith("viewer: what a page sent was left out: ")
+    assert "Traceback" not in viewer.log
+    about_the_bag = re.compile(r"viewer: (http|no status|/\w+)")
+    lines = [line for line in viewer.log.splitlines() if not about_the_bag.match(line)]
+    assert len(lines) == 1, viewer.log
+    assert lines[0].startswith("viewer: invalid input of a page was ignored: ")
 
 
-def test_too_many_connections_are_one_line_and_then_it_serves_again(tmp_path) -> None:
+def test_too_many_connections_cause_one_line_and_service_resumes(tmp_path) -> None:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
 
@@ -159,29 +161,29 @@ def test_too_many_connections_are_one_line_and_then_it_serves_again(tmp_path) ->
         port = urlsplit(viewer.url).port
         held = [socket.create_connection(("127.0.0.1", port)) for _ in range(60)]
         end = time.monotonic() + 20.0
-        while "too many open files" not in viewer.said:
-            assert time.monotonic() < end, viewer.said
+        while "too many open files" not in viewer.log:
+            assert time.monotonic() < end, viewer.log
             time.sleep(0.1)
         for connection in held:
             connection.close()
         assert viewer.serves()
-        assert viewer.said.count("too many open files") == 1 and "Traceback" not in viewer.said
+        assert viewer.log.count("too many open files") == 1 and "Traceback" not in viewer.log
 
 
-def test_others_cannot_read_the_address_in_a_log(viewer) -> None:
+def test_log_with_the_address_is_readable_by_its_owner_only(viewer) -> None:
     assert (viewer.folder / "viewer.log").stat().st_mode & 0o077 == 0
 
 
 class Script:
-    """A source that stands still and notes requests."""
+    """Source of one constant frame that collects requests."""
 
     def __init__(self) -> None:
         self.requests: list[Request] = []
 
     def frames(self) -> list[Frame]:
         state = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
-        offers = Offers(goal=True, pause=True, reset=True, speed=1.0, strategies=("a", "b"))
-        return [Frame(state=state, goal=state, offers=offers)]
+        capabilities = Capabilities(pause=True, reset=True, speed=1.0, strategies=("a", "b"))
+        return [Frame(state=state, goal=state, capabilities=capabilities)]
 
     def handle(self, request: Request) -> str:
         self.requests.append(request)
@@ -189,7 +191,7 @@ class Script:
 
 
 def odd_messages(viewer: Viewer) -> Iterator[dict]:
-    """Messages as pages send them, with values that no page sends."""
+    """Yield messages of a page with invalid values."""
     for odd in ODD:
         for uuid in viewer._server.gui._gui_input_handle_from_uuid:
             yield {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": odd}}
@@ -202,25 +204,25 @@ def odd_messages(viewer: Viewer) -> Iterator[dict]:
 
 
 @pytest.mark.slow
-def test_values_that_no_page_sends_do_not_end_the_viewer(capfd) -> None:
+def test_invalid_values_do_not_end_the_viewer(capfd) -> None:
     script = Script()
     viewer = Viewer(script, 0, live=True)
     try:
         viewer.tick()
         messages = deque(odd_messages(viewer))
         while messages:
-            # One page sends all of them, and another goes on where it is sent away.
+            # One page sends all of them; another one continues if it is disconnected.
             with suppress(ConnectionClosed), shake_hands(viewer.url) as page:
                 page.send(pack(CAMERA))
                 while messages:
                     page.send(pack(messages.popleft()))
                     answered, end = page.ping(), time.monotonic() + 60.0
                     while not answered.wait(0.0):
-                        assert time.monotonic() < end, "it answers no more"
+                        assert time.monotonic() < end, "no answer"
                         with suppress(TimeoutError):
                             page.recv(timeout=0.01)
                     viewer.tick()
-                    viewer._controls.put("send")
+                    viewer._panel.put("send")
             viewer.tick()
         with shake_hands(viewer.url) as page:
             assert len(page.recv(timeout=10.0)) > 0
@@ -228,6 +230,6 @@ def test_values_that_no_page_sends_do_not_end_the_viewer(capfd) -> None:
         viewer.close()
     goals = [request.goal for request in script.requests if isinstance(request, SetGoal)]
     assert goals and all(abs(goal[2:] @ goal[2:] - 1.0) < 1e-9 for goal in goals)
-    said = capfd.readouterr()
-    assert "Traceback" not in said.err and "Warning" not in said.err
-    assert said.out == "" and len(said.err.splitlines()) <= 3
+    printed = capfd.readouterr()
+    assert "Traceback" not in printed.err and "Warning" not in printed.err
+    assert printed.out == "" and len(printed.err.splitlines()) <= 3

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals to pick from a list."""
+"""Goals that users can choose from a list."""
 
 import math
 from collections.abc import Callable
@@ -14,29 +14,29 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 _HALF = math.sqrt(0.5)
 
 
-def _turned(state: Vector, wxyz: tuple[float, float, float, float]) -> Vector:
-    """Return a state turned in its place by a rotation in the world frame."""
+def _rotated(state: Vector, wxyz: tuple[float, float, float, float]) -> Vector:
+    """Return a state at the same position, rotated in the world frame."""
     return make_state(state[POSITION], rotation.product(np.array(wxyz), state[QUATERNION]))
 
 
-def _always(goal: Vector) -> Callable[[Vector], Vector]:
+def _fixed(goal: Vector) -> Callable[[Vector], Vector]:
     return lambda state: goal.copy()
 
 
-PRESETS: dict[str, Callable[[Vector], Vector]] = {
-    "origin, upright": _always(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))),
+GOAL_PRESETS: dict[str, Callable[[Vector], Vector]] = {
+    "origin, upright": _fixed(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))),
     **{
-        f"goal of the paper's case {number}": _always(case.goal)
+        f"goal of the paper's case {number}": _fixed(case.goal)
         for number, case in PAPER_CASES.items()
     },
     **{
-        f"start of the paper's case {number}": _always(case.start)
+        f"start of the paper's case {number}": _fixed(case.start)
         for number, case in PAPER_CASES.items()
     },
-    "half turn about the vertical, here": lambda state: _turned(state, (0.0, 0.0, 0.0, 1.0)),
-    "upside down, here": lambda state: _turned(state, (0.0, 1.0, 0.0, 0.0)),
+    "half turn about the vertical, here": lambda state: _rotated(state, (0.0, 0.0, 0.0, 1.0)),
+    "upside down, here": lambda state: _rotated(state, (0.0, 1.0, 0.0, 0.0)),
     "upright, here": lambda state: make_state(state[POSITION], (1.0, 0.0, 0.0, 0.0)),
     "on circle Γ, here": lambda state: make_state(state[POSITION], (_HALF, 0.0, _HALF, 0.0)),
     "1 m ahead in x": lambda state: state + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
 }
-"""What each name means for a sphere in a given state, shape (6,)."""
+"""Goal of each name, shape (6,), as a function of the present state, shape (6,)."""

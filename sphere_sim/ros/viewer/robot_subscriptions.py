@@ -1,0 +1,123 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions of the viewer to the topics of one robot."""
+
+import time
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.ros.conversions import (
+    framed_pose_from_ros,
+    joint_states_from_ros,
+    pose_from_ros,
+    seconds,
+    stamp_from_ros,
+)
+from sphere_sim.viewer.frame import Frame
+from sphere_sim.viewer.live_frame import LiveFrame
+
+_LONGEST_PLAN = 400
+"""Poses of a plan that are converted."""
+
+
+class RobotSubscriptions:
+    """Subscriptions that keep the newest frame of a robot.
+
+    They are best effort with a depth of 1: messages that arrive between two frames cost nothing,
+    and no publisher waits for the viewer.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the subscriptions, in the namespace of the robot.
+    controller : str
+        Name of the controller node.
+    """
+
+    def __init__(self, node: Node, controller: str = "controller") -> None:
+        self.message_count = 0
+        """Number of messages received."""
+        self._live = LiveFrame(time.monotonic())
+        self._node = node
+        self._diagnostics_prefix = f"{node.get_namespace()}/{controller}:".lstrip("/")
+        self._status_topic = f"{controller}/status"
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        for kind, topic, take, qos in (
+            (PoseStamped, "pose", self._take_pose, newest),
+            (JointState, "joint_states", self._take_joint_states, newest),
+            (PoseStamped, f"{controller}/active_goal", self._take_goal, latched),
+            (Path, f"{controller}/predicted_path", self._take_plan, newest),
+            (DiagnosticStatus, self._status_topic, self._take_status, newest),
+            (DiagnosticArray, "/diagnostics", self._take_diagnostics, 10),
+        ):
+            node.create_subscription(kind, topic, take, qos)
+
+    @property
+    def paused(self) -> bool:
+        """Whether the robot's clock is paused."""
+        return self._live.paused
+
+    @property
+    def radius(self) -> float:
+        """Radius of the shell [m]."""
+        return self._live.frame.radius
+
+    def newest(self) -> Frame:
+        """Return the newest frame."""
+        controllers = self._node.count_publishers(self._status_topic)
+        return self._live.take(time.monotonic(), controllers)
+
+    def _take_pose(self, message: PoseStamped) -> None:
+        now = self._arrival()
+        try:
+            state = framed_pose_from_ros(message)
+        except InvalidStateError as error:
+            self._live.refuse_pose(str(error))
+            return
+        stamp = seconds(stamp_from_ros(message.header.stamp))
+        self._live.add_pose(stamp, state, float(message.pose.position.z), now)
+
+    def _take_joint_states(self, message: JointState) -> None:
+        self._arrival()
+        try:
+            _, speeds, torques = joint_states_from_ros(message)
+        except (InvalidInputError, IndexError):
+            return  # other joints, or without position, velocity or effort
+        self._live.add_rotors(speeds, torques)
+
+    def _take_goal(self, message: PoseStamped) -> None:
+        self._arrival()
+        try:
+            self._live.add_goal(pose_from_ros(message))
+        except InvalidStateError:
+            return
+
+    def _take_plan(self, message: Path) -> None:
+        self._live.controller_seen(self._arrival())
+        try:
+            states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
+        except InvalidStateError:
+            return
+        self._live.add_plan(np.array(states).reshape(-1, 6))
+
+    def _take_status(self, message: DiagnosticStatus) -> None:
+        self._live.controller_seen(self._arrival())
+        self._live.add_status({pair.key: pair.value for pair in message.values})
+
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+        now = self._arrival()
+        if any(status.name.startswith(self._diagnostics_prefix) for status in message.status):
+            self._live.controller_seen(now)
+
+    def _arrival(self) -> float:
+        """Count a message and return its time of arrival [s; steady clock]."""
+        self.message_count += 1
+        return time.monotonic()

@@ -1,0 +1,160 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Control panel: widgets whose events become requests in a queue.
+
+Callbacks of the page run on threads of the server; they only put requests into the queue.
+"""
+
+import math
+import queue
+import time
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.goal_presets import GOAL_PRESETS
+from sphere_sim.viewer.panel_text import LEGEND, numbers, status_bar
+from sphere_sim.viewer.source import Pause, Push, Request, Reset, Seek, SetSpeed, SetStrategy
+
+PICK = "pick a goal …"
+_SEEK_HOLD = 0.7
+"""Time for which a slider that a user has moved is not updated [s]."""
+
+
+class ControlPanel:
+    """Widgets of the panel, each visible while the source can fulfil its request.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Server of the page.
+    live : bool
+        Whether the source is live; else it is a recording.
+    """
+
+    def __init__(self, server: viser.ViserServer, live: bool) -> None:
+        self._requests: queue.SimpleQueue[Request | str] = queue.SimpleQueue()
+        gui = server.gui
+        self._status = gui.add_html("")
+        self._numbers = gui.add_markdown("")
+        self._live = live
+        with gui.add_folder("Goal", visible=live):
+            gui.add_markdown("Drag the arrows, turn the rings, or pick:")
+            self._preset = gui.add_dropdown("goal", (PICK, *GOAL_PRESETS), initial_value=PICK)
+            self._at_once = gui.add_checkbox(
+                "send at once", True, hint="Send a goal when the mouse is released, or only with "
+                "the button"
+            )
+            send = gui.add_button("Send goal", icon=viser.Icon.TARGET_ARROW)
+        with gui.add_folder("Time" if live else "Recording"):
+            # Two buttons, so that a click has the meaning of the label that the user read.
+            self._pause = gui.add_button("Pause")
+            self._resume = gui.add_button("Resume" if live else "Play", visible=False)
+            self._seek = gui.add_slider("time [s]", 0.0, 1.0, 1e-3, 0.0, visible=False)
+            self._speed = gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1)
+            self._reset = gui.add_button("Reset", hint="Return to the start")
+            self._push = gui.add_button("Push")
+        with gui.add_folder("Strategy", visible=live):
+            self._strategy = gui.add_dropdown("strategy", ("-",), initial_value="-")
+        find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
+        with gui.add_folder("Legend", expand_by_default=False):
+            gui.add_markdown(LEGEND)
+        self._sought_at = float("-inf")
+        self._capabilities: Capabilities | None = None
+        self._on_click(send, lambda: "send")
+        self._on_click(find, lambda: "find")
+        self._on_click(self._pause, lambda: Pause(True))
+        self._on_click(self._resume, lambda: Pause(False))
+        self._on_click(self._reset, Reset)
+        self._on_click(self._push, Push)
+        self._on_choice(self._preset, lambda name: name if name in GOAL_PRESETS else None)
+        self._on_choice(self._speed, lambda f: SetSpeed(f) if math.isfinite(f) else None)
+        self._on_choice(
+            self._strategy, lambda it: SetStrategy(it) if it in self._strategy.options else None
+        )
+        self._on_choice(self._seek, self._seek_to)
+
+    @property
+    def sends_at_once(self) -> bool:
+        """Whether a goal is sent as soon as its drag ends."""
+        return bool(self._at_once.value)
+
+    def put(self, request: Request | str) -> None:
+        """Add a request to the queue; from any thread."""
+        self._requests.put(request)
+
+    def take(self) -> list[Request | str]:
+        """Return the requests since the last call.
+
+        A text is the name of a goal preset, a phase of a drag (start, update, end), send, or find.
+        """
+        taken: list[Request | str] = []
+        while not self._requests.empty():
+            taken.append(self._requests.get())
+        return taken
+
+    def reset_preset(self) -> None:
+        """Clear the selected goal preset, so that it can be selected again."""
+        _set(self._preset, "value", PICK)
+
+    def show(self, frame: Frame) -> None:
+        """Update texts and widgets; to be called a few times a second."""
+        _set(self._status, "content", status_bar(frame, self._live))
+        _set(self._numbers, "content", numbers(frame))
+        capabilities = frame.capabilities
+        if capabilities != self._capabilities:
+            self._capabilities = capabilities
+            self._show_capabilities(capabilities)
+        if capabilities.duration is not None and (
+            time.monotonic() > self._sought_at + _SEEK_HOLD
+        ):
+            _set(self._seek, "value", round(min(frame.time, capabilities.duration), 3))
+        self._show_strategy(frame)
+
+    def _show_capabilities(self, capabilities: Capabilities) -> None:
+        for handle, visible in (
+            (self._pause, capabilities.pause and not capabilities.paused),
+            (self._resume, capabilities.pause and capabilities.paused),
+            (self._reset, capabilities.reset),
+            (self._push, capabilities.push),
+            (self._speed, capabilities.speed is not None),
+            (self._seek, capabilities.duration is not None),
+        ):
+            _set(handle, "visible", visible)
+        if capabilities.speed is not None:
+            _set(self._speed, "value", capabilities.speed)
+        if capabilities.duration is not None:
+            _set(self._seek, "max", max(capabilities.duration, 1e-3))
+
+    def _show_strategy(self, frame: Frame) -> None:
+        # A strategy that cannot be changed is shown as a list of one.
+        options = frame.capabilities.strategies or ((frame.strategy or "-"),)
+        if tuple(self._strategy.options) != options:
+            self._strategy.options = options
+        if frame.strategy in options:
+            _set(self._strategy, "value", frame.strategy)
+        _set(self._strategy, "disabled", len(options) < 2)
+
+    def _seek_to(self, moment: float) -> Seek | None:
+        self._sought_at = time.monotonic()
+        return Seek(moment) if math.isfinite(moment) else None
+
+    def _on_click(self, button: Any, make: Callable[[], Request | str]) -> None:
+        button.on_click(lambda _: self.put(make()))
+
+    def _on_choice(self, handle: Any, make: Callable[[Any], Request | str | None]) -> None:
+        def choose(event: viser.GuiEvent) -> None:
+            # Updates by this program have no client.
+            request = make(event.target.value) if event.client is not None else None
+            if request is not None:
+                self.put(request)
+
+        handle.on_update(choose)
+
+
+def _set(handle: Any, name: str, value: object) -> None:
+    """Set a property if it differs; each assignment is sent to every page."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)

@@ -1,0 +1,119 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Newest values of a live robot, updated by its messages; arrival times [s; steady clock]."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sphere_nmpc.model.state import POSITION, Vector
+from sphere_sim.recording.controller_status import HOLDING, solve_status
+from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
+from sphere_sim.viewer.liveness import Liveness
+
+_PAUSE_TIMEOUT = 0.5
+"""Time without a newer stamp after which the robot's clock counts as paused [s]."""
+_MAX_SPEED = 20.0
+"""Speed above which a change of position is a restart at another place [m/s]."""
+_POSITION_TOLERANCE = 0.1
+"""Change of position that is never a restart [m]."""
+_MIN_HEIGHT = 1e-3
+"""Height of the centre below which it does not give the radius of the shell [m]."""
+
+
+class LiveFrame:
+    """Frame that each message updates, with the alerts about missing messages."""
+
+    def __init__(self, now: float) -> None:
+        self.frame = Frame()
+        """Newest values, without alerts."""
+        self._liveness = Liveness()
+        self._stamp_changed_at = now
+
+    @property
+    def paused(self) -> bool:
+        """Whether poses arrive, or arrived last, but all with the same stamp."""
+        pose_at = self._liveness.pose_at
+        return pose_at is not None and pose_at - self._stamp_changed_at > _PAUSE_TIMEOUT
+
+    def take(self, now: float, controllers: int) -> Frame:
+        """Return the frame with its alerts; the next one is not marked as restarted.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        controllers : int
+            Number of controllers in the graph.
+        """
+        frame, self.frame = self.frame, replace(self.frame, restarted=False)
+        self._liveness.controllers = controllers
+        return replace(frame, alerts=self._liveness.alerts(now))
+
+    def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
+        """Update the state.
+
+        Parameters
+        ----------
+        stamp : float
+            Stamp of the pose on the robot's clock [s].
+        state : ndarray, shape (6,)
+            Its state.
+        height : float
+            Height of the centre [m], which is the radius; the default radius if it is 0.
+        now : float
+            Time of arrival [s].
+        """
+        self._liveness.refused, self._liveness.pose_at = "", now
+        last = self.frame
+        if stamp != last.time:
+            self._stamp_changed_at = now
+        radius = height if height > _MIN_HEIGHT else DEFAULT_RADIUS
+        self.frame = replace(
+            last, time=stamp, state=state, radius=radius,
+            restarted=last.restarted or _is_restart(last, stamp, state),
+        )
+
+    def refuse_pose(self, reason: str) -> None:
+        """Report a pose that cannot be shown."""
+        self._liveness.refused = reason
+
+    def add_rotors(self, speeds: Vector, torques: Vector) -> None:
+        """Update rotor speeds, shape (2,) [rad/s], and torques, shape (2,) [N m]."""
+        self.frame = replace(self.frame, rotor_speeds=speeds, rotor_torques=torques)
+
+    def add_goal(self, goal: Vector) -> None:
+        """Update the goal in force, shape (6,)."""
+        self.frame = replace(self.frame, goal=goal)
+
+    def add_plan(self, states: Vector) -> None:
+        """Update the predicted states, shape (n, 6)."""
+        self.frame = replace(self.frame, plan=states)
+
+    def add_status(self, values: Mapping[str, str]) -> None:
+        """Update the values of the newest solve from those of a status message."""
+        solve = solve_status(values)
+        to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
+        self.frame = replace(
+            self.frame,
+            # The value of a minimum-time problem is the time to go.
+            cost=solve.cost if np.isnan(to_go) else float("nan"),
+            to_go=to_go,
+            solve_time=solve.duration if solve.duration > 0.0 else float("nan"),
+            strategy=values.get("strategy", ""),
+            mode=values.get("mode", ""),
+        )
+
+    def controller_seen(self, now: float) -> None:
+        """Note a message of the controller that arrived now [s]."""
+        self._liveness.controller_at = now
+
+
+def _is_restart(last: Frame, stamp: float, state: Vector) -> bool:
+    """Return whether time went back, or the sphere moved faster than it can."""
+    if last.state is None:
+        return False
+    elapsed = stamp - last.time
+    distance = float(np.linalg.norm(state[POSITION] - last.state[POSITION]))
+    return elapsed < 0.0 or distance > _MAX_SPEED * elapsed + _POSITION_TOLERANCE

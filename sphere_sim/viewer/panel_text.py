@@ -1,0 +1,48 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Texts of the control panel: status bar, numbers and legend."""
+
+import html
+
+from sphere_nmpc.model.state import angle_error, position_error
+from sphere_sim.viewer import colours
+from sphere_sim.viewer.colours import Colour, css
+from sphere_sim.viewer.frame import Frame
+
+LEGEND = """
+- **blue panels**: the sphere; translucent, so that the rotors are visible
+- **orange disc**: rotor 1, about body x; **green disc**: rotor 2, about body y; drawn turning ten
+  times slower than they do. Caps of the same colours: ends of their axes; black: body z
+- **red-orange circle**: Γ, the circle through the rotors
+- **black line** on the shell: past contact points
+- **blue line**: path; **light blue**: predicted plan with its knots
+- **pink sphere**: the goal
+"""
+
+
+def status_bar(frame: Frame, live: bool) -> str:
+    """Return the status bar as HTML: the alerts, or whether time is running."""
+    if frame.alerts:
+        return _box(colours.VERMILION, "<br>".join(map(html.escape, frame.alerts)))
+    if frame.capabilities.paused:
+        return _box(colours.INK, "paused" if live else "recording, stopped")
+    return _box(colours.GREEN, "live") if live else _box(colours.BLUE, "recording, playing")
+
+
+def numbers(frame: Frame) -> str:
+    """Return time, mode and distance to the goal as Markdown.
+
+    There are always three lines: the widgets below must not move under the mouse pointer.
+    """
+    distance = "–"
+    if frame.state is not None and frame.goal is not None:
+        distance = (
+            f"to the goal: **{position_error(frame.state, frame.goal):.3f} m**, "
+            f"**{angle_error(frame.state, frame.goal):.3f} rad**"
+        )
+    return "  \n".join((f"t = **{frame.time:.2f} s**", frame.mode or "–", distance))
+
+
+def _box(colour: Colour, text: str) -> str:
+    style = "padding:6px 10px;margin:6px 0;border-radius:4px;color:white;font-weight:600"
+    return f'<div style="{style};background:{css(colour)}">{text}</div>'

@@ -1,0 +1,90 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of a live robot: restarts, pauses, radius, and values of status messages."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.state import make_state
+from sphere_sim.viewer.frame import DEFAULT_RADIUS
+from sphere_sim.viewer.live_frame import LiveFrame
+
+
+def state(x: float) -> np.ndarray:
+    return make_state((x, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("stamp", "x", "restarted"),
+    [
+        (5.1, 0.3, False),
+        (5.1, 2.0, False),  # the fastest motion that is not a restart: 20 m/s and 0.1 m
+        (5.1, 2.2, True),
+        (5.0, 0.05, False),
+        (4.9, 0.0, True),
+    ],
+)
+def test_restart_is_a_step_back_in_time_or_an_impossible_speed(stamp, x, restarted) -> None:
+    live = LiveFrame(0.0)
+    live.add_pose(5.0, state(0.0), 0.3, 0.0)
+    assert not live.take(0.0, 1).restarted, "the first pose is not a restart"
+    live.add_pose(stamp, state(x), 0.3, 0.1)
+    assert live.take(0.1, 1).restarted is restarted
+    assert not live.take(0.1, 1).restarted, "a restart is reported once"
+
+
+def test_restart_between_two_frames_is_not_lost() -> None:
+    live = LiveFrame(0.0)
+    for stamp in (5.0, 1.0, 1.1):
+        live.add_pose(stamp, state(0.0), 0.3, 0.0)
+    assert live.take(0.0, 1).restarted
+
+
+def test_clock_is_paused_while_poses_repeat_a_stamp() -> None:
+    live = LiveFrame(0.0)
+    assert not live.paused
+    live.add_pose(1.0, state(0.0), 0.3, 10.0)
+    live.add_pose(1.0, state(0.0), 0.3, 10.4)
+    assert not live.paused
+    live.add_pose(1.0, state(0.0), 0.3, 10.6)
+    assert live.paused
+    live.take(99.0, 1)
+    assert live.paused, "missing poses do not resume the clock"
+    live.add_pose(1.1, state(0.0), 0.3, 99.0)
+    assert not live.paused
+
+
+@pytest.mark.parametrize(("height", "radius"), [(0.25, 0.25), (0.0, DEFAULT_RADIUS)])
+def test_radius_is_the_height_of_the_centre(height, radius) -> None:
+    live = LiveFrame(0.0)
+    live.add_pose(1.0, state(0.0), height, 0.0)
+    assert live.frame.radius == radius
+
+
+def test_refused_pose_is_an_alert_until_the_next_valid_one() -> None:
+    live = LiveFrame(0.0)
+    live.controller_seen(0.0)
+    live.refuse_pose("frame: given 'map'")
+    assert live.take(0.1, 1).alerts == ("pose refused: frame: given 'map'",)
+    live.add_pose(1.0, state(0.0), 0.3, 0.1)
+    assert live.take(0.1, 1).alerts == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "cost", "to_go", "solve_time"),
+    [
+        ({"time_s": "2", "arrival_s": "5", "solve_time_s": "0.01", "cost": "3"},
+         np.nan, 3.0, 0.01),
+        ({"time_s": "2", "plan": "holding", "cost": "0"}, np.nan, 0.0, np.nan),
+        ({"time_s": "2", "solve_time_s": "0.02", "cost": "7"}, 7.0, np.nan, 0.02),
+        ({"solve_time_s": "0", "cost": "?"}, np.nan, np.nan, np.nan),
+    ],
+)
+def test_status_gives_either_time_to_go_or_cost(values, cost, to_go, solve_time) -> None:
+    live = LiveFrame(0.0)
+    live.add_status({**values, "strategy": "paper", "mode": "tracking"})
+    frame = live.frame
+    np.testing.assert_array_equal(
+        [frame.cost, frame.to_go, frame.solve_time], [cost, to_go, solve_time]
+    )
+    assert (frame.strategy, frame.mode) == ("paper", "tracking")

@@ -1,23 +1,27 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever ends the controller's process leaves the rotors on a ramp to rest."""
+"""Start and end of a node's process: the last command of a controller is a ramp to rest."""
 
 import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
+from ros_graph import PATIENCE
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.ros.conversions import hold_from_trajectory, pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.lifetime import StopRequest
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 CASE = PAPER_CASES[1]
@@ -59,13 +63,8 @@ def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
         for number in signals:
             controller.send_signal(number)
             graph.spin_for(0.02)
-        asked = time.monotonic()
         graph.until(lambda: controller.poll() is not None)
         assert controller.returncode == 0, controller.stderr.read()
-        took = time.monotonic() - asked
-        # Where others wait for the processor too, their number decides and not the node.
-        busy = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
-        assert busy or took < 4.0, "launch kills after five seconds"
         graph.until(lambda: not np.any(commands[-1].data))
     finally:
         controller.kill()
@@ -78,32 +77,50 @@ def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
     assert np.max(steps) < 60.0, "the sampled ramp has no jump to zero"
 
 
-def test_signal_while_a_node_waits_is_noticed_at_once(graph) -> None:
+def test_signal_ends_a_node_that_waits_for_messages(graph) -> None:
     node = start(CONTROLLER)
     graph.until(lambda: graph.probe.count_publishers("controller/status") > 0)
-    asked = time.monotonic()
     node.send_signal(signal.SIGINT)
-    assert node.wait(timeout=10) == 0
-    assert time.monotonic() - asked < 3.0
+    assert node.wait(timeout=PATIENCE) == 0
+
+
+@pytest.fixture
+def own_handlers() -> Iterator[None]:
+    """Restore the signal handlers of the test session afterwards."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.getsignal(number) for number in numbers]
+    yield
+    for number, handler in zip(numbers, handlers, strict=True):
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_wakes_a_node_that_waits_in_the_middleware(number, own_handlers) -> None:
+    woken = threading.Event()
+    with StopRequest() as stop:
+        stop.wake = woken.set
+        os.kill(os.getpid(), number)
+        assert woken.wait(PATIENCE)
+        assert stop.requested
 
 
 @pytest.mark.parametrize(
-    "arguments, code, told",
+    "arguments, code, words",
     [
         (["-p", "horizon:=0"], 2, "horizon: given 0, expected 1 to 60"),
         (["-p", "robot.shell_mass:=heavy"], 2, "robot.shell_mass: given 'heavy', expected"),
         (["--params-file", "absent.yaml"], 2, "cannot start: .* Error opening YAML file"),
     ],
 )
-def test_wrong_parameter_ends_the_node_with_one_line(arguments, code, told) -> None:
+def test_wrong_parameter_ends_the_node_with_one_line(arguments, code, words) -> None:
     node = start(CONTROLLER, *arguments)
     _, errors = node.communicate(timeout=20)
     assert node.returncode == code
     assert len(errors.strip().splitlines()) == 1
-    assert re.search(told, errors)
+    assert re.search(words, errors)
 
 
-def test_argument_that_is_not_understood_is_told() -> None:
+def test_unknown_argument_is_named() -> None:
     done = subprocess.run(
         [sys.executable, "-c", CONTROLLER, "horizon:=3"],
         capture_output=True, text=True, timeout=20, check=False,
@@ -112,7 +129,7 @@ def test_argument_that_is_not_understood_is_told() -> None:
     assert "horizon:=3: not understood" in done.stderr
 
 
-def test_help_tells_topics_without_starting() -> None:
+def test_help_lists_topics_without_starting() -> None:
     done = subprocess.run(
         [sys.executable, "-c", CONTROLLER, "--help"],
         capture_output=True, text=True, timeout=20, check=False,

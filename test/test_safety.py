@@ -35,9 +35,9 @@ def dangers(source: str) -> Iterator[str]:
         if called in CALLS:
             yield f"line {node.lineno}: {called}"
         for keyword in node.keywords:
-            said = ast.unparse(keyword.value)
-            if (keyword.arg, said) in (("shell", "True"), ("allow_pickle", "True")):
-                yield f"line {node.lineno}: {keyword.arg}={said}"
+            value = ast.unparse(keyword.value)
+            if (keyword.arg, value) in (("shell", "True"), ("allow_pickle", "True")):
+                yield f"line {node.lineno}: {keyword.arg}={value}"
 
 
 @pytest.mark.parametrize(

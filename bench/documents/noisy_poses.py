@@ -35,7 +35,7 @@ TAIL = 10.0
 class Outcome:
     """Arrival time of a run [s], inf if never, and its errors at the end [m, rad]."""
 
-    home: float
+    arrived: float
     position: float
     angle: float
 
@@ -63,9 +63,9 @@ def run(
     angle = angle_errors(found.states, scenario.goal)
     away = np.flatnonzero((position > NEAR) | (angle > NEAR_ANGLE))
     first = int(away[-1]) + 1 if away.size else 0
-    home = float(found.times[first]) if first < len(found.times) else math.inf
+    arrived = float(found.times[first]) if first < len(found.times) else math.inf
     tail = found.times > duration - TAIL
-    return Outcome(home, float(np.max(position[tail])), float(np.max(angle[tail])))
+    return Outcome(arrived, float(np.max(position[tail])), float(np.max(angle[tail])))
 
 
 def main() -> None:
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=30.0)
     parser.add_argument("--plants", nargs="+", default=["rolling", "rigid_body"])
     arguments = parser.parse_args()
-    print("| plant | strategy | poses | home at the end | from, median (worst) [s] "
+    print("| plant | strategy | poses | arrived at the end | from, median (worst) [s] "
           "| largest error in the last 10 s, median (worst) |")
     print("|---|---|---|---|---|---|")
     for plant in arguments.plants:
@@ -92,13 +92,13 @@ def _row(
     plant: str, way: tuple[str, float], fused: bool, runs: list[Outcome], latest: float
 ) -> str:
     # One that came near only just before the end has not shown that it stays.
-    home = [found.home for found in runs if found.home <= latest]
-    times = f"{np.median(home):.1f} ({max(home):.1f})" if home else "-"
+    arrived = [found.arrived for found in runs if found.arrived <= latest]
+    times = f"{np.median(arrived):.1f} ({max(arrived):.1f})" if arrived else "-"
     position = np.array([found.position for found in runs])
     angle = np.degrees([found.angle for found in runs])
     name = way[0] if way[0] == "time_optimal" else f"{way[0]}, α = {way[1]:g}"
     return (
-        f"| {plant} | {name} | {'fused' if fused else 'trusted'} | {len(home)} of {len(runs)} "
+        f"| {plant} | {name} | {'fused' if fused else 'trusted'} | {len(arrived)} of {len(runs)} "
         f"| {times} | {100 * np.median(position):.1f} cm, {np.median(angle):.1f}° "
         f"({100 * np.max(position):.1f} cm, {np.max(angle):.1f}°) |"
     )

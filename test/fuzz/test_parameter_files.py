@@ -44,14 +44,14 @@ class Passing(RunnableNode):
         executor.spin_once(timeout_sec=0.1)
 
 
-def starts_or_tells(path: Path, text: bytes, capfd) -> None:
+def starts_or_reports(path: Path, text: bytes, capfd) -> None:
     path.write_bytes(text)
     code = run(Passing, ["--ros-args", "--params-file", str(path)], "")
-    told = capfd.readouterr().err
+    output = capfd.readouterr().err
     assert code in (0, 1, 2)
-    assert "Traceback" not in told
+    assert "Traceback" not in output
     if code:
-        assert told.strip(), "a node that does not start says why"
+        assert output.strip(), "a node that does not start says why"
 
 
 FILES = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -62,7 +62,7 @@ FILES = settings(max_examples=60, suppress_health_check=[HealthCheck.function_sc
 def test_any_values(tmp_path, capfd, values) -> None:
     lines = ["controller:", "  ros__parameters:"]
     lines += [f"    {name}: {value}" for name, value in values.items()]
-    starts_or_tells(tmp_path / "values.yaml", "\n".join(lines).encode(), capfd)
+    starts_or_reports(tmp_path / "values.yaml", "\n".join(lines).encode(), capfd)
 
 
 @FILES
@@ -70,11 +70,11 @@ def test_any_values(tmp_path, capfd, values) -> None:
     st.binary(max_size=80), st.text("{}[]:-#&*!|>'\"%@`, \n\tab1/", max_size=60).map(str.encode)
 ))
 def test_any_text(tmp_path, capfd, text) -> None:
-    starts_or_tells(tmp_path / "any.yaml", text, capfd)
+    starts_or_reports(tmp_path / "any.yaml", text, capfd)
 
 
 @pytest.mark.parametrize("missing", ["none.yaml", "."])
 def test_file_that_cannot_be_read(tmp_path, capfd, missing) -> None:
     code = run(Passing, ["--ros-args", "--params-file", str(tmp_path / missing)], "")
-    told = capfd.readouterr().err
-    assert code == 2 and "Traceback" not in told and "cannot start" in told
+    output = capfd.readouterr().err
+    assert code == 2 and "Traceback" not in output and "cannot start" in output

@@ -95,18 +95,18 @@ def check_own(verb: str, words: Sequence[str], inline: bool) -> None:
         return
     # In running text a capital letter is a number; 0.5 0.5 0.5 0.5 is an orientation.
     for number in ("0.5", "1"):
-        told = io.StringIO()
+        output = io.StringIO()
         given = [number if re.fullmatch("[A-Z]", word) else word for word in words]
         try:
-            with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()):
+            with contextlib.redirect_stderr(output), contextlib.redirect_stdout(io.StringIO()):
                 PARSERS[verb](given)
         except SystemExit as end:
-            lacking = re.search("are required|is required|expected .*argument", told.getvalue())
+            lacking = re.search("are required|is required|expected .*argument", output.getvalue())
             if not end.code or (inline and lacking):
                 return
         else:
             return
-    raise WrongCommandError(told.getvalue().strip().splitlines()[-1])
+    raise WrongCommandError(output.getvalue().strip().splitlines()[-1])
 
 
 class Options(argparse.ArgumentParser):

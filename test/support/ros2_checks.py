@@ -20,11 +20,11 @@ def offered() -> dict[str, str]:
     """Return the type of each documented topic and service, by its full name."""
     found, node = {}, ""
     # A service may be in the text, followed by its type in brackets.
-    told = re.compile(
+    entry = re.compile(
         r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \||"
         r"`(?P<name>~/\w+)`\s+\((?P<srv>\S+/srv/\w+)\)", re.MULTILINE,
     )
-    for match in told.finditer(TOPICS.read_text("utf-8")):
+    for match in entry.finditer(TOPICS.read_text("utf-8")):
         node = match["node"] or node
         if not match["node"]:
             name = (match["row"] or match["name"]).replace("~", node).lstrip("/")

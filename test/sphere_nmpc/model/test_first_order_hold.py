@@ -130,7 +130,7 @@ def test_start_anywhere_leaves_the_speed_in_force_and_joins_later_knots(
 
 
 @given(hold=holds())
-def test_limited_hold_keeps_both_limits_whatever_was_asked(hold: FirstOrderHold) -> None:
+def test_limited_hold_keeps_both_limits_for_any_hold(hold: FirstOrderHold) -> None:
     started = hold.starting_at(hold.start, np.clip(hold.speeds[0], -MAX_SPEED, MAX_SPEED))
     limited = started.limited(MAX_SPEED, MAX_ACCELERATION)
     assert np.max(np.abs(limited.speeds)) <= MAX_SPEED

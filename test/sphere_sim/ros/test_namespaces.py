@@ -81,5 +81,5 @@ def test_two_robots_reach_their_goals_at_the_same_time(graph) -> None:
         ]
         assert max(errors) < 2e-2, "twice the tolerance, beyond which an arrival is taken back"
     for node in (first, second):
-        told = node.stderr.read()
-        assert "clock jumped" not in told and "other publisher" not in told
+        output = node.stderr.read()
+        assert "clock jumped" not in output and "other publisher" not in output

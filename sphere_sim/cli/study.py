@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``sphere_nmpc study``: run many scenarios and write tables of the outcome."""
+"""``sphere_nmpc study``: run many scenarios and write tables of the results."""
 
 import argparse
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from sphere_sim.study.conditions import StudyConditions
 
 _KINDS = ("anywhere", "far", "circle", "half_turn")
-"""The names in `sphere_sim.scenario.draws.DRAWS`, which would load NumPy; a test compares them."""
+"""Names of `sphere_sim.scenario.draws.DRAWS`, whose import would load NumPy; a test compares."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
-"""More are a slip of the finger."""
+"""Largest numbers that are accepted."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the verb.
+    """Run the study.
 
     Parameters
     ----------
@@ -35,17 +35,17 @@ def main(argv: Sequence[str]) -> int:
     Returns
     -------
     int
-        0 when all runs were made, 1 when one crashed.
+        0 when all runs were made, 1 when a run crashed.
 
     Raises
     ------
     SphereNmpcError
-        If the study cannot be made.
+        If arguments are invalid, or runs cannot be made or recorded.
     """
     arguments = _parser().parse_args(argv)
     limit_library_threads()  # before numpy is loaded, hence the imports below
     out = arguments.out
-    kept = f"{out} keeps the runs made so far and the same command goes on from them"
+    kept = f"{out} has the runs made so far; the same command continues from them"
     with if_interrupted(lambda: kept):
         return _run(arguments)
 
@@ -69,8 +69,8 @@ def _run(arguments: argparse.Namespace) -> int:
     def search(scenarios: "Sequence[Scenario]") -> Sequence[float]:
         progress.close()
         left = (
-            f"{arguments.out} has all results but the best known times, for which the same "
-            "command goes on"
+            f"{arguments.out} has all results but the best known times; the same command "
+            "continues the search"
         )
         with if_interrupted(lambda: left):
             return best_known_times(scenarios, conditions.robot, workers)
@@ -108,25 +108,25 @@ def _conditions(arguments: argparse.Namespace, strategy: str) -> "StudyCondition
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc study",
-        description="Run many scenarios in closed loop and write tables of the outcome. "
-        "A study that was interrupted goes on where it was.",
+        description="Run many scenarios in closed loop and write tables of the results. "
+        "The same command continues an interrupted study.",
     )
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
         "--scenarios", type=Path, metavar="FILE.csv",
-        help="starts and goals: x,y,qw,qx,qy,qz,goal_x,...,goal_qz and, if wanted, seed",
+        help="starts and goals: x,y,qw,qx,qy,qz,goal_x,...,goal_qz and, optionally, seed",
     )
     source.add_argument(
         "--draw", type=whole(1, _MOST_DRAWN), metavar="N",
-        help="draw N scenarios; see --kind",
+        help="N random scenarios; see --kind",
     )
     parser.add_argument(
         "--kind", choices=_KINDS, default=_KINDS[0],
-        help="what is drawn: positions in +-3 m and any orientations; goals 10 to 50 m away; both "
-        "contact points on the circle Gamma; half turns in place about any axis",
+        help="kind of random scenarios: positions in +-3 m and any orientations; goals 10 to 50 m "
+        "away; both contact points on the circle Gamma; half turns in place about any axis",
     )
     parser.add_argument(
-        "--seed", type=whole(0), default=0, metavar="S", help="seed of the draw (0)"
+        "--seed", type=whole(0), default=0, metavar="S", help="seed of the random scenarios (0)"
     )
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder of the results"
@@ -138,11 +138,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
     parser.add_argument(
         "--perturb", type=not_negative, default=0.0, metavar="PERCENT",
-        help="largest error of each of the robot's parameters, which the controller is not told",
+        help="largest error of the robot's parameters, whose nominal values the controller has",
     )
     parser.add_argument(
         "--process-noise", type=not_negative, default=0.0, metavar="S",
-        help="standard deviation added to each state every noise_period (0.5 s)",
+        help="standard deviation of the noise added to each state every noise_period (0.5 s)",
     )
     parser.add_argument(
         "--pose-noise", type=not_negative, nargs=2, default=(0.0, 0.0),
@@ -151,7 +151,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--latency", type=not_negative, default=0.0, metavar="SECONDS",
-        help="age of the newest pose at a sample instant",
+        help="age of the newest pose at a sampling instant",
     )
     parser.add_argument(
         "--duration", type=positive, default=30.0, metavar="SECONDS",
@@ -166,10 +166,10 @@ def _parser() -> argparse.ArgumentParser:
         "--scheduler", metavar="URL", help="run on this Dask cluster, such as tcp://host:8786"
     )
     parser.add_argument(
-        "--no-learning", action="store_true", help="keep the controller's idea of the robot"
+        "--no-learning", action="store_true", help="do not estimate the robot's parameters"
     )
     parser.add_argument(
-        "--no-bound", action="store_true", help="leave out the best known times"
+        "--no-bound", action="store_true", help="do not search for the best known times"
     )
     parser.add_argument(
         "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",

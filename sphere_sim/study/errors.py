@@ -21,7 +21,7 @@ class NotWrittenError(SphereNmpcError):
     def __init__(self, path: Path, error: OSError) -> None:
         reason = (error.strerror or str(error)).lower()
         super().__init__(
-            f"{path}: cannot be written: {reason}; the same command goes on from the runs made"
+            f"{path}: cannot be written: {reason}; the same command continues from the runs made"
         )
 
 

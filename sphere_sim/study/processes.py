@@ -114,7 +114,7 @@ class Processes:
                     if deaths[name] == TRIES:
                         raise WorkersError(
                             f"{what} {name}: its process died {TRIES} times ({reason}); is there "
-                            "enough memory? The same command goes on from what was made"
+                            "enough memory? The same command continues from what was made"
                         ) from None
                     waiting.appendleft(task)
                     continue

@@ -106,7 +106,7 @@ def test_study_on_a_full_disk_keeps_its_runs_and_continues(tmp_path) -> None:
         return process.returncode, [line for line in message.splitlines() if "study:" in line]
 
     def cannot(name: str) -> list[str]:
-        reason = "cannot be written: file too large; the same command goes on from the runs made"
+        reason = "cannot be written: file too large; the same command continues from the runs made"
         return [f"sphere_nmpc study: {tmp_path / name}: {reason}"]
 
     assert run(100) == (1, cannot("journal.jsonl"))

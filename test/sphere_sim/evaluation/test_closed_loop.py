@@ -67,7 +67,7 @@ def limits_are_kept(trajectory: Trajectory) -> None:
 
 
 @pytest.mark.parametrize(("case", "seen"), [(1, 12.3), (2, 12.6), (3, 6.6), (4, 8.6)])
-def test_case_of_the_paper_settles_as_it_did(case: int, seen: float) -> None:
+def test_case_of_the_paper_settles_at_its_known_time(case: int, seen: float) -> None:
     found = run(case, 20.0)
     # Four sample periods: cases 1 and 2 pass near several local minima, and another compiler's
     # rounding may choose another one.
@@ -111,7 +111,7 @@ def test_prediction_at_each_sample_is_where_the_plant_went() -> None:
         assert np.linalg.norm(decision.plan.states[1] - following.state) < 1e-3
 
 
-def test_pose_that_is_late_by_a_known_time_costs_little() -> None:
+def test_known_latency_costs_little_time() -> None:
     found = run(3, 12.0, latency=0.1)
     assert abs(settling_time(3, found) - 6.6) <= 1.0
 
@@ -130,39 +130,39 @@ def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
     limits_are_kept(found)
 
 
-def test_solver_that_fails_now_and_then_only_costs_time() -> None:
-    class Moody(PaperStrategy):
+def test_strategy_that_fails_at_times_only_costs_time() -> None:
+    class Unreliable(PaperStrategy):
         calls = 0
 
         def plan(self, situation: Situation) -> Plan:
             self.calls += 1
             if self.calls % 4 == 0:
-                raise RuntimeError("moody")
+                raise RuntimeError("at times")
             return super().plan(situation)
 
-    controller = Controller(PAPER, ROBOT, Moody(PAPER, ROBOT))
+    controller = Controller(PAPER, ROBOT, Unreliable(PAPER, ROBOT))
     found = run(3, 25.0, controller=controller)
     assert controller.failures == 12
     assert settling_time(3, found) < 20.0
     limits_are_kept(found)
 
 
-def test_solver_that_dies_in_flight_leaves_the_sphere_at_rest() -> None:
-    class Mortal(PaperStrategy):
+def test_strategy_that_fails_on_the_way_leaves_the_sphere_at_rest() -> None:
+    class Failing(PaperStrategy):
         def plan(self, situation: Situation) -> Plan:
             if situation.time > 1.9:
-                raise MemoryError("dead")
+                raise MemoryError("from now on")
             return super().plan(situation)
 
-    found = run(1, 6.0, controller=Controller(PAPER, ROBOT, Mortal(PAPER, ROBOT)))
+    found = run(1, 6.0, controller=Controller(PAPER, ROBOT, Failing(PAPER, ROBOT)))
     assert found.decisions[-1].mode is Mode.FALLBACK
     np.testing.assert_array_equal(found.speeds[-1], [0.0, 0.0])
     np.testing.assert_allclose(found.states[-1], found.states[-5], atol=1e-12)
     limits_are_kept(found)
 
 
-def test_plans_that_are_made_ahead_and_sent_late_arrive_as_exactly() -> None:
-    """Planning takes time, in which what is in force goes on, round its bends."""
+def test_plans_made_ahead_and_sent_late_reach_the_goal_as_exactly() -> None:
+    """While a plan is made the previous one is followed, also across its knots."""
     settings, scenario = ControllerSettings(strategy="time_optimal"), PAPER_CASES[1]
     start = tuple(float(v) for v in scenario.start)
     simulator = Simulator(SimulatorSettings(initial_state=start), ROBOT)

@@ -22,8 +22,8 @@ pytest.importorskip("mujoco")
 ROBOT = RobotParameters()
 CASE = PAPER_CASES[3]
 LAG = 1.0 / RigidBodySettings().drive_bandwidth
-FLOOR = 1e-3
-"""Error that remains; on the ideal plant it is a thousand times less."""
+FINAL_ERROR = 1e-3
+"""Error at the end; on the ideal plant it is a thousand times less."""
 
 
 def run(
@@ -40,17 +40,17 @@ def settling_time(found: Trajectory) -> float:
 
 
 @pytest.mark.parametrize("learning", [True, False])
-def test_lag_of_the_drives_costs_nothing_once_it_is_known(learning: bool) -> None:
+def test_known_lag_of_the_drives_costs_no_time(learning: bool) -> None:
     # 1.57 s was seen on the ideal plant.
     settings = ControllerSettings(learning=learning, drive_lag=0.0 if learning else LAG)
     controller = Controller(settings, ROBOT)
     found = run(controller, settings)
     assert settling_time(found) < 2.0
-    assert state_errors(found.states, CASE.goal)[-1] < FLOOR
+    assert state_errors(found.states, CASE.goal)[-1] < FINAL_ERROR
     assert controller.estimator.plant.lag == pytest.approx(LAG, abs=5e-4)
 
 
-def test_weak_drives_and_a_slippery_floor_need_to_be_known() -> None:
+def test_known_limits_of_drives_and_floor_cost_little_time() -> None:
     settings = ControllerSettings()
     weak = Controller(settings, replace(ROBOT, max_rotor_torque=1.6))
     assert settling_time(run(weak, settings, RigidBodySettings(torque_limit=1.6))) < 3.0
@@ -58,8 +58,8 @@ def test_weak_drives_and_a_slippery_floor_need_to_be_known() -> None:
     assert settling_time(run(careful, settings, RigidBodySettings(friction=0.2))) < 3.0
 
 
-def test_a_slippery_floor_is_noticed_and_driven_on_gently() -> None:
-    # 3.3 s were seen; with all of the drives' acceleration it never arrives.
+def test_slip_reduces_the_planned_acceleration() -> None:
+    # 3.3 s were seen; with the full acceleration of the drives it does not arrive.
     settings = ControllerSettings()
     found = run(Controller(settings, ROBOT), settings, RigidBodySettings(friction=0.2))
     assert settling_time(found) < 4.5

@@ -30,7 +30,7 @@ def test_pose_age_is_the_latency_and_the_state_is_predicted(latency) -> None:
     trajectory = run(latency)
     for k, decision in enumerate(trajectory.decisions):
         assert decision.solved
-        # Before the run the sphere stood still, so the first poses count as measured at 0.
+        # Before the run the sphere is at rest, so that the first poses have the stamp 0.
         assert decision.pose_age == pytest.approx(min(latency, 0.5 * k), abs=1e-9)
         truth = trajectory.states[50 * k]
         assert np.linalg.norm(decision.state - truth) < PREDICTED_WITHIN

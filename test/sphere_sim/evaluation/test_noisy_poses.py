@@ -45,7 +45,7 @@ def run(strategy: str, plant: str = "rolling", fused: bool = True) -> Trajectory
     )
 
 
-def is_away(states: Vector) -> Vector:
+def is_off_goal(states: Vector) -> Vector:
     far: Vector = (position_errors(states, CASE.goal) > NEAR) | (
         angle_errors(states, CASE.goal) > NEAR_ANGLE
     )
@@ -56,26 +56,26 @@ def is_away(states: Vector) -> Vector:
     ("strategy", "plant"),
     [("paper", "rolling"), ("time_optimal", "rolling"), ("time_optimal", "rigid_body")],
 )
-def test_case_3_is_home_and_stays_there(strategy: str, plant: str) -> None:
+def test_case_3_reaches_the_goal_and_stays_there(strategy: str, plant: str) -> None:
     if plant == "rigid_body":
         pytest.importorskip("mujoco")
     found = run(strategy, plant)
-    assert not np.any(is_away(found.states[found.times > 8.0]))
+    assert not np.any(is_off_goal(found.states[found.times > 8.0]))
 
 
-def test_without_the_estimator_the_papers_controller_follows_the_noise() -> None:
+def test_without_the_estimator_the_papers_controller_leaves_the_goal() -> None:
     found = run("paper", fused=False)
-    assert np.any(is_away(found.states[found.times > 8.0]))
+    assert np.any(is_off_goal(found.states[found.times > 8.0]))
 
 
-def test_confidence_is_told_with_each_decision_and_is_deserved() -> None:
+def test_decisions_have_a_covariance_below_that_of_the_poses() -> None:
     found = run("paper")
-    told = [d for d in found.decisions if d.state is not None and d.covariance is not None]
-    assert len(told) >= len(found.decisions) - 1
-    last = told[-1]
+    estimated = [d for d in found.decisions if d.state is not None and d.covariance is not None]
+    assert len(estimated) >= len(found.decisions) - 1
+    last = estimated[-1]
     assert 0.0 < last.position_deviation < POSITION_NOISE
     assert 0.0 < last.angle_deviation < ANGLE_NOISE
 
 
-def test_trusted_poses_come_without_covariance() -> None:
+def test_decisions_on_exact_poses_have_no_covariance() -> None:
     assert all(d.covariance is None for d in run("paper", fused=False).decisions)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files: what is taken, and one clear message for what is not."""
+"""Scenario files: what is accepted, and one error for what is not."""
 
 import csv
 import os
@@ -109,7 +109,7 @@ def test_a_bad_number_is_named_by_line_and_column(tmp_path_factory, column, text
 
 @given(st.binary(max_size=200), st.booleans())
 @settings(max_examples=150)
-def test_no_bytes_bring_anything_but_the_one_error(tmp_path_factory, noise, headed) -> None:
+def test_any_bytes_are_scenarios_or_the_one_error(tmp_path_factory, noise, headed) -> None:
     path = tmp_path_factory.getbasetemp() / "noise.csv"
     path.write_bytes((HEADER.encode() + b"\n" if headed else b"") + noise)
     try:
@@ -138,7 +138,7 @@ def test_quaternion_off_the_unit_sphere_is_refused(tmp_path) -> None:
     assert "1.41421" in error.given
 
 
-def test_position_out_of_the_world_is_refused(tmp_path) -> None:
+def test_too_far_position_is_refused(tmp_path) -> None:
     assert error_of(write(tmp_path, HEADER, "1e7" + ROW[1:])).column == "x"
 
 
@@ -163,7 +163,7 @@ def test_missing_file_and_folder_are_refused(tmp_path) -> None:
     assert error_of(tmp_path).given == "a directory"
 
 
-def test_what_does_not_end_is_refused_unread(tmp_path) -> None:
+def test_pipe_and_device_are_refused_unread(tmp_path) -> None:
     os.mkfifo(tmp_path / "pipe")
     assert error_of(tmp_path / "pipe").given == "a pipe"
     assert error_of(Path("/dev/zero")).given == "a device"
@@ -171,7 +171,7 @@ def test_what_does_not_end_is_refused_unread(tmp_path) -> None:
 
 def test_far_too_large_a_file_is_refused_unread(tmp_path) -> None:
     path = write(tmp_path, HEADER, ROW)
-    os.truncate(path, 10 * 2**30)  # takes no room on the disk
+    os.truncate(path, 10 * 2**30)  # takes no space on the disk
     error = error_of(path)
     assert (error.given, error.expected) == ("10240 MiB", "at most 256 MiB")
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots with wrong parameters."""
+"""Random errors of the robot's parameters."""
 
 from dataclasses import asdict
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's cases and random draws."""
+"""The paper's cases and random scenarios."""
 
 import numpy as np
 from scipy import stats
@@ -30,7 +30,7 @@ def test_cases_are_those_of_section_4() -> None:
     )
 
 
-def test_draw_is_the_same_for_the_same_seed_whatever_the_number() -> None:
+def test_random_scenarios_depend_on_seed_and_index_alone() -> None:
     few, many = draw_scenarios(3, 7), draw_scenarios(10, 7)
     for a, b in zip(few, many, strict=False):
         np.testing.assert_array_equal(a.start, b.start)
@@ -44,7 +44,7 @@ def test_positions_and_orientations_are_uniform() -> None:
     drawn = draw_scenarios(2000, 0)
     ends = np.array([s.start for s in drawn] + [s.goal for s in drawn])
     assert np.max(np.abs(ends[:, :2])) <= 3.0
-    # Kolmogorov-Smirnov at a level that a right draw misses once in a thousand seeds.
+    # Kolmogorov-Smirnov test at a level that one seed in a thousand fails.
     for axis in range(2):
         assert stats.kstest(ends[:, axis], stats.uniform(-3, 6).cdf).pvalue > 1e-3
     # On SO(3) the height of any body axis is uniform in -1 ... 1, and so is that of the contact.

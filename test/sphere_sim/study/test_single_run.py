@@ -23,10 +23,10 @@ SCENARIO = draw_scenarios(1, 5)[0]
 SHORT = StudyConditions(duration=4.0)
 
 SPEEDS_AGREE = 1e-6
-"""[rad/s]: knots may lie half a nanosecond beside the clock at which the drives saw them."""
+"""Difference by knot times that are rounded to nanoseconds [rad/s]."""
 
 STATES_AGREE = 1e-8
-"""Of the integration anew, in steps of other lengths [mixed units]."""
+"""Difference by the integration in steps of other lengths [mixed units]."""
 
 
 @pytest.mark.parametrize("rate", [0.0, 7.0])

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The pose sensor: when it looks, what is late, what is lost, and that a seed fixes all of it."""
+"""The pose sensor: sampling, latency, losses, and the same for the same seed."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def world(**changes: float) -> Simulator:
 
 
 def poses(made: Simulator, step: int, end: int = NANOSECONDS) -> list[tuple[int, int, Vector]]:
-    """Return when each pose came through, its stamp and what it says."""
+    """Return time of delivery, stamp and pose of each measurement."""
     found = [(0, *seen) for seen in made.poses()]
     for now in range(step, end + 1, step):
         made.advance_to(now)
@@ -31,7 +31,7 @@ def poses(made: Simulator, step: int, end: int = NANOSECONDS) -> list[tuple[int,
     return found
 
 
-def test_plain_sensor_sees_every_instant_it_is_asked_at() -> None:
+def test_plain_sensor_measures_at_each_call() -> None:
     made = world()
     seen = poses(made, 10 * MILLISECOND)
     assert [now for now, _, _ in seen] == [stamp for _, stamp, _ in seen]
@@ -39,13 +39,13 @@ def test_plain_sensor_sees_every_instant_it_is_asked_at() -> None:
     np.testing.assert_array_equal(seen[-1][2], made.plant.state)
 
 
-def test_rate_latency_and_stamp_are_those_asked_for() -> None:
+def test_rate_latency_and_stamp_are_those_of_the_settings() -> None:
     seen = poses(world(sensor_rate=20.0, sensor_latency=0.03), 10 * MILLISECOND)
     assert [stamp for _, stamp, _ in seen] == [50 * MILLISECOND * i for i in range(20)]
     assert all(now - stamp == 30 * MILLISECOND for now, stamp, _ in seen)
 
 
-def test_pose_says_where_the_sphere_was_at_its_stamp() -> None:
+def test_pose_is_the_state_at_its_stamp() -> None:
     late, truth = world(sensor_rate=20.0, sensor_latency=0.2), world()
     # The two take their steps at other instants: the plant's integrator makes a small difference.
     for _, stamp, pose in poses(late, 10 * MILLISECOND):
@@ -53,7 +53,7 @@ def test_pose_says_where_the_sphere_was_at_its_stamp() -> None:
         np.testing.assert_allclose(pose, truth.plant.state, atol=1e-9)
 
 
-def test_who_asks_when_changes_nothing_of_what_is_seen() -> None:
+def test_measurements_do_not_depend_on_when_poses_are_read() -> None:
     asked = dict(
         sensor_rate=20.0, sensor_latency=0.05, sensor_dropout=0.3, position_noise=0.01,
         orientation_noise=0.02, seed=4,
@@ -66,7 +66,7 @@ def test_who_asks_when_changes_nothing_of_what_is_seen() -> None:
         np.testing.assert_array_equal(pose, other_pose)
 
 
-def test_losses_are_the_share_asked_for_and_leave_the_other_poses_alone() -> None:
+def test_losses_have_the_given_share_and_do_not_change_other_poses() -> None:
     noisy = dict(sensor_rate=1000.0, position_noise=0.01, seed=2)
     whole = {stamp: pose for _, stamp, pose in poses(world(**noisy), 10 * MILLISECOND)}
     seen = poses(world(**noisy, sensor_dropout=0.2), 10 * MILLISECOND)
@@ -76,7 +76,7 @@ def test_losses_are_the_share_asked_for_and_leave_the_other_poses_alone() -> Non
         np.testing.assert_array_equal(pose, whole[stamp])
 
 
-def test_lockstep_refuses_a_sensor_that_does_not_answer_at_once() -> None:
+def test_lockstep_refuses_a_sensor_with_rate_latency_or_losses() -> None:
     for setting in ("sensor_rate", "sensor_latency", "sensor_dropout"):
         with pytest.raises(InvalidParameterError, match="lockstep"):
             SimulatorSettings(lockstep=True, **{setting: 0.5})

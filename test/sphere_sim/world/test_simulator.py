@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world: its clock, its commands and its noise."""
+"""The simulator: its clock, commands and noise."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def test_starts_at_rest_at_the_normalised_initial_state() -> None:
     np.testing.assert_allclose(world.plant.state, simulator().plant.state, atol=1e-15)
 
 
-def test_time_ends_at_the_very_nanosecond_asked_for() -> None:
+def test_time_advances_to_the_given_nanosecond() -> None:
     world = simulator()
     for then in (1, 12_345_678, 500_000_000, 500_000_001, 1_700_000_003):
         world.advance_to(then)
@@ -72,14 +72,14 @@ def test_states_do_not_depend_on_the_chunks_in_which_time_passes(chunk: int) -> 
 
 
 @pytest.mark.parametrize("chunk", [1_000_000, 3_333_333])
-def test_command_that_jumps_makes_chunks_matter_no_more_than_one_look_at_it(chunk: int) -> None:
+def test_command_that_jumps_makes_a_difference_of_at_most_one_evaluation(chunk: int) -> None:
     whole, cut = simulator(), simulator()
     for world in (whole, cut):
         world.follower.follow_speeds(np.array([50.0, -33.0]), 0.0)
     whole.advance_to(seconds(1.0))
     while cut.now < whole.now:
         cut.advance_to(min(cut.now + chunk, whole.now))
-    # The drives catch up within one look of 10 ms, wherever in it; 2e-5 was seen.
+    # The command is evaluated every 10 ms; 2e-5 was seen.
     np.testing.assert_allclose(cut.plant.state, whole.plant.state, atol=1e-3)
 
 
@@ -119,7 +119,7 @@ def disturbances(seed: int, number: int = 400, noise: float = 1e-3) -> Vector:
     return np.diff(np.array(states), axis=0)
 
 
-def test_process_noise_has_the_deviation_asked_for_in_every_direction_it_can() -> None:
+def test_process_noise_has_the_given_deviation_in_all_directions() -> None:
     added = disturbances(seed=5)
     # 400 draws: the deviation of a deviation is 1 / sqrt(800) = 3.5 %; four of these.
     np.testing.assert_allclose(np.std(added[:, :2], axis=0), 1e-3, rtol=0.15)
@@ -171,7 +171,7 @@ def test_sensor_noise_has_the_deviations_asked_for_and_leaves_the_plant_alone() 
     assert np.mean(angles**2) == pytest.approx(3 * 0.05**2, rel=0.15)
 
 
-def test_sensor_without_noise_tells_the_truth() -> None:
+def test_sensor_without_noise_measures_the_state_exactly() -> None:
     world = simulator()
     np.testing.assert_array_equal(world.measured_state(), world.plant.state)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plants by name, and the engine that need not be there."""
+"""Plants by name, also without MuJoCo."""
 
 import subprocess
 import sys
@@ -29,14 +29,14 @@ def test_unknown_name_is_refused_with_the_known_ones():
         make_plant("flying", RobotParameters(), ORIGIN)
 
 
-def test_missing_engine_is_named_with_its_extra(monkeypatch):
+def test_missing_mujoco_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert isinstance(make_plant("rolling", RobotParameters(), ORIGIN), RollingPlant)
     with pytest.raises(ImportError, match=r"sphere_nmpc\[rigid\]"):
         make_plant("rigid_body", RobotParameters(), ORIGIN)
 
 
-def test_simulator_does_not_load_the_engine_for_the_rolling_plant():
+def test_simulator_does_not_load_mujoco_for_the_rolling_plant():
     code = "import sys, sphere_sim.world.simulator; sys.exit('mujoco' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 

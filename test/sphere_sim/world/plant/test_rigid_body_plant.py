@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The plant with contact against the ideal one, and what only it can do."""
+"""The plant with contact: agreement with the ideal one, contact, drives and floors."""
 
 from dataclasses import replace
 
@@ -74,7 +74,7 @@ def test_follows_the_rolling_plant_with_ideal_drives(seed):
     np.testing.assert_allclose(plant.rotor_angles, ideal.rotor_angles, atol=0.1)
 
 
-def test_wrong_masses_and_inertias_make_the_same_machine_in_both_plants():
+def test_both_plants_agree_for_perturbed_masses_and_inertias():
     rng = np.random.default_rng(3)
     names = [
         "shell_mass", "shell_radius", "shell_inertia", "counterweight_mass", "rotor_mass",
@@ -139,18 +139,18 @@ def test_two_runs_are_equal_to_the_bit():
     np.testing.assert_array_equal(first, second)
 
 
-def test_looking_does_not_change_the_run():
+def test_reading_quantities_does_not_change_the_run():
     start, speeds = draw(2, knots=2)
-    looked_at = RigidBodyPlant(ROBOT, start)
+    read_often = RigidBodyPlant(ROBOT, start)
     for there in speeds:
-        looked_at.advance(there, 0.5)
-        readings(looked_at), looked_at.momentum, looked_at.slip
+        read_often.advance(there, 0.5)
+        readings(read_often), read_often.momentum, read_often.slip
     np.testing.assert_array_equal(
-        readings(looked_at), readings(run(RigidBodyPlant(ROBOT, start), speeds))
+        readings(read_often), readings(run(RigidBodyPlant(ROBOT, start), speeds))
     )
 
 
-def test_reset_is_a_new_beginning():
+def test_reset_plant_moves_as_a_new_one():
     start, speeds = draw(4, knots=2)
     plant = run(RigidBodyPlant(ROBOT, start), speeds)
     fresh = readings(plant)
@@ -221,8 +221,8 @@ def test_rough_floor_is_the_same_for_the_same_seed_only():
         settings = RigidBodySettings(floor_roughness=1e-3, floor_seed=seed, floor_extent=2.0)
         plant = RigidBodyPlant(ROBOT, ORIGIN, settings)
         plant.advance(REST, 0.2)
-        assert 0.3 < plant.height < 0.32, "it rests on the bumps"
-        assert np.linalg.norm(plant.velocity) < 0.1, "it is put down, not dropped"
+        assert 0.3 < plant.height < 0.32, "it should rest on the bumps"
+        assert np.linalg.norm(plant.velocity) < 0.1, "it should touch the floor at the start"
         return plant.state
 
     np.testing.assert_array_equal(end(0), end(0))
@@ -239,8 +239,8 @@ def test_unbalanced_robot_falls_over():
     assert angle_error(trimmed.state, ORIGIN) < 1e-6
 
 
-def test_state_that_explodes_is_reported(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # the engine writes its warnings into a file there
+def test_diverged_state_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
     plant = RigidBodyPlant(ROBOT, ORIGIN)
     plant.push([1e200, 0.0])
     with pytest.raises(PlantDivergedError):

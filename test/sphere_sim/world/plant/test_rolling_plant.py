@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The ideal plant: accuracy, conserved quantities and its side of the contract."""
+"""The ideal plant: accuracy, conserved quantities and its interface."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_momentum_about_the_contact_point_stays_zero_over_a_long_run() -> None:
         np.testing.assert_allclose(total, 0.0, atol=1e-14)
 
 
-def test_contact_point_stands_still_during_a_run() -> None:
+def test_contact_point_has_no_velocity_during_a_run() -> None:
     plant = RollingPlant(ROBOT, START)
     rng = np.random.default_rng(3)
     for _ in range(20):
@@ -115,7 +115,7 @@ def test_torque_agrees_with_the_acceleration_seen_from_outside() -> None:
     np.testing.assert_allclose(torque, expected, atol=1e-5)  # first order in h
 
 
-def test_reset_puts_everything_at_rest_and_displace_only_the_sphere() -> None:
+def test_reset_stops_the_rotors_and_displace_does_not() -> None:
     plant = RollingPlant(ROBOT, START)
     random_run(plant, 1.0)
     speeds, angles = plant.rotor_speeds, plant.rotor_angles
@@ -139,7 +139,7 @@ def test_interval_in_parts_ends_where_the_whole_one_does(parts: int) -> None:
     np.testing.assert_allclose(cut.state, whole.state, atol=1e-7)  # twice the method's error
 
 
-def test_arrays_handed_out_do_not_reach_inside() -> None:
+def test_returned_arrays_are_copies() -> None:
     plant = RollingPlant(ROBOT, START)
     for given in (plant.state, plant.rotor_speeds, plant.rotor_angles):
         given[:] = 99.0

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is solved at every sample, as data: OCP_N of the paper (Eqs. 24 and 25) and its kin."""
+"""Optimal control problem of a sample (OCP_N, Eqs. 24 and 25), its solution and its settings."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -11,7 +11,7 @@ from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import Vector
 
 
-# Not frozen, as that would take as long as a third of an iteration; nobody changes one.
+# Treated as immutable, but not frozen: that would take as long as a third of an iteration.
 @dataclass(slots=True, eq=False)
 class HoldProblem:
     """Find the knots u_1 ... u_N of a first-order hold that starts at the input in force u_0.
@@ -30,7 +30,7 @@ class HoldProblem:
     state : ndarray, shape (6,)
         x_0, the state at the start.
     goal : ndarray, shape (6,)
-        x_d with the quaternion sign that is aimed at.
+        x_d; q and -q of its orientation are different targets.
     input_in_force : ndarray, shape (2,)
         u_0 [rad/s].
     durations : ndarray, shape (N,)
@@ -44,7 +44,7 @@ class HoldProblem:
     terminal_weight, stage_weight, input_weight, slew_weight : float
         w_T, w_x, w_u, w_s.
     max_acceleration : float
-        a [rad/s^2]; only of effect where `slew_weight` is positive.
+        a [rad/s^2]; has no effect unless `slew_weight` is positive.
     max_step : float
         Longest integration step [s].
     """
@@ -102,13 +102,13 @@ class SolverSettings:
     decrease_floor : float
         Converged when a step lowers the cost by less than this [cost].
     initial_damping : float
-        Levenberg-Marquardt damping of the first step [cost per squared scaled input]. Directions
-        in which the cost bends less than this are at first left as the start has them.
+        Levenberg-Marquardt damping of the first step [cost per squared scaled input]. In
+        directions of less curvature than this the first steps stay near the initial guess.
     time_budget : float
-        Wall time after which the best point so far is returned [s]; infinite by default, as a
-        budget makes results depend on the machine.
+        Wall time after which the best iterate is returned [s]; infinite by default, as a budget
+        makes results depend on the machine.
     target_cost : float
-        Stop, converged, as soon as the cost is below this; for feasibility searches.
+        Converged as soon as the cost is below this; for feasibility searches.
     """
 
     max_iterations: int = 100

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The solver in C: code generation, compilation, and memory shared with it."""
+"""Solver in C: sources, code generation, compilation and shared memory."""

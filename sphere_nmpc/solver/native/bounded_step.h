@@ -7,11 +7,11 @@
 /* Component i of D s, D without damping. */
 static double banded_product(const workspace *w, const double *step, int64_t i, int64_t size)
 {
-    double sum = w->stiff[i] * step[i];
+    double sum = w->diagonal[i] * step[i];
     if (i >= 2)
-        sum += w->couple[i] * step[i - 2];
+        sum += w->subdiagonal[i] * step[i - 2];
     if (i + 2 < size)
-        sum += w->couple[i + 2] * step[i + 2];
+        sum += w->subdiagonal[i + 2] * step[i + 2];
     return sum;
 }
 
@@ -91,15 +91,15 @@ static int dense_step(workspace *w, double damping, int64_t size)
  * formula). */
 static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end, int64_t size)
 {
-    double small[6 * 6], miss[6], *z = w->solved;
+    double small[6 * 6], error[6], *z = w->solved;
     for (int l = 0; l < 6; l++)
-        miss[l] = x_end[l] - p->goal[l];
+        error[l] = x_end[l] - p->goal[l];
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
             w->step[i] = 0.0;
         else if (w->step[i] != 0.0)
             for (int l = 0; l < 6; l++)
-                miss[l] += w->rows[i * ROW + l] * w->step[i];
+                error[l] += w->rows[i * ROW + l] * w->step[i];
     }
     for (int64_t i = 0; i < size; i++) {
         double *row = z + i * ROW;
@@ -110,10 +110,10 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
             continue;
         }
         memcpy(row, w->rows + i * ROW, ROW * sizeof *row);
-        row[6] = w->extra[i] + banded_product(w, w->step, i, size);
+        row[6] = w->partial_gradient[i] + banded_product(w, w->step, i, size);
         const int coupled = i >= 2 && w->free[i - 2];
-        const double off = coupled ? w->couple[i] : 0.0;
-        w->pivot[i] = w->stiff[i] + damping;
+        const double off = coupled ? w->subdiagonal[i] : 0.0;
+        w->pivot[i] = w->diagonal[i] + damping;
         w->ratio[i] = 0.0;
         if (off != 0.0) {
             w->ratio[i] = off / w->pivot[i - 2];
@@ -141,15 +141,15 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
     for (int k = 0; k < 6; k++) {
         memcpy(small + 6 * k, sums[k], 6 * sizeof(double));
         small[7 * k] += 1.0 / (2.0 * p->terminal_weight);
-        miss[k] -= sums[k][6];
+        error[k] -= sums[k][6];
     }
-    if (!cholesky_solve(small, 6, 6, miss))
+    if (!cholesky_solve(small, 6, 6, error))
         return 0;
     for (int64_t i = 0; i < size; i++)
         if (w->free[i]) {
             double sum = z[i * ROW + 6];
             for (int l = 0; l < 6; l++)
-                sum += z[i * ROW + l] * miss[l];
+                sum += z[i * ROW + l] * error[l];
             w->step[i] = -sum;
         }
     return 1;
@@ -162,9 +162,9 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     int any = 0;
     for (int64_t i = 0; i < size; i++) {
         const double g = w->gradient[i];
-        const int pressed = (w->v[i] <= w->lower[i] && g >= 0.0)
+        const int at_bound = (w->v[i] <= w->lower[i] && g >= 0.0)
                             || (w->v[i] >= w->upper[i] && g <= 0.0);
-        w->free[i] = !pressed && w->lower[i] < w->upper[i];
+        w->free[i] = !at_bound && w->lower[i] < w->upper[i];
         w->step[i] = 0.0;
         any |= w->free[i];
     }

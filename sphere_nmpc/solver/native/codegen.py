@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """C code of the integration step, generated from the CasADi expressions of the reference.
 
-CasADi's own code generator knows one number type. Here a nominal value is a ``double`` and a
+CasADi's code generator supports one number type. Here a nominal value is a ``double`` and a
 derivative a ``tangent``, a few vector registers that hold the derivatives along all directions, so
 each operation is written once and the nominal value is computed once. That works because the step
 is made of sums, products and quotients alone, and a derivative is linear in its seeds: a tangent

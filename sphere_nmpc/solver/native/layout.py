@@ -93,7 +93,7 @@ def problem_header() -> str:
         comment = f" /* {field.meaning} */" if field.meaning else ""
         lines.append(f"    {field.c_type}{space}{field.name}{array};{comment}")
     lines.append("} problem;")
-    text = '"the layout in layout.py supposes words of eight bytes"'
+    text = '"layout.py assumes words of eight bytes"'
     lines.append(f"_Static_assert(sizeof(problem) == {WORD * SIZE}, {text});")
     lines.append(f"enum {{ {', '.join(status.name for status in STATUSES)} }};")
     return "\n".join(lines) + "\n"

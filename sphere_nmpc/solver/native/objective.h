@@ -19,24 +19,24 @@ static double clip(double x, double low, double high)
 /* Signed excess of knot difference i over its limit, scaled; i counts the 2 N components. */
 static double slew_excess(const problem *p, const double *inputs, int64_t i)
 {
-    const double reach = p->max_acceleration * p->durations[i / 2];
+    const double limit = p->max_acceleration * p->durations[i / 2];
     const double change = inputs[i + 2] - inputs[i];
-    return (change - clip(change, -reach, reach)) / p->input_scale;
+    return (change - clip(change, -limit, limit)) / p->input_scale;
 }
 
 static double cost_of(const problem *p, const double *v, const double *inputs, const double *states)
 {
     const int64_t n = p->intervals;
-    double ends = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;
+    double terminal = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;
     for (int k = 0; k < 6; k++) {
-        const double miss = states[6 * n + k] - p->goal[k];
-        ends += miss * miss;
+        const double error = states[6 * n + k] - p->goal[k];
+        terminal += error * error;
     }
     if (p->stage_weight > 0.0)
         for (int64_t m = 1; m < n; m++)
             for (int k = 0; k < 6; k++) {
-                const double miss = states[6 * m + k] - p->goal[k];
-                stages += miss * miss;
+                const double error = states[6 * m + k] - p->goal[k];
+                stages += error * error;
             }
     for (int64_t i = 0; i < 2 * n; i++)
         effort += v[i] * v[i];
@@ -45,7 +45,7 @@ static double cost_of(const problem *p, const double *v, const double *inputs, c
             const double excess = slew_excess(p, inputs, i);
             slew += excess * excess;
         }
-    return p->terminal_weight * ends + p->stage_weight * stages + p->input_weight * effort
+    return p->terminal_weight * terminal + p->stage_weight * stages + p->input_weight * effort
            + p->slew_weight * slew;
 }
 
@@ -60,13 +60,13 @@ static double evaluate(const problem *p, const double *v, double *inputs, double
     return cost_of(p, v, inputs, states);
 }
 
-/* rows_i = d x_N / d v_i, backwards: `lever` is d x_N / d q_m, and d x_N / d xy_m is one. */
+/* rows_i = d x_N / d v_i, backwards: `sensitivity` is d x_N / d q_m, and d x_N / d xy_m is one. */
 static void terminal_rows(const problem *p, workspace *w)
 {
     const int64_t n = p->intervals;
-    double lever[4][ROW] = {{0.0}};
+    double sensitivity[4][ROW] = {{0.0}};
     for (int k = 0; k < 4; k++)
-        lever[k][2 + k] = 1.0;
+        sensitivity[k][2 + k] = 1.0;
     memset(w->rows, 0, (size_t)(2 * n * ROW) * sizeof *w->rows);
     for (int64_t m = n; m-- > 0;) {
         const double *a = w->interval + m * 6 * DIRECTIONS;
@@ -75,10 +75,10 @@ static void terminal_rows(const problem *p, workspace *w)
             double sum[ROW] = {a[d], a[DIRECTIONS + d]};
             for (int k = 0; k < 4; k++)
                 for (int l = 0; l < ROW; l++)
-                    sum[l] += a[(2 + k) * DIRECTIONS + d] * lever[k][l];
+                    sum[l] += a[(2 + k) * DIRECTIONS + d] * sensitivity[k][l];
             memcpy(column[d], sum, sizeof sum);
         }
-        memcpy(lever, column, sizeof lever);
+        memcpy(sensitivity, column, sizeof sensitivity);
         for (int c = 0; c < 4; c++) {
             const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
             if (i < 0)
@@ -118,26 +118,26 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
     memset(w->hessian, 0, (size_t)(size * size) * sizeof *w->hessian);
     for (int64_t m = 0; m < n; m++) {
         const double weight = 2.0 * (m == n - 1 ? p->terminal_weight : p->stage_weight);
-        const int64_t reach = 2 * m + 2;
+        const int64_t limit = 2 * m + 2;
         advance_chain(p, w, m);
         if (!(weight > 0.0))
             continue;
         for (int l = 0; l < 6; l++) {
             const double *row = w->chain + l * size;
-            const double miss = weight * (states[6 * m + 6 + l] - p->goal[l]);
-            for (int64_t i = 0; i < reach; i++) {
+            const double error = weight * (states[6 * m + 6 + l] - p->goal[l]);
+            for (int64_t i = 0; i < limit; i++) {
                 const double factor = weight * row[i];
                 double *h = w->hessian + i * size;
-                w->gradient[i] += miss * row[i];
+                w->gradient[i] += error * row[i];
                 for (int64_t j = 0; j <= i; j++)
                     h[j] += factor * row[j];
             }
         }
     }
     for (int64_t i = 0; i < size; i++) {
-        w->hessian[i * size + i] += w->stiff[i];
+        w->hessian[i * size + i] += w->diagonal[i];
         if (i >= 2)
-            w->hessian[i * size + i - 2] += w->couple[i];
+            w->hessian[i * size + i - 2] += w->subdiagonal[i];
     }
 }
 
@@ -148,36 +148,36 @@ static void expand(const problem *p, workspace *w, const double *v, const double
 {
     const int64_t size = 2 * p->intervals;
     for (int64_t i = 0; i < size; i++) {
-        w->stiff[i] = 2.0 * p->input_weight;
-        w->couple[i] = 0.0;
-        w->extra[i] = 2.0 * p->input_weight * v[i];
+        w->diagonal[i] = 2.0 * p->input_weight;
+        w->subdiagonal[i] = 0.0;
+        w->partial_gradient[i] = 2.0 * p->input_weight * v[i];
     }
     if (p->slew_weight > 0.0)
         for (int64_t i = 0; i < size; i++) {
             const double excess = slew_excess(p, inputs, i);
             if (excess == 0.0)
                 continue;
-            w->extra[i] += 2.0 * p->slew_weight * excess;
-            w->stiff[i] += 2.0 * p->slew_weight;
+            w->partial_gradient[i] += 2.0 * p->slew_weight * excess;
+            w->diagonal[i] += 2.0 * p->slew_weight;
             if (i < 2)
                 continue;
-            w->extra[i - 2] -= 2.0 * p->slew_weight * excess;
-            w->stiff[i - 2] += 2.0 * p->slew_weight;
-            w->couple[i] = -2.0 * p->slew_weight;
+            w->partial_gradient[i - 2] -= 2.0 * p->slew_weight * excess;
+            w->diagonal[i - 2] += 2.0 * p->slew_weight;
+            w->subdiagonal[i] = -2.0 * p->slew_weight;
         }
-    memcpy(w->gradient, w->extra, (size_t)size * sizeof *w->gradient);
+    memcpy(w->gradient, w->partial_gradient, (size_t)size * sizeof *w->gradient);
     if (is_dense(p)) {
         dense_states_part(p, w, states);
         return;
     }
     terminal_rows(p, w);
-    double miss[ROW] = {0.0};
+    double error[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
-        miss[l] = 2.0 * p->terminal_weight * (states[6 * p->intervals + l] - p->goal[l]);
+        error[l] = 2.0 * p->terminal_weight * (states[6 * p->intervals + l] - p->goal[l]);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;
         for (int l = 0; l < ROW; l++)
-            sum += miss[l] * w->rows[i * ROW + l];
+            sum += error[l] * w->rows[i * ROW + l];
         w->gradient[i] += sum;
     }
 }

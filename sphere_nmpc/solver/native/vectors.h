@@ -1,7 +1,7 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Vector registers of the processor at hand. A tangent carries the derivatives along the 8
+ * Vector registers of this processor. A tangent holds the derivatives along the 8
  * directions of one interval (its quaternion and its two knots) in 1, 2 or 4 registers.
  * A structure of registers and not one 64-byte vector: without AVX-512 GCC keeps those in memory.
  */

@@ -5,8 +5,8 @@
  */
 typedef struct {
     double *lower, *upper, *v, *trial, *step, *gradient; /* 2 N, scaled */
-    double *stiff, *couple; /* 2 N: diagonal and subdiagonal of D, without damping */
-    double *extra; /* 2 N: gradient without the part of the terminal cost */
+    double *diagonal, *subdiagonal; /* 2 N: diagonal and subdiagonal of D, without damping */
+    double *partial_gradient; /* 2 N: gradient without the part of the terminal cost */
     double *pivot, *ratio, *right; /* 2 N */
     double *inputs, *states; /* of the trial */
     double *rows, *solved; /* 2 N x ROW: terminal Jacobian transposed; D^-1 of it */
@@ -51,7 +51,8 @@ static int64_t divide(workspace *w, double *base, int64_t n)
     int64_t used = 0;
     const int64_t m = 2 * n;
     double **vectors[] = {&w->lower, &w->upper, &w->v, &w->trial, &w->step, &w->gradient,
-                          &w->stiff, &w->couple, &w->extra, &w->pivot, &w->ratio, &w->right};
+                          &w->diagonal, &w->subdiagonal, &w->partial_gradient,
+                          &w->pivot, &w->ratio, &w->right};
     for (size_t i = 0; i < sizeof vectors / sizeof vectors[0]; i++)
         *vectors[i] = take(base, &used, m);
     w->inputs = take(base, &used, m + 2);

@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The bounded step of a low-rank model whose other part is diagonal, on CasADi's virtual machine.
+"""Bounded step of a low-rank model with a diagonal D, on CasADi's virtual machine.
 
-Between two accelerations that are both within their limit nothing couples the knots, and then the
+As long as all accelerations are within their limit, no cost couples successive knots, and the
 passes of `quadratic_model.bounded_step` are a few instructions on vectors.
 """
 
@@ -15,42 +15,43 @@ import numpy as np
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.symbolic_rotation import Expression
-from sphere_nmpc.solver.numpy_backend.padding import padded
+from sphere_nmpc.solver.numpy_backend.rounded_size import rounded_size
 
 _MEMORY = threading.local()
 
 
 @lru_cache(maxsize=128)
 def _step_function(size: int, rows: int, passes: int) -> ca.Function:
-    """Return the step by the arguments of `diagonal_step`, and the solution of the small system.
+    """Return the step and the solution of the small system for the arguments of `diagonal_step`.
 
-    Not finite is that solution where the system is not positive definite.
+    That solution is not finite where the system is not positive definite.
     """
-    vector = (ca.MX.sym(name, size) for name in ("down", "up", "gradient", "extra", "stiff"))
-    down, up, gradient, extra, stiff = vector
+    names = ("down", "up", "gradient", "partial_gradient", "diagonal")
+    vectors = (ca.MX.sym(name, size) for name in names)
+    down, up, gradient, partial_gradient, diagonal = vectors
     across, residual = ca.MX.sym("across", size, rows), ca.MX.sym("residual", rows)
     scalars = ca.MX.sym("scalars", 2)
     damping, weight = scalars[0], scalars[1]
     below, above = ca.logic_or(down < 0, gradient < 0), ca.logic_or(up > 0, gradient > 0)
     free = ca.logic_and(down < up, ca.logic_and(below, above))
-    inverse = 1 / (stiff + damping)
+    inverse = 1 / (diagonal + damping)
     floor = ca.MX(ca.DM.eye(rows)) / weight
     jacobian = across.T
     step = held = ca.MX(size, 1)
     solve = _cholesky_function(rows)
-    forces = ca.MX(rows, 1)
+    multipliers = ca.MX(rows, 1)
     for _ in range(passes):
-        movable = free * inverse
-        moved = across * ca.repmat(movable, 1, rows)
-        slope = extra + stiff * held
-        miss = residual + ca.mtimes(jacobian, held) - ca.mtimes(moved.T, slope)
-        forces = solve(ca.mtimes(jacobian, moved) + floor, miss)
-        found = held - movable * (slope + ca.mtimes(across, forces))
+        free_inverse = free * inverse
+        moved = across * ca.repmat(free_inverse, 1, rows)
+        slope = partial_gradient + diagonal * held
+        error = residual + ca.mtimes(jacobian, held) - ca.mtimes(moved.T, slope)
+        multipliers = solve(ca.mtimes(jacobian, moved) + floor, error)
+        found = held - free_inverse * (slope + ca.mtimes(across, multipliers))
         step = ca.fmin(ca.fmax(found, down), up)
         free = free * (step == found)
         held = (1 - free) * step
-    inputs = [down, up, gradient, extra, stiff, across, residual, scalars]
-    return ca.Function("bounded_step", inputs, [step, forces])
+    inputs = [down, up, gradient, partial_gradient, diagonal, across, residual, scalars]
+    return ca.Function("bounded_step", inputs, [step, multipliers])
 
 
 @lru_cache(maxsize=2)
@@ -74,38 +75,41 @@ def _cholesky_function(size: int) -> ca.Function:
 
 
 class _Memory:
-    """Arguments and results of a step function; unknowns beyond those in use are held."""
+    """Arguments and results of a step function; variables beyond those in use are fixed."""
 
     def __init__(self, size: int, rows: int, passes: int) -> None:
-        self.down, self.up, self.gradient, self.extra = np.zeros((4, size))
-        self.stiff, self.jacobian = np.ones(size), np.zeros((rows, size))
+        self.down, self.up, self.gradient, self.partial_gradient = np.zeros((4, size))
+        self.diagonal, self.jacobian = np.ones(size), np.zeros((rows, size))
         self.residual, self.scalars = np.zeros(rows), np.zeros(2)
-        self.step, self.forces = np.zeros(size), np.zeros(rows)
+        self.step, self.multipliers = np.zeros(size), np.zeros(rows)
         self._buffer: Any
         self._buffer, self.run = _step_function(size, rows, passes).buffer()
-        given = (self.down, self.up, self.gradient, self.extra, self.stiff, self.jacobian)
-        for i, argument in enumerate((*given, self.residual, self.scalars)):
+        given = (
+            self.down, self.up, self.gradient, self.partial_gradient, self.diagonal,
+            self.jacobian, self.residual, self.scalars,
+        )
+        for i, argument in enumerate(given):
             self._buffer.set_arg(i, argument.data)
-        for i, result in enumerate((self.step, self.forces)):
+        for i, result in enumerate((self.step, self.multipliers)):
             self._buffer.set_res(i, result.data)
 
 
 def diagonal_step(
-    gradient: Vector, extra: Vector, stiff: Vector, jacobian: Vector, residual: Vector,
-    weight: float, damping: float, down: Vector, up: Vector, passes: int,
+    gradient: Vector, partial_gradient: Vector, diagonal: Vector, jacobian: Vector,
+    residual: Vector, weight: float, damping: float, down: Vector, up: Vector, passes: int,
 ) -> Vector | None:
     """Return the bounded step; the parameters are those of `LowRankModel`, D being diagonal."""
     rows, size = jacobian.shape
     kept: dict[Any, Any] = _MEMORY.__dict__
-    key = padded(size), rows, passes
+    key = rounded_size(size), rows, passes
     if key not in kept:
         kept[key] = _Memory(*key)
     memory: _Memory = kept[key]
     memory.down[:size], memory.up[:size] = down, up
     memory.down[size:] = memory.up[size:] = 0.0
-    memory.gradient[:size], memory.extra[:size] = gradient, extra
-    memory.stiff[:size], memory.jacobian[:, :size] = stiff, jacobian
+    memory.gradient[:size], memory.partial_gradient[:size] = gradient, partial_gradient
+    memory.diagonal[:size], memory.jacobian[:, :size] = diagonal, jacobian
     memory.jacobian[:, size:] = 0.0
     memory.residual[:], memory.scalars[:] = residual, (damping, weight)
     memory.run()
-    return memory.step[:size].copy() if np.isfinite(memory.forces.sum()) else None
+    return memory.step[:size].copy() if np.isfinite(memory.multipliers.sum()) else None

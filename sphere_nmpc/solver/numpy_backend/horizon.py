@@ -8,8 +8,13 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.numpy_backend.padding import padded
-from sphere_nmpc.solver.numpy_backend.shooting import BY_KNOTS, COLUMN, LEVER, shooting_function
+from sphere_nmpc.solver.numpy_backend.rounded_size import rounded_size
+from sphere_nmpc.solver.numpy_backend.shooting import (
+    BY_KNOTS,
+    COLUMN,
+    SENSITIVITY,
+    shooting_function,
+)
 
 _MEMORY = threading.local()
 
@@ -43,7 +48,7 @@ class Horizon:
         What `shooting_function` is given for each step.
     shooting : Shooting
         Results of the last call of `states`; shared by the horizons of a thread whose number of
-        steps is padded to the same size.
+        steps is rounded_size to the same size.
     """
 
     def __init__(self, durations: Vector, constants: Vector, max_step: float) -> None:
@@ -53,7 +58,7 @@ class Horizon:
         self.begins, self.last = ends - steps, ends - 1
         interval = np.repeat(np.arange(durations.size), steps)
         self.steps = int(ends[-1])
-        self.shooting = _shooting_of(padded(self.steps))
+        self.shooting = _shooting_of(rounded_size(self.steps))
         radius, c1, r1, r3 = constants
         place = np.arange(self.steps) - self.begins[interval]
         columns = self.shooting.columns
@@ -64,7 +69,7 @@ class Horizon:
         self.columns[:, 8] = place / counts[interval]
         self.columns[:, 9] = (place + 1.0) / counts[interval]
         # Where the knots of each step are among all numbers of all knots.
-        self._ends_of_step = 2 * interval[:, None] + np.arange(4)
+        self._knots_of_step = 2 * interval[:, None] + np.arange(4)
         self._to_free = -c1
 
     def states(self, state: Vector, inputs: Vector) -> Vector:
@@ -73,13 +78,13 @@ class Horizon:
         `inputs` are the knots u_0 ... u_N [rad/s], shape (N + 1, 2).
         """
         shooting = self.shooting
-        self.columns[:, :4] = (self._to_free * inputs).take(self._ends_of_step)
+        self.columns[:, :4] = (self._to_free * inputs).take(self._knots_of_step)
         shooting.q[:] = state[QUATERNION]
         shooting.run()
         states: Vector = np.empty((self.last.size + 1, 6))
         states[0] = state
-        way = shooting.moved.cumsum(axis=1)[:, self.last]
-        states[1:, POSITION] = way.T + state[POSITION]
+        displacement = shooting.moved.cumsum(axis=1)[:, self.last]
+        states[1:, POSITION] = displacement.T + state[POSITION]
         states[1:, QUATERNION] = shooting.q_end[self.last]
         return states
 
@@ -90,13 +95,14 @@ class Shooting:
     def __init__(self, steps: int) -> None:
         self.q, self.columns = np.zeros(4), np.zeros((steps, COLUMN))
         self.q_end, self.moved = np.zeros((steps, 4)), np.zeros((2, steps))
-        self.by_knots, self.levers = np.zeros((BY_KNOTS, steps)), np.zeros((LEVER, steps))
-        # Memory is handed over once: converting arguments would take longer than many steps.
+        self.by_knots = np.zeros((BY_KNOTS, steps))
+        self.sensitivities = np.zeros((SENSITIVITY, steps))
+        # Addresses are passed once: converting arguments would take longer than many steps.
         self._buffer: Any
         self._buffer, self.run = shooting_function(steps).buffer()
         for i, given in enumerate((self.q, self.columns)):
             self._buffer.set_arg(i, given.data)
-        for i, result in enumerate((self.q_end, self.moved, self.by_knots, self.levers)):
+        for i, result in enumerate((self.q_end, self.moved, self.by_knots, self.sensitivities)):
             self._buffer.set_res(i, result.data)
 
 

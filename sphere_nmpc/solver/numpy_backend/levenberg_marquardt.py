@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Projected Levenberg-Marquardt iteration on a box: the solver, in the form meant for reading.
+"""Projected Levenberg-Marquardt iteration with bounds, in its readable form.
 
-Each trial step minimises the damped Gauss-Newton model over the inputs that are not held at a
-bound; inputs that the step would carry through a bound are held there and the rest is solved
-again. The damping follows the gain ratio (Nielsen's rule). Indefinite second derivatives never
-enter: near a configuration where the robot is singular the exact Hessian sends a line search to
-a standstill, while the damped model always descends.
+Each trial step minimises the damped Gauss-Newton model over the decision variables that are not in
+the active set; variables that the step would move across a bound are fixed there, and the step is
+solved again. The damping follows the gain ratio (Nielsen's rule). Second derivatives of the states
+are left out: near a singular configuration of the robot they make the Hessian indefinite and a
+line search stall, while the damped model always has a descent direction.
 """
 
 import math
@@ -29,14 +29,14 @@ MAX_DAMPING = 1e12
 
 
 def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
-    """Solve a problem from a start; the compiled solver takes the same steps.
+    """Solve a problem from an initial guess; the compiled solver takes the same steps.
 
     Parameters
     ----------
     problem : HoldProblem
-        What to solve.
+        The problem.
     start : ndarray, shape (N, 2)
-        First guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
+        Initial guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
     settings : SolverSettings
         When to stop.
 
@@ -91,7 +91,7 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
             damping *= growth
             growth *= 2.0
             if damping > MAX_DAMPING:
-                # No descent left at working precision.
+                # No descent direction at working precision.
                 status = SolveStatus.CONVERGED
                 break
     inputs = objective.inputs(v)
@@ -111,5 +111,5 @@ def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> 
 
 
 def rest_start(problem: HoldProblem) -> Vector:
-    """Return the coldest first guess: all knots zero, shape (N, 2)."""
+    """Return the cold start: all knots zero, shape (N, 2)."""
     return np.zeros((problem.intervals, INPUT_SIZE))

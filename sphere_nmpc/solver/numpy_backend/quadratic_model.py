@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Quadratic models g^T s + s^T H s / 2 of a cost, and their minimisers over some components."""
+"""Quadratic models g^T s + s^T H s / 2 of a cost, and their minimisers within bounds."""
 
 from typing import Protocol
 
@@ -14,11 +14,11 @@ from sphere_nmpc.solver.numpy_backend.diagonal_step import diagonal_step
 Mask = NDArray[np.bool_]
 
 BOUND_PASSES = 4
-"""How often a step is solved again after inputs were held at the bounds it would have crossed."""
+"""Largest number of solves for one step, each with more components fixed at their bounds."""
 
 
 class QuadraticModel(Protocol):
-    """What the iteration needs of a model."""
+    """Interface of the models to the iteration."""
 
     gradient: Vector
 
@@ -32,7 +32,7 @@ class QuadraticModel(Protocol):
         free : ndarray of bool, shape (n,)
             The components to minimise over.
         held : ndarray, shape (n,)
-            The others; zero at the free ones.
+            Values of the fixed components; zero at the free ones.
 
         Returns
         -------
@@ -42,7 +42,7 @@ class QuadraticModel(Protocol):
         ...
 
     def decrease(self, step: Vector) -> float:
-        """Return by how much the model, without damping, falls with a step, shape (n,)."""
+        """Return the decrease that the model, without damping, predicts for a step, shape (n,)."""
         ...
 
     def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
@@ -55,8 +55,8 @@ def bounded_step(
 ) -> Vector | None:
     """Minimise the damped model over steps between `down` (<= 0) and `up` (>= 0), shape (n,).
 
-    Components at a bound that the gradient presses against it are held there. Those that the
-    step would carry through a bound are then held at it and the rest is solved again.
+    Active set: components at a bound whose gradient points outward are fixed there. Components
+    that the step would move across a bound are then fixed at it, and the step is solved again.
     """
     gradient = model.gradient
     free = (down < up) & ((down < 0.0) | (gradient < 0.0)) & ((up > 0.0) | (gradient > 0.0))
@@ -109,14 +109,14 @@ class DenseModel:
 class LowRankModel:
     """A model with H = w J^T J + D, J having few rows and D being tridiagonal.
 
-    H is never formed: a step is solved for against D and corrected by a system of the size of J's
-    rows (Woodbury's formula).
+    H is never formed: a step solves a system with D and one of the size of J's rows (Woodbury's
+    formula).
 
     Parameters
     ----------
-    extra : ndarray, shape (n,)
+    partial_gradient : ndarray, shape (n,)
         Gradient without the part w J^T r.
-    stiff, couple : ndarray, shape (n,) and (n - 1,)
+    diagonal, subdiagonal : ndarray, shape (n,) and (n - 1,)
         Diagonal and first subdiagonal of D.
     jacobian : ndarray, shape (r, n)
         J.
@@ -127,45 +127,46 @@ class LowRankModel:
     """
 
     def __init__(
-        self, extra: Vector, stiff: Vector, couple: Vector, jacobian: Vector, residual: Vector,
-        weight: float,
+        self, partial_gradient: Vector, diagonal: Vector, subdiagonal: Vector, jacobian: Vector,
+        residual: Vector, weight: float,
     ) -> None:
-        self.gradient = extra + weight * (residual @ jacobian)
-        self._extra, self._stiff, self._couple = extra, stiff, couple
+        self.gradient = partial_gradient + weight * (residual @ jacobian)
+        self._partial_gradient = partial_gradient
+        self._diagonal, self._subdiagonal = diagonal, subdiagonal
         self._jacobian, self._residual, self._weight = jacobian, residual, weight
         self._floor = np.eye(residual.size) / weight
-        self._right = np.empty((jacobian.shape[0] + 1, extra.size))
+        self._right = np.empty((jacobian.shape[0] + 1, partial_gradient.size))
 
     def step(self, damping: float, free: Mask, held: Vector) -> Vector | None:
         """See `QuadraticModel`."""
         right, residual = self._right, self._residual
-        right[:-1], right[-1] = self._jacobian, self._extra
+        right[:-1], right[-1] = self._jacobian, self._partial_gradient
         if held.any():
             right[-1] += self._banded(held)
             residual = residual + self._jacobian @ held
         right *= free
         *_, solved, info = dptsv(
-            np.where(free, self._stiff + damping, 1.0),
-            self._couple * (free[1:] & free[:-1]),
+            np.where(free, self._diagonal + damping, 1.0),
+            self._subdiagonal * (free[1:] & free[:-1]),
             right.T,
         )
         if info:
             return None
         inner = self._jacobian @ solved
         matrix = inner[:, :-1]
-        _, forces, info = dposv(matrix + self._floor, residual - inner[:, -1], lower=1)
+        _, multipliers, info = dposv(matrix + self._floor, residual - inner[:, -1], lower=1)
         if info:
             return None
-        step: Vector = held - solved[:, -1] - solved[:, :-1] @ forces
+        step: Vector = held - solved[:, -1] - solved[:, :-1] @ multipliers
         return step
 
     def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
         """See `QuadraticModel`."""
-        if self._couple.any():
+        if self._subdiagonal.any():
             return bounded_step(self, damping, down, up)
         return diagonal_step(
-            self.gradient, self._extra, self._stiff, self._jacobian, self._residual, self._weight,
-            damping, down, up, BOUND_PASSES,
+            self.gradient, self._partial_gradient, self._diagonal, self._jacobian,
+            self._residual, self._weight, damping, down, up, BOUND_PASSES,
         )
 
     def decrease(self, step: Vector) -> float:
@@ -175,7 +176,7 @@ class LowRankModel:
         return -float(self.gradient @ step) - 0.5 * square
 
     def _banded(self, step: Vector) -> Vector:
-        product = self._stiff * step
-        product[1:] += self._couple * step[:-1]
-        product[:-1] += self._couple * step[1:]
+        product = self._diagonal * step
+        product[1:] += self._subdiagonal * step[:-1]
+        product[:-1] += self._subdiagonal * step[1:]
         return product

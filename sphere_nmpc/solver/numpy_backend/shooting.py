@@ -1,18 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Single shooting of all steps of a horizon at once, fast on CasADi's own virtual machine.
+"""Single shooting of all steps of a horizon at once, for CasADi's virtual machine.
 
-That machine takes as long to look up an instruction as to apply it to some tens of numbers. So
-only what has to go from step to step does so number by number: the attitude. Everything else, and
-all derivatives, are computed for all steps together, one instruction for all of them.
+That machine takes as long to decode an instruction as to apply it to some tens of numbers. So only
+the orientation, a recursion, is computed step by step; everything else, derivatives included, is
+computed for all steps together by instructions on vectors.
 
-A derivative of an attitude is a rotation vector in the world frame, q -> exp(e / 2) q. There the
-small rotations of successive turns simply add up, and one about the vertical only turns the
-direction of what follows. So each step has six columns, by e_x, e_y and the two knots of its
-interval, where `sphere_nmpc.solver.reference.shooting` has eight.
+The derivative of an orientation is a rotation vector e in the world frame, q -> exp(e / 2) q. In
+that frame the small rotations of successive steps add up, and a rotation about the vertical only
+rotates the displacement that follows. So each step has six columns of derivatives, by e_x, e_y and
+the two knots of its interval, where `sphere_nmpc.solver.reference.shooting` has eight.
 
-The step is `sphere_nmpc.model.integrator.cf4_step`: four rates w1 ... w4, each after a turn, and
-two last turns.
+The step is `sphere_nmpc.model.integrator.cf4_step`: four rates w1 ... w4, each after a rotation,
+and two rotations to the end.
 """
 
 from functools import lru_cache
@@ -31,47 +31,48 @@ from sphere_nmpc.model.symbolic_rotation import (
 )
 
 COLUMN = 11
-"""Numbers a step is given: U at the two knots of its interval (2 each), h, r1, r3, Rs, the share
-of the second knot at its start and at its end, and 1 where derivatives are those of its own end.
-U = -c1 u is the part of the body rate [rad/s] that does not depend on the attitude."""
+"""Inputs of a step: U at the two knots of its interval (2 each), h, r1, r3, Rs, the weight of the
+second knot at its start and at its end, and a mark: 1 where the derivatives are those of its own
+end. U = -c1 u is the part of the body rate [rad/s] that does not depend on the orientation."""
 
-LEVER = 12
-"""Derivatives of [ex, ey, ez, x, y] at an end, each by ex and by ey of the step before, and the
-way to there [x, y]."""
+SENSITIVITY = 12
+"""Derivatives of [ex, ey, ez, x, y] at the end, each by ex and by ey before it, and the
+displacement up to the end [x, y]."""
 
 BY_KNOTS = 20
 """Derivatives of [x, y, ex, ey, ez] at the end, each by U_x, U_y at the first and second knot."""
 
-_OF_ATTITUDE = [0, 1, 2, 3, 4, 5, 6, 8, 9]
-_UNIT_LEVER = (1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0)
+_OF_ORIENTATION = [0, 1, 2, 3, 4, 5, 6, 8, 9]
+_UNIT_SENSITIVITY = (1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 @lru_cache(maxsize=256)
 def shooting_function(steps: int) -> ca.Function:
-    """Return the shooting of S steps, ``(q, columns) -> (q_end, moved, by_knots, levers)``.
+    """Return the shooting of S steps, ``(q, columns) -> (q_end, moved, by_knots, sensitivities)``.
 
     Parameters are q (4,) and columns (`COLUMN`, S). Results have one row a step: the quaternion at
-    its end (4, S), transposed; the way of the centre (S, 2) [m; world frame]; the derivatives
+    its end (4, S), transposed; the displacement (S, 2) [m; world frame]; the derivatives
     (S, `BY_KNOTS`) of [x, y, ex, ey, ez] at the end of the horizon by U_x, U_y at the first and at
-    the second knot, those of x first; and the lever (S, `LEVER`) from its start to that end. The
-    end of the horizon is that of the last step, or of the next one that is marked.
+    the second knot, those of x first; and the sensitivities (S, `SENSITIVITY`) of that end to the
+    step's start. The end of the horizon is that of the last step, or of the next marked one.
     """
     backwards = list(range(steps - 1, -1, -1))
     q, columns = ca.MX.sym("q", 4), ca.MX.sym("columns", COLUMN, steps)
-    q_end, rates = _attitude_function().mapaccum(steps)(q, columns[_OF_ATTITUDE, :])
+    q_end, rates = _orientation_function().mapaccum(steps)(q, columns[_OF_ORIENTATION, :])
     q_start = ca.horzcat(q, q_end[:, :-1])
     given = _rows(columns)
     changes, moved = _derivatives(_rows(q_start), _rows(rates), given)
-    by_attitude = [change[:, :2] for change in changes]
-    into = ca.horzcat(*by_attitude, *moved, given[10]).T
-    levers, used = _lever_function().mapaccum(steps)(ca.DM(_UNIT_LEVER), into[:, backwards])
+    by_orientation = [change[:, :2] for change in changes]
+    into = ca.horzcat(*by_orientation, *moved, given[10]).T
+    chain = _sensitivity_function().mapaccum(steps)
+    sensitivities, used = chain(ca.DM(_UNIT_SENSITIVITY), into[:, backwards])
     by_knots = _at_the_end(_rows(used[:, backwards]), [change[:, 2:] for change in changes])
-    outputs = [q_end, ca.horzcat(*moved), ca.horzcat(*by_knots), levers[:, backwards].T]
+    outputs = [q_end, ca.horzcat(*moved), ca.horzcat(*by_knots), sensitivities[:, backwards].T]
     return ca.Function("shooting", [q, columns], outputs)
 
 
-def _attitude_function() -> ca.Function:
-    """Return ``(q, column) -> (q_end, w1 ... w4)``: what the next step needs of this one."""
+def _orientation_function() -> ca.Function:
+    """Return ``(q, column) -> (q_end, w1 ... w4)``, the recursion from step to step."""
     q, column = ca.SX.sym("q", 4), ca.SX.sym("column", 9)
     first, second, h = column[0:2], column[2:4], column[4]
     ratios = ca.vertcat(column[5], column[5], column[6])
@@ -83,7 +84,7 @@ def _attitude_function() -> ca.Function:
         shared = ca.dot(k[0:2], free) / (1 - ca.dot(weighted, k))
         return ca.vertcat(free, 0) + shared * weighted
 
-    def seen_after(rotation: Expression, k: Expression) -> Expression:
+    def vertical_after(rotation: Expression, k: Expression) -> Expression:
         scalar, vector = exponential_parts(ca.vertsplit(rotation))
         axis = ca.vertcat(*vector)
         twice = 2 * ca.cross(axis, k)
@@ -91,38 +92,41 @@ def _attitude_function() -> ca.Function:
 
     k = rotation_matrix(q)[2, :].T
     w1 = rate(k, starting)
-    k2 = seen_after(0.5 * h * w1, k)
+    k2 = vertical_after(0.5 * h * w1, k)
     w2 = rate(k2, middle)
-    w3 = rate(seen_after(0.5 * h * w2, k), middle)
-    w4 = rate(seen_after(h * (w3 - 0.5 * w1), k2), ending)
+    w3 = rate(vertical_after(0.5 * h * w2, k), middle)
+    w4 = rate(vertical_after(h * (w3 - 0.5 * w1), k2), ending)
     q_end = q
     for rotation in (3 * w1 + 2 * (w2 + w3) - w4, -w1 + 2 * (w2 + w3) + 3 * w4):
         scalar, vector = exponential_parts(ca.vertsplit(h / 12 * rotation))
         q_end = quaternion_product(q_end, ca.vertcat(scalar, *vector))
-    return ca.Function("attitude", [q, column], [q_end, ca.vertcat(w1, w2, w3, w4)])
+    return ca.Function("orientation", [q, column], [q_end, ca.vertcat(w1, w2, w3, w4)])
 
 
-def _lever_function() -> ca.Function:
-    """Return ``(lever, step) -> (lever before the step, lever after it)``, from the end back."""
-    after, step = ca.SX.sym("after", LEVER), ca.SX.sym("step", LEVER + 1)
-    marked = step[LEVER]
-    used = marked * ca.DM(_UNIT_LEVER) + (1 - marked) * after
+def _sensitivity_function() -> ca.Function:
+    """Return ``(after, step) -> (before, used)``, the backward recursion of the sensitivities.
+
+    `used` is `after`, or that of a horizon's end where the step is marked.
+    """
+    after, step = ca.SX.sym("after", SENSITIVITY), ca.SX.sym("step", SENSITIVITY + 1)
+    marked = step[SENSITIVITY]
+    used = marked * ca.DM(_UNIT_SENSITIVITY) + (1 - marked) * after
     chained = ca.reshape(used[0:10], 2, 5).T
     left = used[10:12]
     local = ca.reshape(step[0:10], 2, 5).T
-    # A rotation about the vertical turns the way that is left.
+    # A rotation about the vertical rotates the remaining displacement.
     by_vertical = ca.vertcat(0, 0, 1, -left[1], left[0])
     before = ca.mtimes(chained, local[0:2, :]) + ca.mtimes(by_vertical, local[2, :])
     before[3:5, :] += local[3:5, :]
-    lever = ca.vertcat(ca.vec(before.T), left + step[10:12])
-    return ca.Function("lever", [after, step], [lever, used])
+    sensitivity = ca.vertcat(ca.vec(before.T), left + step[10:12])
+    return ca.Function("sensitivity", [after, step], [sensitivity, used])
 
 
 def _derivatives(q: Parts, rates: Parts, columns: Parts) -> tuple[Parts, Parts]:
-    """Return the derivatives of ex, ey, ez, x, y after each step and how far it moved.
+    """Return the derivatives of ex, ey, ez, x, y after each step, and its displacement.
 
     Derivatives are (S, 6): by ex and ey before the step, and by U_x and U_y at the first and at
-    the second knot. The way is x and y, (S, 1) each.
+    the second knot. The displacement is x and y, (S, 1) each.
     """
     h, r1, r3, radius, share_start, share_end = columns[4:10]
     w1, w2, w3, w4 = (rates[i : i + 3] for i in (0, 3, 6, 9))
@@ -202,7 +206,7 @@ def _rate_derivatives(
     slope = [2 * shared * part for part in weighted]
     slope = [inverse * part for part in (free[0] + slope[0], free[1] + slope[1], slope[2])]
     by_x, by_y = _dot(slope, ry), -_dot(slope, rx)
-    # The vertical in body axes turns by ry for ex and by -rx for ey.
+    # The derivative of the vertical in body axes is ry by ex and -rx by ey.
     by_e = [
         [shared * r * y + part * by_x, part * by_y - shared * r * x]
         for r, x, y, part in zip(ratios, rx, ry, weighted, strict=True)
@@ -213,18 +217,18 @@ def _rate_derivatives(
     return by_e, by_free
 
 
-def _at_the_end(lever: Parts, local: Parts) -> Parts:
+def _at_the_end(sensitivity: Parts, local: Parts) -> Parts:
     """Return x, y, ex, ey, ez at the end by the knots, from local ones after each step."""
-    wide = [ca.repmat(part, 1, 4) for part in lever]
+    wide = [ca.repmat(part, 1, 4) for part in sensitivity]
     chained = _threes(wide[:10], 2)
     e_x, e_y, e_z, x, y = local
-    by_attitude = [a * e_x + b * e_y for a, b in chained]
+    by_orientation = [a * e_x + b * e_y for a, b in chained]
     return [
-        by_attitude[3] - wide[11] * e_z + x,
-        by_attitude[4] + wide[10] * e_z + y,
-        by_attitude[0],
-        by_attitude[1],
-        by_attitude[2] + e_z,
+        by_orientation[3] - wide[11] * e_z + x,
+        by_orientation[4] + wide[10] * e_z + y,
+        by_orientation[0],
+        by_orientation[1],
+        by_orientation[2] + e_z,
     ]
 
 
@@ -249,7 +253,7 @@ def _scaled(factor: Expression, a: Parts) -> Parts:
 
 
 def _rows(matrix: Expression) -> Parts:
-    """Return the rows of a matrix, each as a column in a piece of memory of its own."""
+    """Return the rows of a matrix, each as a column vector of its own."""
     return list(ca.horzsplit(matrix.T))
 
 

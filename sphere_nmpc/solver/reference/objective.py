@@ -24,9 +24,9 @@ def cost(problem: HoldProblem, scaled: Vector) -> tuple[float, Vector]:
 
 
 def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector) -> float:
-    misses = states[1:] - problem.goal
-    value = problem.terminal_weight * float(misses[-1] @ misses[-1])
-    value += problem.stage_weight * float(np.sum(misses[:-1] ** 2))
+    errors = states[1:] - problem.goal
+    value = problem.terminal_weight * float(errors[-1] @ errors[-1])
+    value += problem.stage_weight * float(np.sum(errors[:-1] ** 2))
     value += problem.input_weight * float(np.sum((inputs[1:] / problem.input_scale) ** 2))
     if problem.slew_weight > 0.0:
         value += problem.slew_weight * float(np.sum(_slew_excess(problem, inputs) ** 2))
@@ -36,8 +36,8 @@ def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector) -> float:
 def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:
     """Signed excess of each knot difference over its limit, scaled, shape (N, 2)."""
     change = np.diff(inputs, axis=0)
-    reach = problem.max_acceleration * problem.durations[:, None]
-    excess: Vector = (change - np.clip(change, -reach, reach)) / problem.input_scale
+    limit = problem.max_acceleration * problem.durations[:, None]
+    excess: Vector = (change - np.clip(change, -limit, limit)) / problem.input_scale
     return excess
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Single shooting: states and sensitivities along a first-order hold, by CasADi's own machine."""
+"""Single shooting: states and sensitivities along a first-order hold, on CasADi's VM."""
 
 from functools import cache
 
@@ -21,7 +21,7 @@ def tangent_step_function(directions: int) -> ca.Function:
 
     Signature ``(q, u_start, u_end, h, p, dq, du_start, du_end) -> (dxy, q_end, ddxy, dq_end)``;
     the seeds dq (4, D), du_start and du_end (2, D) and the derivatives carry one column per
-    direction, D = `directions`. The position does not enter: the plane is the same everywhere.
+    direction, D = `directions`. The motion does not depend on the position.
     """
     q, p, h = ca.SX.sym("q", 4), ca.SX.sym("p", 4), ca.SX.sym("h")
     u_start, u_end = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2)
@@ -41,7 +41,7 @@ def tangent_step_function(directions: int) -> ca.Function:
 
 def roll_out(problem: HoldProblem, inputs: Vector) -> Vector:
     """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, shape (N + 1, 2)."""
-    # No direction at all is a step without sensitivities: one function serves both.
+    # With no directions the same function is a step without sensitivities.
     return _shoot(problem, inputs, 0)[0]
 
 
@@ -51,7 +51,7 @@ def roll_out_with_sensitivity(problem: HoldProblem, inputs: Vector) -> tuple[Vec
     Parameters
     ----------
     problem : HoldProblem
-        Supplies state, durations and constants.
+        State, durations and constants are used.
     inputs : ndarray, shape (N + 1, 2)
         Knots u_0 ... u_N [rad/s].
 

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "test" / "sphere_sim" / "viewer"))
 
 from browser import Browser, find_browser  # noqa: E402
-from stage import pixel  # noqa: E402
+from page_helpers import pixel  # noqa: E402
 
 _COLOUR = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 _PATIENCE = 1800.0

@@ -69,13 +69,13 @@ class Graph:
         self._busy = [busy for busy in self._busy if busy is not node]
         node.destroy_node()
 
-    def hear(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
+    def collect(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
         """Return a list that fills with what is published on `topic`."""
-        heard: list[Any] = []
-        self.probe.create_subscription(kind, topic, heard.append, qos)
-        return heard
+        messages: list[Any] = []
+        self.probe.create_subscription(kind, topic, messages.append, qos)
+        return messages
 
-    def speaker(self, kind: type, topic: str) -> Any:
+    def publisher(self, kind: type, topic: str) -> Any:
         """Return a publisher that is matched with a subscription."""
         publisher = self.probe.create_publisher(kind, topic, 10)
         self.until(lambda: publisher.get_subscription_count() > 0)

@@ -130,7 +130,7 @@ def test_nodes_keep_the_limits_and_serve_on_after_bytes_that_are_no_message(
     graph, controller, seed
 ) -> None:
     rng = np.random.default_rng(seed)
-    accepted = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+    accepted = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
     whole = {
         "pose": PoseStamped(),
         "goal_pose": PoseStamped(),
@@ -141,7 +141,7 @@ def test_nodes_keep_the_limits_and_serve_on_after_bytes_that_are_no_message(
     simulator = SimulatorNode([Parameter("start_paused", value=True)])
     graph.add(simulator)
     for topic, message in whole.items():
-        sender = graph.speaker(type(message), topic)
+        sender = graph.publisher(type(message), topic)
         data = serialize_message(message)
         for i in range(30):
             spoilt = bytearray(data)
@@ -156,5 +156,5 @@ def test_nodes_keep_the_limits_and_serve_on_after_bytes_that_are_no_message(
     assert np.all(np.abs(simulator.simulator.speed_reference) <= 100.0)
     goal = PoseStamped()
     goal.pose.position.x = 1.25
-    graph.speaker(PoseStamped, "goal_pose").publish(goal)
+    graph.publisher(PoseStamped, "goal_pose").publish(goal)
     graph.until(lambda: accepted and accepted[-1].pose.position.x == 1.25)

@@ -175,8 +175,8 @@ def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> N
     try:
         while not told or "reachable" not in told[-1]:  # the solver may have to be built first
             told.append(node.stderr.readline())
-        confirmed = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
-        goals = graph.speaker(PoseStamped, "goal_pose")
+        confirmed = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
+        goals = graph.publisher(PoseStamped, "goal_pose")
         goals.publish(pose_to_ros(PAPER_CASES[1].goal, 0, 0.3))
         graph.until(lambda: confirmed)
     finally:

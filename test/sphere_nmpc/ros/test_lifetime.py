@@ -41,12 +41,13 @@ def start(code: str, *arguments: str) -> subprocess.Popen:
     ids=["ctrl-c", "sigterm", "ctrl-c twice"],
 )
 def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
-    trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
-    commands = graph.hear(Float64MultiArray, "rotor_commands")
+    trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+    commands = graph.collect(Float64MultiArray, "rotor_commands")
     controller = start(CONTROLLER, "-p", "use_sim_time:=true", "-p", "strategy:=paper")
     try:
-        goals, poses = graph.speaker(PoseStamped, "goal_pose"), graph.speaker(PoseStamped, "pose")
-        clock = graph.speaker(Clock, "/clock")
+        goals = graph.publisher(PoseStamped, "goal_pose")
+        poses = graph.publisher(PoseStamped, "pose")
+        clock = graph.publisher(Clock, "/clock")
         goals.publish(pose_to_ros(CASE.goal, 0, 0.3))
         goals.wait_for_all_acked(Duration(seconds=5.0))
         began = time.monotonic()

@@ -55,9 +55,9 @@ def test_goal_that_is_sent_arrives(graph, other_nodes, times, echoes, goals) -> 
     # All nodes share one thread here; at full pace it would have no time for a goal.
     graph.add(SimulatorNode([Parameter("real_time_factor", value=0.1)]))
     graph.add(ControllerNode([Parameter("use_sim_time", value=True)]))
-    accepted = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
+    accepted = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
     if echoes:
-        graph.hear(PoseStamped, "goal_pose")
+        graph.collect(PoseStamped, "goal_pose")
     for goal in goals:
         send(graph, goal, times)
         graph.until(lambda goal=goal: accepted and accepted[-1].pose.position.x == goal)

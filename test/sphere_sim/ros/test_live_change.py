@@ -39,11 +39,11 @@ def run_to_goal(graph, **change: object) -> tuple[dict[int, list], np.ndarray]:
     Return the velocities of each trajectory by stamp [ns], and the last state.
     """
     with started("simulator", *SIMULATOR), started("controller", *CONTROLLER):
-        poses = graph.hear(PoseStamped, "pose")
-        trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
-        arrivals = graph.hear(Bool, "controller/at_goal", LATCHED)
-        goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
-        sender = graph.speaker(PoseStamped, "goal_pose")
+        poses = graph.collect(PoseStamped, "pose")
+        trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+        arrivals = graph.collect(Bool, "controller/at_goal", LATCHED)
+        goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
+        sender = graph.publisher(PoseStamped, "goal_pose")
         graph.until(lambda: poses)
         sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
         graph.until(lambda: goals)

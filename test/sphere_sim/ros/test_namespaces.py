@@ -25,7 +25,7 @@ GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
 
 def test_frames_carry_the_prefix_that_is_given(graph) -> None:
     graph.add(SimulatorNode([Parameter("frame_prefix", value="left_")]))
-    odometry = graph.hear(Odometry, "odom")
+    odometry = graph.collect(Odometry, "odom")
     graph.until(lambda: odometry)
     assert odometry[-1].child_frame_id == "left_base_link"
     assert odometry[-1].header.frame_id == "world", "which all robots share"
@@ -33,8 +33,8 @@ def test_frames_carry_the_prefix_that_is_given(graph) -> None:
 
 @pytest.mark.slow
 def test_robot_in_a_namespace_has_a_clock_frames_and_names_of_its_own(graph) -> None:
-    clock, odometry = graph.hear(Clock, "second/clock"), graph.hear(Odometry, "second/odom")
-    reports = graph.hear(DiagnosticArray, "/diagnostics")
+    clock, odometry = graph.collect(Clock, "second/clock"), graph.collect(Odometry, "second/odom")
+    reports = graph.collect(DiagnosticArray, "/diagnostics")
     place = ("-r", "__ns:=/second")
     follow = ("-p", "use_sim_time:=true", *place)
     with started("simulator", *place), started("controller", *follow) as controller:
@@ -66,14 +66,14 @@ def test_clock_that_the_user_remaps_precedes_that_of_the_namespace(graph) -> Non
 def test_two_robots_reach_their_goals_at_the_same_time(graph) -> None:
     places = ((), ("-r", "__ns:=/second"))
     prefixes = ("", "second/")
-    arrivals = [graph.hear(Bool, f"{prefix}controller/at_goal", LATCHED) for prefix in prefixes]
-    poses = [graph.hear(PoseStamped, f"{prefix}pose") for prefix in prefixes]
+    arrivals = [graph.collect(Bool, f"{prefix}controller/at_goal", LATCHED) for prefix in prefixes]
+    poses = [graph.collect(PoseStamped, f"{prefix}pose") for prefix in prefixes]
     with started("simulator", *places[0]), started("simulator", *places[1]), started(
         "controller", "-p", "use_sim_time:=true", *places[0]
     ) as first, started("controller", "-p", "use_sim_time:=true", *places[1]) as second:
         for prefix, goal in zip(prefixes, GOALS, strict=True):
             message = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
-            graph.speaker(PoseStamped, f"{prefix}goal_pose").publish(message)
+            graph.publisher(PoseStamped, f"{prefix}goal_pose").publish(message)
         graph.until(lambda: all(received and received[-1].data for received in arrivals), 60.0)
         errors = [
             state_error(pose_from_ros(received[-1]), np.array(goal, float))

@@ -47,10 +47,10 @@ def run(
     settings = {"start_paused": True, "sample_period": sample / 1e9, **simulator}
     controller = {"use_sim_time": True, "lockstep": lockstep, "strategy": strategy}
     with processes(simulator=settings, controller=controller):
-        poses = graph.hear(PoseStamped, "pose")
-        trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
-        goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
-        sender = graph.speaker(PoseStamped, "goal_pose")
+        poses = graph.collect(PoseStamped, "pose")
+        trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+        goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
+        sender = graph.publisher(PoseStamped, "goal_pose")
         graph.until(lambda: poses)
         sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
         graph.until(lambda: goals)

@@ -44,8 +44,8 @@ def node(graph) -> SimulatorNode:
 
 
 def test_stamps_are_those_of_the_system_clock_and_there_is_no_other(graph, node) -> None:
-    poses, odometry = graph.hear(PoseStamped, "pose"), graph.hear(Odometry, "odom")
-    joints = graph.hear(JointState, "joint_states")
+    poses, odometry = graph.collect(PoseStamped, "pose"), graph.collect(Odometry, "odom")
+    joints = graph.collect(JointState, "joint_states")
     graph.until(lambda: len(poses) > 50 and odometry and joints)
     graph.spin()
     now = time.time_ns()
@@ -57,8 +57,8 @@ def test_stamps_are_those_of_the_system_clock_and_there_is_no_other(graph, node)
 
 
 def test_command_is_followed_at_its_stamp(graph, node) -> None:
-    joints = graph.hear(JointState, "joint_states")
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    joints = graph.collect(JointState, "joint_states")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: joints)
     start = time.time_ns() + 400 * MS
     hold = FirstOrderHold(np.array([0.0, 0.2, 0.6]), np.array([[0.0, 0.0], [60, -40], [0, 0]]))
@@ -71,7 +71,7 @@ def test_command_is_followed_at_its_stamp(graph, node) -> None:
 
 
 def test_time_in_which_the_process_did_not_run_is_made_up_in_one_step(graph, node) -> None:
-    poses = graph.hear(PoseStamped, "pose")
+    poses = graph.collect(PoseStamped, "pose")
     graph.until(lambda: len(poses) > 10)
     time.sleep(1.0)  # the node is not served
     received = len(poses)
@@ -82,7 +82,7 @@ def test_time_in_which_the_process_did_not_run_is_made_up_in_one_step(graph, nod
 
 
 def test_stamps_follow_when_the_system_clock_is_set(graph, node, monkeypatch, capfd) -> None:
-    poses = graph.hear(PoseStamped, "pose")
+    poses = graph.collect(PoseStamped, "pose")
     graph.until(lambda: len(poses) > 10)
     real = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9)
@@ -109,10 +109,10 @@ def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
 @pytest.mark.slow
 def test_goal_is_reached_on_the_system_clock_as_on_a_real_robot(graph) -> None:
     with started("simulator", "-p", "clock:=system"), started("controller"):
-        poses = graph.hear(PoseStamped, "pose")
-        arrivals = graph.hear(Bool, "controller/at_goal", LATCHED)
-        goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
-        sender = graph.speaker(PoseStamped, "goal_pose")
+        poses = graph.collect(PoseStamped, "pose")
+        arrivals = graph.collect(Bool, "controller/at_goal", LATCHED)
+        goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
+        sender = graph.publisher(PoseStamped, "goal_pose")
         graph.until(lambda: len(poses) > 10)
         sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
         graph.until(lambda: arrivals and arrivals[-1].data)

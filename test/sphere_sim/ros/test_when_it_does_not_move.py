@@ -180,7 +180,7 @@ def goal_in_another_frame(graph) -> None:
     robot(graph, on_the_wall, silent)
     controller(graph)
     goal = pose_to_ros(CASE.goal, 0, 0.3, "map")
-    graph.speaker(PoseStamped, "goal_pose").publish(goal)
+    graph.publisher(PoseStamped, "goal_pose").publish(goal)
 
 
 def lockstep_without_controller(graph) -> None:
@@ -189,7 +189,7 @@ def lockstep_without_controller(graph) -> None:
 
 def commands_on_another_clock(graph) -> None:
     simulator(graph)
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     hold = FirstOrderHold.ramp_to_rest(0.0, CASE.start[:2] + 1.0, 400.0)
     sender.publish(hold_to_trajectory(hold, time.time_ns()))
 
@@ -236,7 +236,7 @@ def test_faults_are_logged_within_two_seconds() -> None:
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.__name__)
 def test_mistake_is_logged_once_as_documented(graph, capfd, mistake) -> None:
     row = row_of(MISTAKES[mistake])
-    statuses = graph.hear(DiagnosticStatus, "controller/status")
+    statuses = graph.collect(DiagnosticStatus, "controller/status")
     mistake(graph)
     printed: list[str] = []
 

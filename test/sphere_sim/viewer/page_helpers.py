@@ -1,46 +1,23 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes under test, and the scene on their page."""
+"""Page of a viewer under test and the scene on it."""
 
 import io
 import re
-import signal
-import subprocess
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from browser import PATIENCE, Browser
 from PIL import Image
 
-from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT
-
-
-def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
-    """Start ``sphere_nmpc VERB`` with its output in a file."""
-    command = verb_command(verb, *arguments)
-    with (folder / f"{verb}.log").open("wb") as log:
-        return subprocess.Popen(command, stdout=log, stderr=log)
 
 
 def page_of(folder: Path) -> str:
     """Return the address that a viewer has printed; empty before."""
     found = re.search(r"http://\S+", (folder / "viewer.log").read_text(encoding="utf-8"))
     return found.group() if found else ""
-
-
-def stop(processes: Iterable[subprocess.Popen]) -> None:
-    """Interrupt all processes, then wait for their end."""
-    interrupted = list(processes)
-    for process in interrupted:
-        process.send_signal(signal.SIGINT)
-    for process in interrupted:
-        try:
-            process.wait(8.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
 
 
 def canvas(page: Browser) -> tuple[float, float, float, float]:

@@ -67,8 +67,8 @@ def _pick_a_goal(page: Browser) -> None:
     graph = Graph()
     try:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        goals = graph.hear(PoseStamped, "controller/active_goal", latched)
-        poses = graph.hear(PoseStamped, "pose", 1)
+        goals = graph.collect(PoseStamped, "controller/active_goal", latched)
+        poses = graph.collect(PoseStamped, "pose", 1)
         goal = PAPER_CASES[1].start
 
         def error() -> float:

@@ -19,10 +19,11 @@ pytest.importorskip("mujoco")
 from browser import Browser, find_browser
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from page_helpers import page_of, pixel, scene_of, start, stop, wait_for_scene
+from page_helpers import page_of, pixel, scene_of, wait_for_scene
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
+from verb_process import start, stop
 
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
@@ -82,10 +83,10 @@ def session(tmp_path_factory) -> Iterator[Session]:
         "viewer": start(folder, "viewer", "--port", "0"),
     }
     graph = Graph()
-    poses = graph.hear(PoseStamped, "pose", 1)
+    poses = graph.collect(PoseStamped, "pose", 1)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    goals = graph.hear(PoseStamped, "controller/active_goal", latched)
-    statuses = graph.hear(DiagnosticStatus, "controller/status", 1)
+    goals = graph.collect(PoseStamped, "controller/active_goal", latched)
+    statuses = graph.collect(DiagnosticStatus, "controller/status", 1)
     home = folder / "browser"
     home.mkdir()
     try:

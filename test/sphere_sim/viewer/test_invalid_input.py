@@ -20,9 +20,10 @@ import pytest
 
 pytest.importorskip("viser")
 
-from page_helpers import page_of, stop
+from page_helpers import page_of
 from test_access import PROTOCOL, shake_hands
 from test_replay_in_browser import write_bag
+from verb_process import stop
 from websockets.exceptions import ConnectionClosed
 
 from sphere_nmpc.model.state import make_state

@@ -13,8 +13,9 @@ import pytest
 pytest.importorskip("viser")
 
 from browser import PATIENCE, Browser, find_browser
-from page_helpers import page_of, scene_of, start, stop, wait_for_scene
+from page_helpers import page_of, scene_of, wait_for_scene
 from rosbags.typesys import Stores, get_typestore
+from verb_process import start, stop
 
 from sphere_sim.recording.bag_writer import BagWriter
 

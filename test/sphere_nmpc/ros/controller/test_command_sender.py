@@ -31,7 +31,7 @@ def slept(graph, monkeypatch) -> list[float]:
 
 def commands_of_final_ramp(graph, now: float | None, duration: float) -> np.ndarray:
     """Return the speeds sent at the end while a ramp of that duration [s] is in force."""
-    received = graph.hear(Float64MultiArray, "rotor_commands")
+    received = graph.collect(Float64MultiArray, "rotor_commands")
     sender = CommandSender(graph.probe, 100.0, lambda: now)
     graph.probe.destroy_timer(sender._timer)
     graph.until(lambda: sender._speeds.get_subscription_count() > 0)
@@ -60,7 +60,7 @@ def test_rest_is_sent_where_the_time_is_unknown(graph, slept) -> None:
 
 
 def test_last_hold_can_be_repeated(graph) -> None:
-    received = graph.hear(JointTrajectory, "rotor_trajectory")
+    received = graph.collect(JointTrajectory, "rotor_trajectory")
     sender = CommandSender(graph.probe, 100.0, lambda: 0.0)
     graph.until(lambda: sender._trajectories.get_subscription_count() > 0)
     sender.repeat()

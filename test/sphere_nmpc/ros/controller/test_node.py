@@ -68,13 +68,13 @@ class Robot:
         settings = {"use_sim_time": True, "strategy": "paper", **settings}
         self.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
         graph.add(self.node)
-        self.trajectories = graph.hear(JointTrajectory, "rotor_trajectory")
-        self.commands = graph.hear(Float64MultiArray, "rotor_commands")
-        self.statuses = graph.hear(DiagnosticStatus, "controller/status")
-        self.goals = graph.hear(PoseStamped, "controller/active_goal", LATCHED)
-        self.goal_sender = graph.speaker(PoseStamped, "goal_pose")
-        self.pose_sender = graph.speaker(PoseStamped, "pose")
-        self.clock = graph.speaker(Clock, "/clock")
+        self.trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+        self.commands = graph.collect(Float64MultiArray, "rotor_commands")
+        self.statuses = graph.collect(DiagnosticStatus, "controller/status")
+        self.goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
+        self.goal_sender = graph.publisher(PoseStamped, "goal_pose")
+        self.pose_sender = graph.publisher(PoseStamped, "pose")
+        self.clock = graph.publisher(Clock, "/clock")
         self.now = 0
         self.pose = pose_to_ros(CASE.start, 0, 0.3)
         self.publishes_pose = True
@@ -116,7 +116,7 @@ def robot(graph) -> Robot:
 
 def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
     monkeypatch.setattr(controller_node, "time", NoPlanningTime)
-    paths = robot.graph.hear(Path, "controller/predicted_path")
+    paths = robot.graph.collect(Path, "controller/predicted_path")
     robot.send_goal()
     robot.pass_time(2.2)
     robot.graph.until(lambda: len(robot.trajectories) >= 4 and len(paths) >= 4)
@@ -337,7 +337,7 @@ def test_disable_ramps_to_rest_at_once_and_enable_goes_on(robot) -> None:
 
 
 def test_arrival_is_published_until_there_is_another_goal(robot) -> None:
-    arrivals = robot.graph.hear(Bool, "controller/at_goal", LATCHED)
+    arrivals = robot.graph.collect(Bool, "controller/at_goal", LATCHED)
     robot.graph.until(lambda: arrivals and not arrivals[-1].data)
     robot.send_goal(CASE.start)
     robot.pass_time(0.3)
@@ -354,7 +354,7 @@ def test_arrival_is_published_until_there_is_another_goal(robot) -> None:
 
 
 def test_arrival_is_taken_back_where_the_pose_is_lost(robot) -> None:
-    arrivals = robot.graph.hear(Bool, "controller/at_goal", LATCHED)
+    arrivals = robot.graph.collect(Bool, "controller/at_goal", LATCHED)
     robot.send_goal(CASE.start)
     robot.pass_time(1.2)
     robot.graph.until(lambda: arrivals and arrivals[-1].data)
@@ -543,7 +543,7 @@ def test_lockstep_answers_a_repeated_instant_again_and_a_new_goal_anew(graph) ->
 
 
 def test_diagnostics_report_solver_and_loop(robot) -> None:
-    reports = robot.graph.hear(DiagnosticArray, "/diagnostics")
+    reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.send_goal()
     robot.pass_time(1.2)
     robot.graph.until(lambda: reports)
@@ -554,7 +554,7 @@ def test_diagnostics_report_solver_and_loop(robot) -> None:
 
 
 def test_diagnostics_report_a_clock_that_stands_still(robot) -> None:
-    reports = robot.graph.hear(DiagnosticArray, "/diagnostics")
+    reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.send_goal()
     robot.pass_time(1.2)
     words = "the clock stands still at 1.2"
@@ -563,7 +563,7 @@ def test_diagnostics_report_a_clock_that_stands_still(robot) -> None:
 
 
 def test_other_publisher_of_trajectories_is_logged(robot, capfd) -> None:
-    reports = robot.graph.hear(DiagnosticArray, "/diagnostics")
+    reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.send_goal()
     robot.graph.probe.create_publisher(JointTrajectory, "rotor_trajectory", 10)
 

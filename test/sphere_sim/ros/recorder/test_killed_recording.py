@@ -5,29 +5,20 @@
 import json
 import re
 import signal
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from verb_process import start
 
 from sphere_nmpc.ros.conversions import seconds, stamp_from_ros
 from sphere_sim.cli.main import main as command
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.ros.session.child_process import verb_command
 
 LOST = 1.5
 """What a recorder that is killed may lose [s]."""
-
-
-def start(folder: Path, verb: str, *arguments: str) -> subprocess.Popen:
-    with (folder / f"{verb}.log").open("wb") as log:
-        return subprocess.Popen(
-            verb_command(verb, *arguments),
-            stdout=log, stderr=log,
-        )
 
 
 @pytest.fixture
@@ -40,8 +31,8 @@ def run(graph, tmp_path) -> Iterator[tuple[Path, float]]:
         start(tmp_path, "simulator", "--ros-args"),
     ]
     try:
-        poses = graph.hear(PoseStamped, "pose", 100)
-        goals = graph.speaker(PoseStamped, "goal_pose")
+        poses = graph.collect(PoseStamped, "pose", 100)
+        goals = graph.publisher(PoseStamped, "goal_pose")
         graph.until(lambda: (bag / "metadata.yaml").exists() and poses, 60.0)
         goal = PoseStamped()
         goal.header.frame_id, goal.pose.position.x, goal.pose.orientation.w = "world", 0.5, 1.0

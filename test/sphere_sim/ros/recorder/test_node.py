@@ -117,7 +117,7 @@ def test_records_what_every_kind_of_publisher_says(graph, record) -> None:
 @pytest.mark.slow
 def test_killed_recorder_loses_at_most_a_second(graph, record) -> None:
     recording = record()
-    speaker = graph.speaker(Float64MultiArray, "rotor_commands")
+    speaker = graph.publisher(Float64MultiArray, "rotor_commands")
     recording.wait_to_hear()
     sent = []
     end = time.monotonic() + 2.5
@@ -135,8 +135,8 @@ def test_killed_recorder_loses_at_most_a_second(graph, record) -> None:
 def test_simulated_time_stamps_messages_and_what_came_before_it_is_kept(graph, record) -> None:
     # The clock is recorded in any case.
     recording = record("-p", "use_sim_time:=true", "-p", "topics:=[goal_pose]")
-    goal = graph.speaker(PoseStamped, "goal_pose")
-    clock = graph.speaker(Clock, "/clock")
+    goal = graph.publisher(PoseStamped, "goal_pose")
+    clock = graph.publisher(Clock, "/clock")
     goal.publish(PoseStamped())
     recording.wait_to_hear("/goal_pose")
     for stamp in (0, 40_000_000, 50_000_000):
@@ -163,7 +163,7 @@ def test_start_and_stop_make_separate_bags(graph, record) -> None:
     assert call("stop").success
     second = call("start")
     assert second.success and second.message.endswith("bag_1")
-    speaker = graph.speaker(DiagnosticArray, "/diagnostics")
+    speaker = graph.publisher(DiagnosticArray, "/diagnostics")
     speaker.publish(DiagnosticArray())
     time.sleep(0.5)
     recording.end()

@@ -61,8 +61,8 @@ REFUSED = {
 @pytest.mark.parametrize("message", REFUSED.values(), ids=REFUSED.keys())
 def test_wrong_trajectory_moves_nothing_and_is_told_once(graph, capfd, message) -> None:
     node = simulator(graph, real_time_factor=5.0)
-    joints = graph.hear(JointState, "joint_states")
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    joints = graph.collect(JointState, "joint_states")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     for _ in range(5):
         sender.publish(message)
     graph.until(lambda: node._fault_log.counts["rotor_trajectory refused"] == 5)
@@ -77,8 +77,8 @@ def test_wrong_trajectory_moves_nothing_and_is_told_once(graph, capfd, message) 
 @pytest.mark.parametrize("data", [[1.0], [1.0, math.nan], [1.0, 2.0, 3.0]])
 def test_wrong_speeds_move_nothing_and_are_told_once(graph, capfd, data) -> None:
     node = simulator(graph, real_time_factor=5.0)
-    joints = graph.hear(JointState, "joint_states")
-    sender = graph.speaker(Float64MultiArray, "rotor_commands")
+    joints = graph.collect(JointState, "joint_states")
+    sender = graph.publisher(Float64MultiArray, "rotor_commands")
     for _ in range(3):
         sender.publish(Float64MultiArray(data=data))
     graph.until(lambda: node._fault_log.counts["rotor_commands refused"] == 3)
@@ -90,8 +90,8 @@ def test_wrong_speeds_move_nothing_and_are_told_once(graph, capfd, data) -> None
 
 def test_speed_beyond_the_limit_is_limited_and_told(graph, capfd) -> None:
     simulator(graph, real_time_factor=5.0, command_timeout=2.0)
-    joints = graph.hear(JointState, "joint_states")
-    graph.speaker(Float64MultiArray, "rotor_commands").publish(
+    joints = graph.collect(JointState, "joint_states")
+    graph.publisher(Float64MultiArray, "rotor_commands").publish(
         Float64MultiArray(data=[1e6, -1e6])
     )
     graph.until(lambda: joints and abs(joints[-1].velocity[0]) > 99.0)
@@ -102,8 +102,8 @@ def test_speed_beyond_the_limit_is_limited_and_told(graph, capfd) -> None:
 
 def test_rotors_ramp_to_rest_when_commands_stop(graph) -> None:
     simulator(graph, real_time_factor=5.0, pose_rate=200.0, command_timeout=0.5)
-    joints = graph.hear(JointState, "joint_states")
-    graph.speaker(Float64MultiArray, "rotor_commands").publish(
+    joints = graph.collect(JointState, "joint_states")
+    graph.publisher(Float64MultiArray, "rotor_commands").publish(
         Float64MultiArray(data=[60.0, -30.0])
     )
     graph.until(lambda: joints and joints[-1].velocity[0] == 60.0)
@@ -118,9 +118,9 @@ def test_rotors_ramp_to_rest_when_commands_stop(graph) -> None:
 
 def test_trajectory_goes_first_and_names_are_matched(graph) -> None:
     simulator(graph, real_time_factor=5.0)
-    joints = graph.hear(JointState, "joint_states")
-    commands = graph.speaker(Float64MultiArray, "rotor_commands")
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    joints = graph.collect(JointState, "joint_states")
+    commands = graph.publisher(Float64MultiArray, "rotor_commands")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     swapped = tuple(reversed(JOINT_NAMES))
     sender.publish(trajectory((0.0, (20.0, 40.0)), (3.0, (20.0, 40.0)), names=swapped))
     graph.until(lambda: joints and tuple(joints[-1].velocity) == (40.0, 20.0))
@@ -132,8 +132,8 @@ def test_trajectory_goes_first_and_names_are_matched(graph) -> None:
 
 def test_ramp_to_rest_that_comes_after_its_end_still_stops_the_rotors(graph, capfd) -> None:
     node = simulator(graph, real_time_factor=2.0)
-    joints = graph.hear(JointState, "joint_states")
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    joints = graph.collect(JointState, "joint_states")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     start = node.simulator.now
     sender.publish(trajectory((0.0, (0.0, 0.0)), (0.1, (40.0, 40.0)), (60.0, (40.0, 40.0)),
                               stamp=start + 1))
@@ -149,9 +149,9 @@ def test_ramp_to_rest_that_comes_after_its_end_still_stops_the_rotors(graph, cap
 
 def test_pose_clock_and_odometry_tell_the_same_rising_time(graph) -> None:
     simulator(graph, real_time_factor=10.0, pose_rate=40.0)
-    poses = graph.hear(PoseStamped, "pose")
-    odometry = graph.hear(Odometry, "odom")
-    clock = graph.hear(Clock, "/clock")
+    poses = graph.collect(PoseStamped, "pose")
+    odometry = graph.collect(Odometry, "odom")
+    clock = graph.collect(Clock, "/clock")
     graph.until(lambda: len(poses) > 60 and odometry and clock)
     stamps = [stamp_from_ros(pose.header.stamp) for pose in poses]
     assert np.all(np.diff(stamps) == 25 * MS)
@@ -167,7 +167,7 @@ def test_pause_stops_the_clock_and_step_goes_one_sample(graph) -> None:
     assert not refused.success and "expected a paused one" in refused.message
     assert graph.call(SetBool, "simulator/pause", SetBool.Request(data=True)).success
     then = node.simulator.now
-    clock = graph.hear(Clock, "/clock")
+    clock = graph.collect(Clock, "/clock")
     graph.until(lambda: len(clock) >= 2)  # repeated for those who come late
     assert node.simulator.now == then
     assert {stamp_from_ros(message.clock) for message in clock} == {then}
@@ -182,9 +182,9 @@ def test_pause_stops_the_clock_and_step_goes_one_sample(graph) -> None:
 
 def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> None:
     node = simulator(graph, real_time_factor=10.0, command_timeout=60.0)
-    poses = graph.hear(PoseStamped, "pose")
-    clock = graph.hear(Clock, "/clock")
-    graph.speaker(Float64MultiArray, "rotor_commands").publish(
+    poses = graph.collect(PoseStamped, "pose")
+    clock = graph.collect(Clock, "/clock")
+    graph.publisher(Float64MultiArray, "rotor_commands").publish(
         Float64MultiArray(data=[80.0, 30.0])
     )
     start = np.array([2.0, -3.0])
@@ -201,8 +201,8 @@ def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> Non
 
 def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
     node = simulator(graph, lockstep=True, real_time_factor=0.0)
-    poses = graph.hear(PoseStamped, "pose")
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    poses = graph.collect(PoseStamped, "pose")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: poses)  # repeated, as the first one came before anybody listened
     sender.publish(trajectory((0.0, (10.0, 0.0)), stamp=1))
     graph.spin_for(0.3)
@@ -217,7 +217,7 @@ def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
 
 def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_told(graph, capfd) -> None:
     node = simulator(graph)
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: node.simulator.now > 500 * MS)
     heard = node._receiver.received
     sender.publish(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
@@ -229,8 +229,8 @@ def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_told(graph, c
 
 def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
     node = simulator(graph, lockstep=True)
-    joints = graph.hear(JointState, "joint_states")
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    joints = graph.collect(JointState, "joint_states")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     answer = trajectory((0.0, (0.0, 0.0)), (0.5, (100.0, 0.0)))
     sender.publish(answer)
     graph.until(lambda: node.simulator.now > 100 * MS)
@@ -245,8 +245,8 @@ def test_lockstep_timeout_is_told_and_counted(graph, capfd) -> None:
     node = simulator(graph, lockstep=True, lockstep_timeout=0.1, real_time_factor=0.0)
     graph.spin_for(0.5)
     assert node.simulator.now == 0  # nobody there yet who could answer
-    diagnostics = graph.hear(DiagnosticArray, "/diagnostics")
-    graph.speaker(JointTrajectory, "rotor_trajectory")
+    diagnostics = graph.collect(DiagnosticArray, "/diagnostics")
+    graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: node.simulator.now >= 1000 * MS)
     told = capfd.readouterr().err
     assert told.count("lockstep time-out: given no rotor_trajectory for t = 0.000 s") == 1
@@ -258,7 +258,7 @@ def test_lockstep_timeout_is_told_and_counted(graph, capfd) -> None:
 
 def test_diagnostics_have_the_layout_of_diagnostic_updater(graph) -> None:
     simulator(graph, real_time_factor=10.0)
-    heard = graph.hear(DiagnosticArray, "/diagnostics")
+    heard = graph.collect(DiagnosticArray, "/diagnostics")
     graph.until(lambda: len(heard) >= 2)
     names = [status.name for status in heard[-1].status]
     assert names == ["simulator: clock", "simulator: commands"]
@@ -275,7 +275,7 @@ def test_plant_with_contact_is_set_by_parameters_and_can_be_pushed(graph) -> Non
         **{"rigid_body.friction": 0.5},
     )
     assert node.get_parameter("rigid_body.friction").value == 0.5
-    poses = graph.hear(PoseStamped, "pose")
+    poses = graph.collect(PoseStamped, "pose")
     graph.until(lambda: poses)
     start = pose_from_ros(poses[-1])
     answer = graph.call(Trigger, "simulator/push", Trigger.Request())
@@ -291,7 +291,7 @@ def test_ideal_plant_offers_no_push(graph) -> None:
 
 def test_several_commands_between_two_looks_are_all_taken(graph) -> None:
     node = simulator(graph, real_time_factor=1.0, pose_rate=500.0)
-    sender = graph.speaker(JointTrajectory, "rotor_trajectory")
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     for speed in range(1, 6):
         sender.publish(trajectory((0.0, (speed, 0.0)), (5.0, (speed, 0.0))))
     graph.until(lambda: node._receiver.received == 5)

@@ -21,7 +21,7 @@ def test_transform_is_published_to_who_listens(graph, monkeypatch) -> None:
 
     monkeypatch.setattr(state_publisher, "TFMessage", StandIn)
     world = StatePublisher(graph.probe, 0.3)
-    heard = graph.hear(TransformStamped, "/tf")
+    heard = graph.collect(TransformStamped, "/tf")
     graph.until(lambda: world._transforms.get_subscription_count() > 0)
     world.publish(Simulator(SimulatorSettings(), RobotParameters()))
     graph.until(lambda: heard)

@@ -59,7 +59,7 @@ def test_late_viewer_shows_pose_goal_and_rotor_speeds(graph, source) -> None:
     graph.add(simulator())
     controller = ControllerNode([Parameter("use_sim_time", value=True)])
     graph.add(controller)
-    goals = graph.speaker(PoseStamped, "goal_pose")
+    goals = graph.publisher(PoseStamped, "goal_pose")
     goals.publish(pose_to_ros(GOAL, 0, 0.3))
     graph.until(lambda: controller.controller.goal is not None)
     late = Node("late")
@@ -144,7 +144,7 @@ def test_refused_strategy_gives_a_notice_and_the_one_in_force_is_shown(graph, so
 
 
 def test_requested_goal_is_published(graph, source) -> None:
-    heard = graph.hear(PoseStamped, "goal_pose")
+    heard = graph.collect(PoseStamped, "goal_pose")
     graph.until(lambda: source._goals.get_subscription_count() > 0)
     assert source.handle(SetGoal(GOAL)) == ""
     graph.until(lambda: heard)
@@ -152,14 +152,14 @@ def test_requested_goal_is_published(graph, source) -> None:
 
 
 def test_pose_in_another_frame_is_refused(graph, source) -> None:
-    poses = graph.speaker(PoseStamped, "pose")
+    poses = graph.publisher(PoseStamped, "pose")
     poses.publish(pose_to_ros(START, 1, 0.3, "map"))
     graph.until(lambda: "refused" in newest(source).alerts[0])
     assert newest(source).state is None
 
 
 def test_sphere_at_another_place_is_a_restart(graph, source) -> None:
-    poses = graph.speaker(PoseStamped, "pose")
+    poses = graph.publisher(PoseStamped, "pose")
     poses.publish(pose_to_ros(START, 1_000_000_000, 0.3))
     graph.until(lambda: newest(source).state is not None)
     poses.publish(pose_to_ros(GOAL, 1_010_000_000, 0.3))
@@ -169,8 +169,8 @@ def test_sphere_at_another_place_is_a_restart(graph, source) -> None:
 
 def test_missing_messages_of_both_nodes_are_reported(graph, source) -> None:
     # The time-outs are tested without a clock, see `Liveness`.
-    statuses = graph.speaker(DiagnosticStatus, "controller/status")
-    poses = graph.speaker(PoseStamped, "pose")
+    statuses = graph.publisher(DiagnosticStatus, "controller/status")
+    poses = graph.publisher(PoseStamped, "pose")
 
     def alive() -> bool:
         statuses.publish(DiagnosticStatus(name="controller"))
@@ -184,8 +184,8 @@ def test_missing_messages_of_both_nodes_are_reported(graph, source) -> None:
 
 def test_markers_are_published_to_a_subscriber(graph) -> None:
     graph.add(MarkerNode())
-    graph.speaker(PoseStamped, "pose").publish(pose_to_ros(START, 1, 0.3))
-    heard = graph.hear(MarkerArray, "markers")
+    graph.publisher(PoseStamped, "pose").publish(pose_to_ros(START, 1, 0.3))
+    heard = graph.collect(MarkerArray, "markers")
     graph.until(lambda: heard)
     markers = {marker.ns: marker for marker in heard[-1].markers}
     assert markers["sphere"].scale.x == pytest.approx(0.6)

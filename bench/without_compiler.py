@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How much slower the solver is without a compiler, on problems of real closed loops.
+"""Ratio of the solve times without and with a compiler, on problems from closed loops.
 
     .venv/bin/python bench/without_compiler.py
 
-Every problem is solved by both, one after the other, in one process; what is compared is processor
-time, which other work on the machine hardly changes.
+Both back ends solve every problem, one after the other, in one process. Processor times are
+compared, as other processes on the machine hardly change them.
 """
 
 import copy
@@ -27,22 +27,22 @@ from sphere_sim.world.simulator import Simulator
 RUNS = 6
 DURATION = 4.0
 EACH = 40
-"""Problems solved of each kind."""
+"""Largest number of problems in each group."""
 GROUPS = (("paper", 1, 4), ("time_optimal", 5, 9), ("time_optimal", 10, 19),
           ("time_optimal", 20, 60))
 
-Asked = tuple[HoldProblem, Vector, SolverSettings]
+Solve = tuple[HoldProblem, Vector, SolverSettings]
 
 
-def problems_of(strategy: str) -> list[Asked]:
-    """Return what a strategy asks the solver on the way to some random goals."""
-    asked: list[Asked] = []
+def problems_of(strategy: str) -> list[Solve]:
+    """Return the solves of a strategy on the way to random goals: problem, start, settings."""
+    solves: list[Solve] = []
     solve = HoldSolver.solve
 
     def remember(
         solver: HoldSolver, problem: HoldProblem, start: Vector, time_budget: float | None = None
     ) -> HoldSolution:
-        asked.append((copy.deepcopy(problem), start.copy(), solver.settings))
+        solves.append((copy.deepcopy(problem), start.copy(), solver.settings))
         return solve(solver, problem, start, time_budget)
 
     robot, settings = RobotParameters(), ControllerSettings(strategy=strategy)
@@ -54,18 +54,18 @@ def problems_of(strategy: str) -> list[Asked]:
             run_closed_loop(simulator, controller, scenario.goal, DURATION, settings.period)
     finally:
         HoldSolver.solve = solve  # type: ignore[method-assign]
-    return asked
+    return solves
 
 
-def times(asked: list[Asked]) -> tuple[list[float], list[float], int]:
-    """Return processor times [s] compiled and without, and how often the steps were the same."""
+def times(solves: list[Solve]) -> tuple[list[float], list[float], int]:
+    """Return the processor times [s] of both back ends, and the number of equal step counts."""
     found: tuple[list[float], list[float]] = ([], [])
     same = 0
-    for problem, start, settings in asked:
+    for problem, start, settings in solves:
         iterations = []
         for backend, seconds in zip(("compiled", "numpy"), found, strict=True):
             solver = HoldSolver(settings, backend)
-            # The first builds what this size of problem needs.
+            # The first solve builds the functions and the memory of this size.
             solver.solve(problem, start)
             began = time.thread_time()
             iterations.append(solver.solve(problem, start).iterations)
@@ -78,9 +78,9 @@ def main() -> None:
     print("| problems of | intervals | solved | same steps | compiled [us] | without | ratio |")
     print("|---|---|---|---|---|---|---|")
     rng = np.random.default_rng(0)
-    asked = {strategy: problems_of(strategy) for strategy in ("paper", "time_optimal")}
+    solves = {strategy: problems_of(strategy) for strategy in ("paper", "time_optimal")}
     for strategy, least, most in GROUPS:
-        fitting = [a for a in asked[strategy] if least <= a[0].intervals <= most]
+        fitting = [a for a in solves[strategy] if least <= a[0].intervals <= most]
         chosen = [fitting[i] for i in rng.permutation(len(fitting))[:EACH]]
         if not chosen:
             continue

@@ -1,17 +1,17 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors raised while something is being set up; the control loop itself never raises."""
+"""Errors raised outside the control loop, which itself never raises."""
 
 
 class SphereNmpcError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base class of the errors of this package."""
 
     exit_code = 1
     """Exit code of a command that ends with the error; 2 where the user gave something wrong."""
 
 
 class InvalidParameterError(SphereNmpcError, ValueError):
-    """A parameter is outside what is physically or numerically sensible.
+    """Parameter outside its valid range.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ class InvalidParameterError(SphereNmpcError, ValueError):
     given : object
         The value that was given.
     expected : str
-        What would have been accepted, in words.
+        Description of what is accepted.
     """
 
     exit_code = 2
@@ -33,12 +33,12 @@ class InvalidParameterError(SphereNmpcError, ValueError):
 
 
 class InvalidStateError(SphereNmpcError, ValueError):
-    """A pose, goal or state vector is not finite, not of the right shape or not a rotation."""
+    """Pose, goal or state vector that is not finite, has a wrong shape or no unit quaternion."""
 
     exit_code = 2
 
 
 class InvalidInputError(SphereNmpcError, ValueError):
-    """Rotor speeds are not finite or their knots are not in order of time."""
+    """Rotor speeds that are not finite, or knots whose times do not increase."""
 
     exit_code = 2

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical quantities as validated dataclass fields.
 
-One declaration gives the default, the unit, the range and the words that explain a parameter; the
-dataclasses check themselves with it, the ROS nodes declare their parameters from it, and the
-parameter tables of the documentation are held against it.
+One declaration has the default, unit, range and description of a parameter. The dataclasses are
+validated with it, the ROS nodes declare their parameters from it, and a test compares the tables
+of parameters in the documentation with it.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ _KEY = "quantity"
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is known about a parameter apart from its value.
+    """Metadata of a parameter.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Quantity:
     minimum, maximum : float or None
         Inclusive range of a number; None where there is no bound.
     choices : collection of str
-        Accepted values of a text; empty where any text will do.
+        Accepted values of a text; empty where any text is accepted.
     live : bool
         Whether the value may change while a node runs.
     """
@@ -54,26 +54,26 @@ def quantity(
     choices: Collection[str] = (),
     live: bool = False,
 ) -> Any:
-    """Make a dataclass field that knows its unit, range and meaning.
+    """Return a dataclass field with unit, range and description in its metadata.
 
     Parameters
     ----------
     default : bool, int, float, str or tuple of float
-        Default value; its type is the type of the parameter.
+        Default; its type is the type of the parameter.
     unit, description, minimum, maximum, choices, live
         See `Quantity`.
 
     Returns
     -------
     dataclasses.Field
-        To be assigned to an annotated name in a dataclass body.
+        For an annotated name in the body of a dataclass.
     """
     about = Quantity(unit, description, minimum, maximum, choices, live)
     return dataclasses.field(default=default, metadata={_KEY: about})
 
 
 def quantities(settings: Any) -> dict[str, Quantity]:
-    """Return the quantity behind each field of a dataclass or dataclass instance, in order."""
+    """Return the metadata of each field of a dataclass or dataclass instance, in order."""
     fields = dataclasses.fields(settings)
     return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
 
@@ -84,7 +84,7 @@ def validate(settings: Any) -> None:
     Raises
     ------
     InvalidParameterError
-        Naming the first field that is wrong, the value given and what was expected.
+        With the name of the first invalid field, the value given and what is expected.
     """
     defaults = {field.name: field.default for field in dataclasses.fields(settings)}
     for name, about in quantities(settings).items():

@@ -13,16 +13,16 @@ from sphere_nmpc.estimation.plant_parameters import (
     ParameterScaling,
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.state import Vector
-from sphere_nmpc.model.tangent import (
-    DEVIATION_SIZE,
-    carried,
-    deviated,
-    deviation_between,
+from sphere_nmpc.model.error_state import (
+    ERROR_SIZE,
+    apply_error,
+    error_between,
+    propagate,
     state_rates,
 )
+from sphere_nmpc.model.state import Vector
 
-SIZE = DEVIATION_SIZE + plant_parameters.SIZE
+SIZE = ERROR_SIZE + plant_parameters.SIZE
 """Size of the joint error state: error of the state, then of the scaled parameters."""
 GATE = 27.0
 """Normalised innovation squared above which a pose is an outlier: exceeded by 1 valid pose in
@@ -48,8 +48,8 @@ _MAX_RATIO = 4.0
 _TURNING = 1.0
 """Rotor speed [rad/s] below which the constants have no process noise."""
 
-State = slice(0, DEVIATION_SIZE)
-Parameters = slice(DEVIATION_SIZE, SIZE)
+State = slice(0, ERROR_SIZE)
+Parameters = slice(ERROR_SIZE, SIZE)
 
 
 @dataclass(frozen=True)
@@ -155,12 +155,12 @@ class FilterState:
         durations, speeds = sent.pieces(self.time, time)
         slopes = self.scaling.slopes()
         for duration, here, there in zip(durations, speeds[:-1], speeds[1:], strict=True):
-            state, by_state, by_constants = carried(
+            state, by_state, by_constants = propagate(
                 state, (here, there), float(duration), self.constants
             )
             transition = np.eye(SIZE)
             transition[State, State] = by_state
-            transition[State, DEVIATION_SIZE : DEVIATION_SIZE + 4] = by_constants * slopes
+            transition[State, ERROR_SIZE : ERROR_SIZE + 4] = by_constants * slopes
             joint = transition @ joint @ transition.T
             joint += self._process_noise(float(duration), 0.5 * (here + there))
         return replace(self, time=time, state=state, joint=joint)
@@ -180,12 +180,12 @@ class FilterState:
         prior = self.predicted(stamp - self.scaling.lag(self.scaled), sent)
         rates = state_rates(prior.state, sent.at(prior.time), prior.constants)
         # If the lag is longer than estimated, the pose is of an earlier state.
-        output = np.zeros((DEVIATION_SIZE, SIZE))
-        output[:, State] = np.eye(DEVIATION_SIZE)
+        output = np.zeros((ERROR_SIZE, SIZE))
+        output[:, State] = np.eye(ERROR_SIZE)
         output[:, -1] = -LAG_PRIOR * rates
         pose_covariance = noise.covariance
         innovation_covariance = output @ prior.joint @ output.T + pose_covariance
-        innovation = deviation_between(prior.state, pose)
+        innovation = error_between(prior.state, pose)
         normalised = float(innovation @ np.linalg.solve(innovation_covariance, innovation))
         if normalised > GATE:
             return prior, False
@@ -193,11 +193,11 @@ class FilterState:
         correction = gain @ innovation
         kept = np.eye(SIZE) - gain @ output
         joint = kept @ prior.joint @ kept.T + gain @ pose_covariance @ gain.T
-        ratio = min(normalised / DEVIATION_SIZE, _MAX_RATIO)
+        ratio = min(normalised / ERROR_SIZE, _MAX_RATIO)
         average = self.ratio + (ratio - self.ratio) / _AVERAGED
         posterior = replace(
             prior,
-            state=deviated(prior.state, correction[State]),
+            state=apply_error(prior.state, correction[State]),
             scaled=self.scaling.within(prior.scaled + correction[Parameters]),
             joint=0.5 * (joint + joint.T),
             inflation=_inflation(self.inflation, average),
@@ -213,11 +213,11 @@ class FilterState:
         variances = np.zeros(SIZE)
         shift = REST_NOISE**2 + (ROLLING_NOISE * rate * self.constants[0]) ** 2
         turn = REST_NOISE**2 + (ROLLING_NOISE * rate) ** 2
-        variances[:2], variances[2:DEVIATION_SIZE] = shift, turn
+        variances[:2], variances[2:ERROR_SIZE] = shift, turn
         variances *= self.inflation
         learning = self.joint[-1, -1] > 0.0
         if turning > _TURNING and learning:
-            variances[DEVIATION_SIZE : DEVIATION_SIZE + 4] = CONSTANTS_NOISE**2
+            variances[ERROR_SIZE : ERROR_SIZE + 4] = CONSTANTS_NOISE**2
         noise: Vector = np.diag(variances * duration)
         return noise
 

@@ -3,8 +3,8 @@
 """Error-state extended Kalman filter on late and noisy poses and the rotor speeds sent.
 
 The state lives on the plane times SO(3): it stays a unit quaternion and its error is a vector of
-five numbers (`sphere_nmpc.model.tangent`). The plant's constants and lag are five more states of
-the same filter, so that each pose is used once, and the parameters are estimated from the whole
+five numbers (`sphere_nmpc.model.error_state`). The plant's constants and lag are five more states
+of the same filter, so that each pose is used once, and the parameters are estimated from the whole
 path instead of from noisy differences between neighbouring poses.
 
 A pose is fused at the time at which it was measured. One that arrives out of order is inserted

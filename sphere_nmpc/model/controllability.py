@@ -1,11 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How well two rotors can move the sphere in all five directions from where it is (Theorem 1).
+"""Local controllability of a configuration: rank of the Lie brackets (Theorem 1).
 
-The columns of G(x) and their Lie brackets span the directions that can be reached by ever finer
+The columns of G(x) and their Lie brackets span the directions that can be reached by small
 manoeuvres. With brackets of up to three fields they span all five unless the contact point lies
 on the great circle Gamma through the rotors (Eq. 16); with four fields they always do, so the
-robot is locally controllable everywhere, and on Gamma it only needs more of a manoeuvre.
+robot is locally controllable everywhere, and on Gamma its degree of nonholonomy is 4, not 3.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ FOURTH_ORDER = 8
 
 @dataclass(frozen=True)
 class Controllability:
-    """How the present configuration lies to the directions that can be reached from it.
+    """Measures of the local controllability of a configuration.
 
     Attributes
     ----------
@@ -60,11 +60,11 @@ def distance_to_circle(state: Vector) -> float:
     Parameters
     ----------
     state : ndarray, shape (6,)
-        Position does not matter.
+        The result does not depend on the position.
     """
     w, x, y, z = state[QUATERNION]
-    # Height of the contact point over the rotors' plane and its distance from the axis, over Rs:
-    # unlike an arcsine of the height this is accurate everywhere and needs no unit norm.
+    # Height of the contact point over the rotors' plane and its distance from the axis, divided by
+    # Rs: unlike the arcsine of the height this is accurate everywhere and needs no unit norm.
     height = abs(w * w + z * z - x * x - y * y)
     return float(np.arctan2(height, 2.0 * np.hypot(x * z - w * y, y * z + w * x)))
 
@@ -77,7 +77,7 @@ def controllability(state: Vector, constants: LumpedConstants) -> Controllabilit
     state : ndarray, shape (6,)
         Configuration of the robot.
     constants : LumpedConstants
-        What is believed about the robot.
+        Constants of the robot.
     """
     brackets = bracket_matrix(state, constants)
     if not np.all(np.isfinite(brackets)):
@@ -97,7 +97,7 @@ def bracket_matrix(state: Vector, constants: LumpedConstants) -> Vector:
     state : ndarray, shape (6,)
         Configuration of the robot.
     constants : LumpedConstants
-        What is believed about the robot.
+        Constants of the robot.
 
     Returns
     -------
@@ -132,8 +132,8 @@ def _bracket_function() -> ca.Function:
     g1, g2 = field([1.0, 0.0]), field([0.0, 1.0])
     g12 = bracket(g1, g2)
     g112, g212 = bracket(g1, g12), bracket(g2, g12)
-    # The root makes the last three transform by a rotation when the body is turned about z; with
-    # it the singular values depend on the distance from Gamma alone.
+    # With the root the last three transform by a rotation when the body is rotated about z, so
+    # that the singular values depend on the distance from Gamma alone.
     mixed = ca.sqrt(2.0) * bracket(g2, g112)
     fields = (g1, g2, g12, g112, g212, bracket(g1, g112), mixed, bracket(g2, g212))
     return ca.Function("brackets", [x, p], [ca.horzcat(*(_reduced(f, x, p) for f in fields))])

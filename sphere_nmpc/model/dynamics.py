@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Equations of motion in CasADi: the one place where the controller's model is written down.
+"""Equations of motion in CasADi expressions: the only definition of the controller's model.
 
 The angular momentum about the contact point is conserved and zero from rest on (Eq. 11). With the
 body's inertia D - m k k^T about that point, k the world vertical in body axes, this reads

@@ -14,19 +14,19 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 @dataclass(frozen=True, eq=False)
 class FirstOrderHold:
-    """Knots joined by straight lines; outside the first and the last knot their values hold.
+    """Linear interpolation between knots; constant before the first and after the last.
 
     Attributes
     ----------
     times : ndarray, shape (K,)
-        Times of the knots [s], strictly rising.
+        Times of the knots [s], strictly increasing.
     speeds : ndarray, shape (K, 2)
         Rotor speeds at the knots [rad/s].
 
     Raises
     ------
     InvalidInputError
-        If the shapes do not fit, a number is not finite, or the times do not rise.
+        If the shapes do not fit, a number is not finite, or the times do not increase.
     """
 
     times: Vector
@@ -55,26 +55,26 @@ class FirstOrderHold:
         speeds.flags.writeable = False
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "speeds", speeds)
-        # One value at a time is looked up far faster in a list than in an array.
+        # Single values are read much faster from a list than from an array.
         object.__setattr__(self, "_knots", times.tolist())
 
     @classmethod
-    def _sound(cls, times: Vector, speeds: Vector) -> "FirstOrderHold":
-        """Return a hold of arrays that are sound by construction and nobody else's."""
+    def _unchecked(cls, times: Vector, speeds: Vector) -> "FirstOrderHold":
+        """Return a hold of arrays that are valid by construction and not referenced elsewhere."""
         hold = object.__new__(cls)
         hold._keep(times, speeds)
         return hold
 
     @classmethod
     def constant(cls, time: float, speeds: Vector) -> "FirstOrderHold":
-        """Return a hold of one knot: the same speeds for ever."""
+        """Return a hold of one knot: constant speeds."""
         return cls(np.array([time]), np.asarray(speeds, dtype=float).reshape(1, INPUT_SIZE))
 
     @classmethod
     def ramp_to_rest(
         cls, time: float, speeds: Vector, max_acceleration: float
     ) -> "FirstOrderHold":
-        """Return the ramp from `speeds` to zero, both rotors arriving together.
+        """Return the ramp from `speeds` to zero, which both rotors reach at the same time.
 
         Parameters
         ----------
@@ -86,10 +86,10 @@ class FirstOrderHold:
             Largest rotor acceleration [rad/s^2].
         """
         end = time + max(map(abs, np.asarray(speeds).tolist())) / max_acceleration
-        # On a clock that counts from 1970 a float resolves 2e-7 s: a ramp may have no length.
+        # On a clock that counts from 1970 a float resolves 2e-7 s: the ramp may have no length.
         if end <= time + 1e-9:
             return cls.constant(time, np.zeros(INPUT_SIZE))
-        # Rounded up, for a ramp that is cut short by rounding would break the limit.
+        # Rounded up, as a ramp shortened by rounding would exceed the limit.
         times = np.array([time, np.nextafter(end, np.inf)])
         return cls(times, np.vstack((speeds, np.zeros(INPUT_SIZE))))
 
@@ -118,7 +118,7 @@ class FirstOrderHold:
         return speeds
 
     def slope_at(self, time: float) -> Vector:
-        """Return the rotor accelerations just after `time` [rad/s^2], shape (2,); 0 outside."""
+        """Return the rotor accelerations after `time` [rad/s^2], shape (2,); 0 outside."""
         i = int(np.searchsorted(self.times, time, side="right")) - 1
         if i < 0 or i >= self.times.size - 1:
             return np.zeros(INPUT_SIZE)
@@ -130,10 +130,10 @@ class FirstOrderHold:
         return FirstOrderHold(self.times + offset, self.speeds)
 
     def starting_at(self, time: float, speeds: Vector) -> "FirstOrderHold":
-        """Return the hold that leaves `speeds` at `time` and joins this one at its next knot.
+        """Return the hold that starts with `speeds` at `time` and meets this one at its next knot.
 
-        A command that takes effect late must not bend the past: what lies before `time` is
-        dropped and the ramp starts from the speed in force.
+        For a command that takes effect late: knots before `time` are dropped, and the ramp starts
+        from the speeds in force.
         """
         first = bisect_right(self._knots, time + 1e-9)
         times = np.array([time, *self._knots[first:]])
@@ -142,29 +142,29 @@ class FirstOrderHold:
         knots[1:] = self.speeds[first:]
         if not (math.isfinite(time) and np.isfinite(knots[0]).all()):
             raise InvalidInputError("first-order hold: given a start that is not finite")
-        return FirstOrderHold._sound(times, knots)
+        return FirstOrderHold._unchecked(times, knots)
 
     def ending_at_rest(self, max_acceleration: float) -> "FirstOrderHold":
-        """Return the hold with a ramp to rest behind its last knot, if that is not at rest."""
+        """Return the hold with a ramp to rest after its last knot, unless that is zero."""
         last = self.speeds[-1]
         if not last.any():
             return self
         ramp = FirstOrderHold.ramp_to_rest(self.end, last, max_acceleration)
         if ramp.times.size == 1:
-            # Too slow to need a ramp, but rest is rest.
+            # The ramp has no length; the last speeds are set to exactly zero.
             speeds = self.speeds.copy()
             speeds[-1] = 0.0
-            return FirstOrderHold._sound(self.times, speeds)
+            return FirstOrderHold._unchecked(self.times, speeds)
         times = np.concatenate((self.times, ramp.times[1:]))
-        return FirstOrderHold._sound(times, np.concatenate((self.speeds, ramp.speeds[1:])))
+        return FirstOrderHold._unchecked(times, np.concatenate((self.speeds, ramp.speeds[1:])))
 
     def limited(self, max_speed: float, max_acceleration: float) -> "FirstOrderHold":
-        """Return the hold with every knot moved, first to last, as little as the limits need.
+        """Return the hold with each knot, from first to last, clipped to the limits.
 
         Parameters
         ----------
         max_speed : float
-            Largest rotor speed [rad/s]; the first knot is a fact and is left alone.
+            Largest rotor speed [rad/s]; the first knot, the speeds in force, is not changed.
         max_acceleration : float
             Largest rotor acceleration [rad/s^2].
         """
@@ -175,4 +175,4 @@ class FirstOrderHold:
                 before = rows[i - 1][rotor]
                 wanted = min(max(rows[i][rotor], -max_speed), max_speed)
                 rows[i][rotor] = min(max(wanted, before - reach), before + reach)
-        return FirstOrderHold._sound(self.times.copy(), np.array(rows))
+        return FirstOrderHold._unchecked(self.times.copy(), np.array(rows))

@@ -1,10 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Integration of the motion under a first-order hold, on the rotation group itself.
+"""Integration of the motion under a first-order hold on the rotation group.
 
 A commutator-free Lie group method of order four (CF4 of Celledoni, Marthinsen and Owren, 2003)
 composes exponentials of body rates, so the quaternion keeps its unit norm to rounding, and at the
-robot's speeds one step is worth about three of the classical Runge-Kutta method.
+robot's speeds one step is as accurate as about three of the classical Runge-Kutta method.
 """
 
 import math
@@ -45,7 +45,7 @@ def cf4_step(
     Returns
     -------
     displacement : expression, shape (2,)
-        How far the centre moved [m; world frame].
+        Displacement of the centre [m; world frame].
     q_end : expression, shape (4,)
         Quaternion at the end of the step.
     """
@@ -71,14 +71,14 @@ def cf4_step(
 
 
 def steps_for(duration: float, max_step: float = DEFAULT_MAX_STEP) -> int:
-    """Return how many integration steps an interval of `duration` [s] gets, at least one."""
-    # The tolerance keeps 0.5 / 0.1 at 5 steps when 0.5 was a difference of two clock readings.
+    """Return the number of integration steps of an interval of `duration` [s], at least one."""
+    # The tolerance keeps 0.5 / 0.1 at 5 steps if 0.5 is the difference of two clock readings.
     return max(1, math.ceil(duration / max_step - 1e-6))
 
 
 @cache
 def step_function() -> ca.Function:
-    """Return the compiled-once CasADi function (x, u_start, u_end, h, p) -> x_end of one step."""
+    """Return the CasADi function (x, u_start, u_end, h, p) -> x_end of one step."""
     x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 4)
     u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
     displacement, q_end = cf4_step(x[2:6], u_start, u_end, h, p)

@@ -13,10 +13,10 @@ from sphere_nmpc.quantity import quantity, validate
 
 @dataclass(frozen=True)
 class LumpedConstants:
-    """The four numbers through which all masses and inertias enter the motion.
+    """Four constants through which all masses and inertias enter the motion.
 
-    With ``m = Mt Rs^2`` the momentum balance is divided by its own diagonal, and only these are
-    left; they are therefore also all that can be learnt about the plant from its motion.
+    They are what remains, with ``m = Mt Rs^2``, when the momentum balance is divided by its
+    diagonal, and therefore all that can be identified from the motion.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class LumpedConstants:
     axial_ratio: float
 
     def as_array(self) -> NDArray[np.float64]:
-        """Return [Rs, c1, r1, r3], the order in which the model functions take them."""
+        """Return [Rs, c1, r1, r3], shape (4,)."""
         return np.array(
             [self.shell_radius, self.input_gain, self.transverse_ratio, self.axial_ratio]
         )
@@ -108,7 +108,7 @@ class RobotParameters:
         if self.rotor_offset >= self.shell_radius:
             raise InvalidParameterError(
                 "rotor_offset", self.rotor_offset,
-                f"less than shell_radius = {self.shell_radius:g} m, the rotors are inside",
+                f"less than shell_radius = {self.shell_radius:g} m, as the rotors are inside",
             )
 
     @property
@@ -136,12 +136,12 @@ class RobotParameters:
 
     @property
     def rolling_inertia(self) -> float:
-        """Mt Rs^2 [kg m^2]: what rolling adds about the contact point."""
+        """Mt Rs^2 [kg m^2]: total mass times the squared distance of the contact point."""
         return self.total_mass * self.shell_radius**2
 
     @property
     def lumped(self) -> LumpedConstants:
-        """The constants that enter the driftless model."""
+        """Constants of the driftless model."""
         rolling = self.rolling_inertia
         transverse = self.transverse_inertia + rolling
         axial = self.axial_inertia + rolling

@@ -1,14 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Motor torques of a plan, and the rotor acceleration that a torque limit leaves (Eqs. 44 to 46).
+"""Motor torques of a plan, and the rotor acceleration that a torque limit allows (Eqs. 44 to 46).
 
-A motor accelerates its rotor against inertia, together with the shell that it sits in:
+The torque of a motor is the inertia of its rotor times the acceleration of the rotor in space:
 
     tau_i = I1 (du_i/dt + domega_i/dt),   omega = W(k) u,   domega/dt = W du/dt + (dW/dt) u.
 
-The last term is what the shell's turning asks for at constant speeds. Both parts are largest at
-orientations that can be searched for once, so that a torque limit becomes a slew limit that holds
-everywhere: with |u_i| <= u_max and |du_i/dt| <= a,
+The last term is the torque at constant rotor speeds while the shell rotates. The maxima of both
+parts over all orientations are computed once, so that a torque limit becomes an acceleration limit
+that is valid everywhere: with |u_i| <= u_max and |du_i/dt| <= a,
 
     |tau_i| <= I1 (s a + w),   s = max_k sum_j |1_ij + W_ij|,   w = max_{k, u} |(dW/dt u)_i|.
 """
@@ -26,11 +26,11 @@ from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 
 _ORIENTATIONS = 500
-"""Directions of the vertical that are searched; the maxima are flat, 400 find them to 1 %."""
+"""Directions of the vertical in the search; the maxima are flat, 400 give them within 1 %."""
 _MARGIN = 1.01
-"""Over the largest that the search found."""
+"""Factor on the largest values found."""
 _EDGE = 21
-"""Rotor speeds on each edge of the square |u_i| <= u_max that are searched."""
+"""Rotor speeds in the search on each edge of the square |u_i| <= u_max."""
 
 
 def torques(
@@ -45,7 +45,7 @@ def torques(
     hold : FirstOrderHold
         Rotor speeds, K knots.
     constants : LumpedConstants
-        What is believed about the plant.
+        Constants of the plant.
     rotor_axial_inertia : float
         I1 [kg m^2].
 
@@ -54,7 +54,7 @@ def torques(
     after : ndarray, shape (K - 1, 2)
         At the start of each interval [N m].
     before : ndarray, shape (K - 1, 2)
-        At its end [N m]. Within an interval the torque is nearly a straight line.
+        At its end [N m]. Within an interval the torque is nearly linear in time.
     """
     slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
     after = _torques(states[:-1], hold.speeds[:-1], slopes, constants, rotor_axial_inertia)
@@ -63,14 +63,14 @@ def torques(
 
 
 def largest_acceleration(robot: RobotParameters) -> float:
-    """Return the rotor acceleration [rad/s^2] that keeps the torque limit wherever the robot is.
+    """Return the rotor acceleration [rad/s^2] that respects the torque limit in all orientations.
 
-    That is `max_rotor_acceleration` without a torque limit or where that asks for less.
+    At most `max_rotor_acceleration`, which is also the result without a torque limit.
 
     Raises
     ------
     InvalidParameterError
-        If the limit does not even hold rotors at their largest speed while the shell turns.
+        If the torque limit is too low even for constant largest speeds while the shell rotates.
     """
     if robot.max_rotor_torque <= 0.0:
         return robot.max_rotor_acceleration
@@ -81,20 +81,20 @@ def largest_acceleration(robot: RobotParameters) -> float:
     if left < 1.0:
         raise InvalidParameterError(
             "max_rotor_torque", robot.max_rotor_torque,
-            f"0 or more than {inertia * (at_speed + share):.3g} N m, which the shell's turning "
-            f"asks for at {robot.max_rotor_speed:g} rad/s",
+            f"0 or more than {inertia * (at_speed + share):.3g} N m, the torque at "
+            f"{robot.max_rotor_speed:g} rad/s while the shell rotates",
         )
     return min(robot.max_rotor_acceleration, left)
 
 
 def within_torque(robot: RobotParameters) -> RobotParameters:
-    """Return the robot with the acceleration limit that its torque limit leaves."""
+    """Return the robot with the acceleration limit that its torque limit allows."""
     return replace(robot, max_rotor_acceleration=largest_acceleration(robot))
 
 
 @cache
 def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tuple[float, float]:
-    """Return s [-] and w over u_max^2 [-] of the module's bound."""
+    """Return s [-] and w / u_max^2 [-] of the bound in the module's docstring."""
     p = np.array([1.0, input_gain, transverse_ratio, axial_ratio])
     turns = _turns(_ORIENTATIONS)
     rates = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
@@ -102,7 +102,7 @@ def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tu
     gains = ca.Function("gain", [rates[0]], [gain]).map(len(turns))
     sums = np.abs(np.array(gains(turns.T)).reshape(INPUT_SIZE, len(turns), INPUT_SIZE)).sum(axis=2)
     along = np.linspace(-1.0, 1.0, _EDGE)
-    # A rate quadratic in the speeds is largest on the square's edges; opposite ones agree.
+    # Quadratic in the speeds, it is largest on the edges of the square; opposite edges agree.
     edges = np.vstack([np.column_stack((np.ones(_EDGE), along)),
                        np.column_stack((along, np.ones(_EDGE)))])
     turning = max(
@@ -138,10 +138,10 @@ def _unit_torque() -> ca.Function:
 
 
 def _turns(number: int) -> Vector:
-    """Return orientations, wxyz of shape (number, 4), with verticals spread over the sphere."""
+    """Return orientations, shape (number, 4), with verticals spread evenly over the sphere."""
     height = 1.0 - (2.0 * np.arange(number) + 1.0) / number
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(number)
-    # The turn that takes the direction to the vertical: about their cross product.
+    # The rotation that takes the direction to the vertical is about their cross product.
     flat = np.sqrt(1.0 - height**2)
     vertical = np.column_stack((flat * np.cos(angle), flat * np.sin(angle), height))
     turns = np.column_stack((1.0 + height, vertical[:, 1], -vertical[:, 0], np.zeros(number)))

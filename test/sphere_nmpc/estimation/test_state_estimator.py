@@ -9,10 +9,10 @@ from sphere_nmpc.estimation.filter_state import FilterState, PoseNoise
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import AGREEING_OUTLIERS, HISTORY, StateEstimator
+from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
-from sphere_nmpc.model.tangent import deviated, deviation_between
 
 LUMPED = RobotParameters().lumped
 SCALING = ParameterScaling(LUMPED)
@@ -45,7 +45,7 @@ def truths(sent: SentInputs, factor: float = 1.0, lag: float = 0.0) -> dict[floa
 
 def measured(rng: np.random.Generator, state: Vector) -> Vector:
     spread = np.array([NOISE.position] * 2 + [NOISE.angle] * 3)
-    return deviated(state, spread * rng.normal(size=5))
+    return apply_error(state, spread * rng.normal(size=5))
 
 
 def estimator(
@@ -63,7 +63,7 @@ def predicted(found: StateEstimator, time: float) -> FilterState:
 def normalised_error(found: StateEstimator, time: float, truth: Vector) -> float:
     """Return the squared error of the state normalised by its covariance."""
     state = predicted(found, time)
-    error = deviation_between(state.state, truth)
+    error = error_between(state.state, truth)
     return float(error @ np.linalg.solve(state.covariance, error))
 
 
@@ -82,7 +82,7 @@ def test_estimate_is_better_than_the_poses_and_its_covariance_is_consistent() ->
                 found.observe(time, measured(rng, state))
             if time > 2.0:
                 squares.append(normalised_error(found, time, state))
-                errors.append(np.abs(deviation_between(predicted(found, time).state, state)))
+                errors.append(np.abs(error_between(predicted(found, time).state, state)))
     # Expected are five degrees of freedom; an overconfident filter is far above.
     assert 1.5 < np.mean(squares) < 7.0
     assert np.mean(np.array(errors)[:, :2]) < 0.5 * NOISE.position
@@ -150,7 +150,7 @@ def test_single_outlier_is_rejected() -> None:
     for k in range(20):
         found.observe(PERIOD * k, measured(rng, START))
     before = predicted(found, 1.0)
-    found.observe(1.0, deviated(START, np.array([1.0, 0.0, 0.0, 0.0, 2.0])))
+    found.observe(1.0, apply_error(START, np.array([1.0, 0.0, 0.0, 0.0, 2.0])))
     after = predicted(found, 1.0)
     np.testing.assert_array_equal(before.state, after.state)
     assert found.outliers == 1 and found.restarts == 0
@@ -161,7 +161,7 @@ def test_filter_restarts_after_a_few_outliers_that_agree() -> None:
     found = estimator(SentInputs())
     for k in range(20):
         found.observe(PERIOD * k, measured(rng, START))
-    elsewhere = deviated(START, np.array([0.5, -0.3, 0.0, 1.0, 0.0]))
+    elsewhere = apply_error(START, np.array([0.5, -0.3, 0.0, 1.0, 0.0]))
     for k in range(20, 20 + AGREEING_OUTLIERS):
         found.observe(PERIOD * k, measured(rng, elsewhere))
     assert found.restarts == 1

@@ -140,7 +140,7 @@ COUNTING = """
 import signal
 import time
 import numpy as np
-from sphere_nmpc.model.tangent import carried
+from sphere_nmpc.model.error_state import propagate
 
 def main(argv):
     end = time.monotonic() + 60.0
@@ -152,7 +152,7 @@ def main(argv):
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             while time.monotonic() < end:
-                carried(state, speeds, 0.25, np.array([0.145, 0.5, 0.1, 0.2]))
+                propagate(state, speeds, 0.25, np.array([0.145, 0.5, 0.1, 0.2]))
         except KeyboardInterrupt:
             pass
 """

@@ -1,10 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Small deviations of the state and how the motion carries them along.
+"""Error state of a configuration and its propagation along the motion.
 
-A deviation is [dx, dy, a1, a2, a3], shape (5,): a shift [m; world frame] and a rotation vector
-[rad; body frame] behind the orientation, q exp(a / 2). Five numbers for five degrees of freedom,
-without the constraint that the four of a quaternion obey.
+An error is [dx, dy, a1, a2, a3], shape (5,): a displacement [m; world frame] and a rotation vector
+[rad; body frame] that is applied after the orientation, q exp(a / 2). It has one number for each
+degree of freedom and, unlike the four components of a quaternion, no constraint.
 """
 
 from functools import cache
@@ -18,23 +18,23 @@ from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, cf4_step, steps_for
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.model.symbolic_rotation import quaternion_product, rotation_matrix
 
-DEVIATION_SIZE = 5
+ERROR_SIZE = 5
 
 
-def deviated(state: Vector, deviation: Vector) -> Vector:
-    """Return the state, shape (6,), moved by a deviation, shape (5,)."""
-    q = rotation.product(state[QUATERNION], rotation.exponential(deviation[2:]))
-    return np.concatenate((state[POSITION] + deviation[:2], q / np.linalg.norm(q)))
+def apply_error(state: Vector, error: Vector) -> Vector:
+    """Return the state, shape (6,), changed by an error, shape (5,)."""
+    q = rotation.product(state[QUATERNION], rotation.exponential(error[2:]))
+    return np.concatenate((state[POSITION] + error[:2], q / np.linalg.norm(q)))
 
 
-def deviation_between(state: Vector, other: Vector) -> Vector:
-    """Return the deviation, shape (5,), that leads from `state` to `other`, both shape (6,)."""
+def error_between(state: Vector, other: Vector) -> Vector:
+    """Return the error, shape (5,), that leads from `state` to `other`, both shape (6,)."""
     turn = rotation.product(rotation.conjugate(state[QUATERNION]), other[QUATERNION])
     return np.concatenate((other[POSITION] - state[POSITION], rotation.logarithm(turn)))
 
 
 def state_rates(state: Vector, speeds: Vector, constants: Vector) -> Vector:
-    """Return how fast the state deviates from where it is, shape (5,), [m/s; rad/s].
+    """Return velocity [m/s; world frame] and angular velocity [rad/s; body frame], shape (5,).
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def state_rates(state: Vector, speeds: Vector, constants: Vector) -> Vector:
     return np.array(_rates()(state, speeds, constants)).ravel()
 
 
-def carried(
+def propagate(
     state: Vector,
     speeds: tuple[Vector, Vector],
     duration: float,
@@ -74,17 +74,17 @@ def carried(
     state : ndarray, shape (6,)
         State at the end.
     by_state : ndarray, shape (5, 5)
-        Derivative of its deviation by the deviation at the start.
+        Derivative of the error at the end by the error at the start.
     by_constants : ndarray, shape (5, 4)
-        Derivative of its deviation by the constants.
+        Derivative of the error at the end by the constants.
     """
     steps = steps_for(duration, max_step)
     start, change = speeds[0], speeds[1] - speeds[0]
-    by_state: Vector = np.eye(DEVIATION_SIZE)
-    by_constants: Vector = np.zeros((DEVIATION_SIZE, 4))
+    by_state: Vector = np.eye(ERROR_SIZE)
+    by_constants: Vector = np.zeros((ERROR_SIZE, 4))
     for i in range(steps):
         here, there = start + change * (i / steps), start + change * ((i + 1) / steps)
-        found = _carrying_step()(state, here, there, duration / steps, constants)
+        found = _propagation_step()(state, here, there, duration / steps, constants)
         end, onwards, added = (np.array(matrix, dtype=float) for matrix in found)
         state = end.ravel()
         by_state, by_constants = onwards @ by_state, onwards @ by_constants + added
@@ -92,11 +92,11 @@ def carried(
 
 
 @cache
-def _carrying_step() -> ca.Function:
-    x, p, d = ca.SX.sym("x", 6), ca.SX.sym("p", 4), ca.SX.sym("d", DEVIATION_SIZE)
+def _propagation_step() -> ca.Function:
+    x, p, d = ca.SX.sym("x", 6), ca.SX.sym("p", 4), ca.SX.sym("d", ERROR_SIZE)
     u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
     shift, q = cf4_step(x[2:6], u_start, u_end, h, p)
-    # To first order, which is all that a derivative at zero asks for.
+    # To first order, which suffices for the derivative at zero.
     turned = quaternion_product(x[2:6], ca.vertcat(1.0, 0.5 * d[2:5]))
     moved, turned_end = cf4_step(turned, u_start, u_end, h, p)
     inverse = ca.vertcat(q[0], -q[1:4])
@@ -104,13 +104,13 @@ def _carrying_step() -> ca.Function:
     away = ca.vertcat(d[0:2] + moved, 2.0 * quaternion_product(held, turned_end)[1:4])
     by_state = ca.substitute(ca.jacobian(away, d), held, inverse)
     by_constants = ca.substitute(ca.jacobian(away, p), held, inverse)
-    zero = ca.SX.zeros(DEVIATION_SIZE)
+    zero = ca.SX.zeros(ERROR_SIZE)
     outputs = [
         ca.vertcat(x[0:2] + shift, q),
         ca.substitute(by_state, d, zero),
         ca.substitute(by_constants, d, zero),
     ]
-    return ca.Function("carrying_step", [x, u_start, u_end, h, p], outputs)
+    return ca.Function("propagation_step", [x, u_start, u_end, h, p], outputs)
 
 
 @cache

@@ -56,7 +56,7 @@ def raising(error: BaseException):
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "told"),
+    ("error", "code", "message"),
     [
         (SphereNmpcError("no wheel"), 1, "no wheel"),
         (InvalidParameterError("x", 1, "2"), 2, "x: given 1, expected 2"),
@@ -67,13 +67,13 @@ def raising(error: BaseException):
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_every_exception_is_a_line_and_a_code(error, code, told, capsys) -> None:
+def test_every_exception_is_a_line_and_a_code(error, code, message, capsys) -> None:
     assert guarded("verb", raising(error), Signals()) == code
-    assert capsys.readouterr().err == f"verb: {told}\n"
+    assert capsys.readouterr().err == f"verb: {message}\n"
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("of a library")])
-def test_what_an_interrupt_leaves_behind_is_told_whatever_it_has_become(error, capsys) -> None:
+def test_message_of_an_interrupt_names_what_remains_whatever_the_exception(error, capsys) -> None:
     def verb() -> int:
         with if_interrupted(lambda: "all is kept"), if_interrupted(lambda: "a bag is left"):
             raise error
@@ -87,9 +87,9 @@ def test_what_an_interrupt_leaves_behind_is_told_whatever_it_has_become(error, c
 def test_traceback_is_shown_on_request(roll) -> None:
     source = "def main(argv):\n    assert argv == ['--x', '--ros-args', '--debug']\n    int('a')\n"
     process = roll(source, "--debug", "--x", "--ros-args", "--debug")
-    _, told = process.communicate(timeout=PATIENCE)
+    _, message = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert "Traceback" in told and told.endswith("(--debug shows where)\n")
+    assert "Traceback" in message and message.endswith("(--debug shows where)\n")
 
 
 WAITING = """
@@ -105,8 +105,8 @@ def interrupted(process: subprocess.Popen, number: int = signal.SIGINT) -> tuple
     """Return exit code and standard error of a process that gets a signal once it has started."""
     assert process.stdout.readline() == "up\n"
     process.send_signal(number)
-    _, told = process.communicate(timeout=PATIENCE)
-    return process.returncode, told
+    _, message = process.communicate(timeout=PATIENCE)
+    return process.returncode, message
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -118,8 +118,8 @@ def test_signal_while_modules_are_loaded_is_silent(roll, number) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_is_one_line(roll, number) -> None:
     source = WAITING.format(during_import="", call=f"time.sleep({LONG})")
-    told = "sphere_nmpc roll: interrupted\n"
-    assert interrupted(roll(source), number) == (128 + number, told)
+    message = "sphere_nmpc roll: interrupted\n"
+    assert interrupted(roll(source), number) == (128 + number, message)
 
 
 def test_signal_that_a_library_turns_into_an_error_is_still_one(roll) -> None:
@@ -129,7 +129,7 @@ def test_signal_that_a_library_turns_into_an_error_is_still_one(roll) -> None:
     assert interrupted(roll(source)) == (130, "sphere_nmpc roll: interrupted\n")
 
 
-def test_signal_that_a_finaliser_swallows_comes_again(roll) -> None:
+def test_signal_in_a_finaliser_is_repeated(roll) -> None:
     cls = f"class Slow:\n    def __del__(self): print('up', flush=True); time.sleep({LONG})\n"
     source = WAITING.format(during_import=cls, call=f"x = Slow(); del x; time.sleep({LONG})")
     source = source.replace("print('up', flush=True)\n    x", "x")
@@ -174,8 +174,8 @@ def test_signal_that_is_ignored_from_the_start_stays_ignored(roll) -> None:
     source = WAITING.format(during_import="import sys", call="sys.stdin.read()")
     ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)}
     process = roll(source, stdin=subprocess.PIPE, **ignoring)
-    code, told = interrupted(process)
-    assert (code, told) == (0, "")
+    code, message = interrupted(process)
+    assert (code, message) == (0, "")
 
 
 PRINTING = """
@@ -187,29 +187,29 @@ def main(argv):
 """
 
 
-def test_reader_that_goes_away_does_not_stop_the_work(roll, tmp_path) -> None:
+def test_reader_that_ends_does_not_stop_the_work(roll, tmp_path) -> None:
     inlet, outlet = os.pipe()
     os.close(inlet)
     process = roll(PRINTING, str(tmp_path / "result"), stdout=outlet)
     os.close(outlet)
-    _, told = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, told) == (0, "")
+    _, message = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, message) == (0, "")
     assert (tmp_path / "result").exists()
 
 
-def test_full_disk_of_standard_output_is_told_after_the_work(roll, tmp_path) -> None:
+def test_full_disk_of_standard_output_is_reported_after_the_work(roll, tmp_path) -> None:
     with Path("/dev/full").open("w") as full:
         process = roll(PRINTING, str(tmp_path / "result"), stdout=full)
-        _, told = process.communicate(timeout=PATIENCE)
+        _, message = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert told == "sphere_nmpc: standard output: No space left on device\n"
+    assert message == "sphere_nmpc: standard output: No space left on device\n"
     assert (tmp_path / "result").exists()
 
 
 def test_descriptor_of_a_closed_standard_output_is_not_used_again(roll, tmp_path) -> None:
     process = roll(PRINTING, str(tmp_path / "result"), preexec_fn=lambda: os.close(1), stdout=None)
-    _, told = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, told) == (0, "")
+    _, message = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, message) == (0, "")
     assert (tmp_path / "result").read_text() == ""
 
 

@@ -61,7 +61,7 @@ def test_other_cases_are_undisturbed() -> None:
         np.testing.assert_array_equal(plan.scenario.goal, PAPER_CASES[case].goal)
 
 
-def test_the_other_strategy_is_compared_with() -> None:
+def test_run_is_compared_with_the_other_strategy() -> None:
     assert (parse([]).strategy, parse([]).other_strategy) == ("time_optimal", "paper")
     given = parse(["--strategy", "paper", "--no-compare"])
     assert (given.strategy, given.other_strategy) == ("paper", "time_optimal")
@@ -75,7 +75,7 @@ def test_full_speed_means_lockstep_in_both_nodes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--case", "5"], "invalid choice"),
         (["--rtf", "-1"], "--rtf"),
@@ -85,10 +85,10 @@ def test_full_speed_means_lockstep_in_both_nodes() -> None:
         (["--goal", "0", "0", "1", "1", "0", "0"], "norm"),
     ],
 )
-def test_wrong_arguments_exit_with_2(arguments, told, capsys) -> None:
+def test_wrong_arguments_exit_with_2(arguments, message, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse(arguments)
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +104,8 @@ def lockstep_run(tmp_path_factory) -> tuple[Path, str]:
 
 @pytest.mark.slow
 def test_case_1_arrives_and_leaves_its_folder(lockstep_run) -> None:
-    folder, told = lockstep_run
-    assert "settling time" in told and str(folder) in told
+    folder, output = lockstep_run
+    assert "settling time" in output and str(folder) in output
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["arrived"] and summary["metrics"]["settled"]
     assert 5.0 < summary["metrics"]["settle_time_s"] < 6.5
@@ -116,7 +116,7 @@ def test_case_1_arrives_and_leaves_its_folder(lockstep_run) -> None:
     assert (folder / "panels.png").stat().st_size > 20_000
     assert (folder / "panels.svg").stat().st_size > 20_000
     assert (folder / "comparison.png").stat().st_size > 20_000
-    assert "time_optimal" in told and "paper" in told
+    assert "time_optimal" in output and "paper" in output
 
 
 @pytest.mark.slow
@@ -167,13 +167,13 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
     ) as process:
         assert process.stdout is not None
         shown = wait_for_progress(process, 0.5)
-        children = psutil.Process(process.pid).children(recursive=True)
-        assert len(children) == 3
+        nodes = psutil.Process(process.pid).children(recursive=True)
+        assert len(nodes) == 3
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and "interrupted" in errors
     assert errors.count("\n") == 1 and str(folder / "bag") in errors
-    assert not [child for child in children if child.is_running()]
+    assert not [node for node in nodes if node.is_running()]
     assert read_run(folder / "bag").times[-1] >= shown - 0.1
 
 
@@ -183,14 +183,14 @@ def test_nodes_end_with_a_demo_that_is_killed(tmp_path) -> None:
         [*DEMO, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True
     ) as process:
         wait_for_progress(process, 0.0)
-        children = psutil.Process(process.pid).children(recursive=True)
-        assert len(children) == 3
+        nodes = psutil.Process(process.pid).children(recursive=True)
+        assert len(nodes) == 3
         process.kill()
-    _, alive = psutil.wait_procs(children, timeout=PATIENCE)
+    _, alive = psutil.wait_procs(nodes, timeout=PATIENCE)
     assert not alive
 
 
-def test_existing_bag_is_told(tmp_path) -> None:
+def test_existing_bag_is_refused(tmp_path) -> None:
     (tmp_path / "bag").mkdir()
     done = subprocess.run([*DEMO, "--out", str(tmp_path)], capture_output=True, text=True,
                           timeout=60, check=False)

@@ -27,16 +27,16 @@ GOAL = np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.8])
      ("nothing", Mode.FALLBACK), ("wild", Mode.TRACKING), ("late", Mode.TRACKING)],
 )
 def test_controller_says_what_it_does_and_keeps_the_limits(tmp_path, mode, expected) -> None:
-    told = tmp_path / "told"
+    mode_file = tmp_path / "mode"
     controller = Controller(
-        SETTINGS, ROBOT, BadStrategy(make_strategy(SETTINGS, ROBOT), told)
+        SETTINGS, ROBOT, BadStrategy(make_strategy(SETTINGS, ROBOT), mode_file)
     )
     controller.set_goal(GOAL)
     check = LimitCheck(ROBOT.max_rotor_speed, ROBOT.max_rotor_acceleration)
     for number in range(4):
         time = number * SETTINGS.period
         if number == 2:
-            told.write_text(mode)
+            mode_file.write_text(mode)
         controller.observe(time, START)
         decision = controller.decide(time)
         hold = controller.commit(decision, time + 0.01)

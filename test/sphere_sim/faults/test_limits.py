@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands and rotors are judged against the limits of the drives."""
+"""Commands and rotor speeds are checked against the limits of the drives."""
 
 import numpy as np
 import pytest
@@ -29,28 +29,28 @@ def test_command_at_both_limits_is_kept(check) -> None:
     assert check.worst_slew == pytest.approx(400.0)
 
 
-def test_speed_beyond_the_limit_is_told(check) -> None:
+def test_speed_beyond_the_limit_is_a_violation(check) -> None:
     check.trajectory(hold((0.0, 101.0, 0.0)))
-    (told,) = check.broken
-    assert "rotor_trajectory" in told and "101" in told
+    (violation,) = check.broken
+    assert "rotor_trajectory" in violation and "101" in violation
 
 
-def test_slew_beyond_the_limit_is_told(check) -> None:
+def test_slew_beyond_the_limit_is_a_violation(check) -> None:
     check.trajectory(hold((0.0, 0.0, 0.0), (0.1, 0.0, 41.0)))
-    (told,) = check.broken
-    assert "rad/s^2" in told
+    (violation,) = check.broken
+    assert "rad/s^2" in violation
 
 
-def test_command_that_does_not_start_where_the_last_one_is_is_told(check) -> None:
+def test_command_that_does_not_start_at_the_speeds_in_force_is_a_violation(check) -> None:
     check.trajectory(hold((0.0, 0.0, 0.0), (1.0, 50.0, 0.0)))
     check.trajectory(hold((0.5, 25.0, 0.0), (1.0, 0.0, 0.0)))
     assert not check.broken
     check.trajectory(hold((0.75, 12.0, 0.0), (1.0, 0.0, 0.0)))
-    (told,) = check.broken
-    assert "0.5 rad/s away" in told
+    (violation,) = check.broken
+    assert "0.5 rad/s away" in violation
 
 
-def test_start_is_not_judged_where_the_sender_changes_or_time_starts_anew(check) -> None:
+def test_start_is_not_checked_where_the_sender_changes_or_time_restarts(check) -> None:
     check.continuous = False
     check.trajectory(hold((0.0, 0.0, 0.0), (1.0, 50.0, 0.0)))
     check.trajectory(hold((0.5, 0.0, 0.0), (1.0, 0.0, 0.0)))
@@ -61,18 +61,18 @@ def test_start_is_not_judged_where_the_sender_changes_or_time_starts_anew(check)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_command_that_is_not_finite_is_told(check, wrong) -> None:
+def test_command_that_is_not_finite_is_a_violation(check, wrong) -> None:
     check.command(np.array([wrong, 0.0]))
     assert len(check.broken) == 1
 
 
-def test_rotors_are_judged_by_what_they_turned(check) -> None:
+def test_measured_speeds_are_checked(check) -> None:
     check.joints(0, np.array([0.0, 0.0]))
     check.joints(50_000_000, np.array([20.0, 0.0]))
     assert not check.broken
     check.joints(60_000_000, np.array([25.0, 0.0]))
-    (told,) = check.broken
-    assert "joint_states" in told
+    (violation,) = check.broken
+    assert "joint_states" in violation
     assert check.worst_slew == pytest.approx(500.0, rel=1e-6)
 
 
@@ -82,13 +82,13 @@ def test_the_same_instant_again_is_no_slew(check) -> None:
     assert not check.broken and check.worst_slew == 0.0
 
 
-def test_counting_begins_anew(check) -> None:
+def test_results_are_reset(check) -> None:
     check.command(np.array([200.0, 0.0]))
     check.begin()
     assert not check.broken and check.worst_speed == 0.0
 
 
-def test_a_flood_of_faults_does_not_fill_the_memory(check) -> None:
+def test_number_of_kept_violations_is_bounded(check) -> None:
     for _ in range(1000):
         check.command(np.array([200.0, 0.0]))
     assert 0 < len(check.broken) < 100

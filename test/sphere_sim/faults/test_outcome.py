@@ -21,7 +21,7 @@ def test_trials_of_a_fault_are_one_row_in_the_order_of_the_first() -> None:
     assert (frame.fault, len(frame.outcomes), frame.survived) == ("frame", 1, 1)
 
 
-def test_longest_recovery_counts_and_each_complaint_is_told_once() -> None:
+def test_longest_recovery_counts_and_each_complaint_is_listed_once() -> None:
     blind, _ = rows(OUTCOMES)
     assert blind.recovery == 3.5
     assert blind.complaints == ["not at the goal", "nothing was recorded"]

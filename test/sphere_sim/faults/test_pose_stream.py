@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Each disturbance does to the poses what its name says, and nothing else."""
+"""Each disturbance changes the poses as its name says, and nothing else."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def passed(*given: dict, seed: int = 1) -> list[tuple[int, PoseSample]]:
     return out
 
 
-def test_nothing_happens_to_a_stream_that_nobody_disturbs() -> None:
+def test_stream_without_disturbances_is_unchanged() -> None:
     assert passed() == [(number, sample(number)) for number in range(COUNT)]
 
 
@@ -86,13 +86,13 @@ def test_disturbances_act_one_after_the_other() -> None:
     assert len(passed(twice, {"disturbance": "delayed", "by": 1.0}, twice)) == 4 * COUNT
 
 
-def test_chance_is_that_of_the_seed() -> None:
+def test_random_disturbances_follow_from_the_seed() -> None:
     half = {"disturbance": "dropped", "share": 0.5}
     assert passed(half, seed=3) == passed(half, seed=3)
     assert passed(half, seed=3) != passed(half, seed=4)
 
 
-def test_samples_under_way_are_forgotten_when_time_starts_anew() -> None:
+def test_pending_samples_are_discarded_when_time_restarts() -> None:
     stream = PoseStream(np.random.default_rng(0))
     stream.disturbances.append(make_disturbance({"disturbance": "delayed", "by": 1.0}))
     stream.enter(0, sample(0))

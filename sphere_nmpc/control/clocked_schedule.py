@@ -15,8 +15,9 @@ from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 class ClockedSchedule:
     """Plan at each instant of the sample grid, within a share of the control period.
 
-    A plan is made for the instant at which its command will be ready, as far as recent durations
-    tell. The first plan towards a goal does not wait for the next instant: it begins a new grid.
+    A plan is made for the instant at which its command will be ready, predicted from recent
+    durations. The first plan towards a goal does not wait for the next instant: it begins a new
+    grid.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ _NANOSECONDS = 1_000_000_000
 class LockstepSchedule:
     """Plan when the pose of a sample instant arrives, and answer every such instant.
 
-    A plan may take any wall time, so that results are repeatable. The clock of the node is not
-    looked at: the stamp of the pose is the time.
+    A plan may take any wall time, so that results are repeatable. The clock of the node is
+    ignored: the stamp of the pose is the time.
 
     Parameters
     ----------

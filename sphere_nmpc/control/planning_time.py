@@ -69,9 +69,9 @@ class PlanningTime:
             readings.popleft()
 
     def budget(self, instant: float, now: float) -> float:
-        """Return the wall time [s] for the plan of the sample instant `instant`, begun at `now`.
+        """Return the wall time [s] that the plan of a sample instant may take.
 
-        Both are control times [s].
+        It is requested at `now`; both `instant` and `now` are control times [s].
         """
         left = instant + PLANNING_SHARE * self._period - now
         return max(left, _LEAST_SHARE * self._period) / (self.pace or 1.0)

@@ -1,10 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Between arrays and ROS messages; the only place where wxyz becomes xyzw and back.
+"""Conversion between arrays and ROS messages; the only place where wxyz becomes xyzw and back.
 
 Stamps are whole nanoseconds on this side, so that they compare exactly; control times are seconds
-since `epoch`, a stamp that is 0 in simulated time. Reading is by attribute alone: a message that
-a bag reader has decoded will do as well as one from a subscription.
+since `epoch`, a stamp that is 0 in simulated time. Messages are read by attribute, so that those
+decoded by a bag reader are accepted as well as those from a subscription.
 """
 
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ def pose_to_ros(
 
 
 def pose_from_ros(message: Any) -> Vector:
-    """Return the state, shape (6,), behind a PoseStamped; its height and frame are not looked at.
+    """Return the state, shape (6,), of a PoseStamped; its height and frame are ignored.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def pose_from_ros(message: Any) -> Vector:
 
 
 def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
-    """Return the state, shape (6,), behind a PoseStamped that names its frame.
+    """Return the state, shape (6,), of a PoseStamped in the given frame or without one.
 
     Raises
     ------
@@ -168,8 +168,8 @@ def hold_to_trajectory(
 ) -> JointTrajectory:
     """Return a first-order hold as velocity-only points, stamped with the time of its first knot.
 
-    A follower that joins the speeds linearly, as ros2_controllers' joint trajectory controller
-    does with velocities alone, moves the rotors exactly as planned.
+    A controller that interpolates the speeds linearly, as ros2_controllers' joint trajectory
+    controller does with velocities alone, moves the rotors exactly as planned.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def hold_to_trajectory(
     epoch : int, optional
         Stamp [ns] of control time 0.
     message : JointTrajectory, optional
-        One from an earlier call, filled again: making new points takes longer than a solve.
+        A message to fill again: making new points takes longer than a solve.
     """
     if message is None:
         message = JointTrajectory(joint_names=list(JOINT_NAMES))
@@ -199,14 +199,14 @@ def hold_to_trajectory(
 
 
 def hold_from_trajectory(message: Any, now: int, epoch: int = 0) -> FirstOrderHold:
-    """Return the first-order hold behind a trajectory; rotors are matched by name, in any order.
+    """Return the first-order hold of a trajectory; rotors are matched by name, in any order.
 
     Parameters
     ----------
     message : JointTrajectory
-        Points need velocities [rad/s]; positions and accelerations are not looked at.
+        Points need velocities [rad/s]; positions and accelerations are ignored.
     now : int
-        Start [ns] of a trajectory with stamp 0, which means at once.
+        Start [ns] of a trajectory with stamp 0, which means "now".
     epoch : int, optional
         Stamp [ns] of control time 0.
 

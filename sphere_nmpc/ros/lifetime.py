@@ -146,7 +146,7 @@ class StopRequest:
         self.requested = False
         """True from the first signal on."""
         self.wake: Callable[[], object] | None = None
-        """Wakes the executor; called when a signal comes."""
+        """Wakes the executor; called when a signal arrives."""
 
     def __enter__(self) -> "StopRequest":
         self._inlet, outlet = os.pipe()

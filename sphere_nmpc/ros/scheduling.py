@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scheduling of a node's process: real-time priority where asked for, niceness for viewers."""
+"""Scheduling of a node's process: real-time priority if wanted, niceness for viewers."""
 
 import contextlib
 import os

@@ -43,7 +43,11 @@ class ControlClock:
     def now(self) -> float | None:
         """Return control time [s]; None before the first message on ``/clock``."""
         stamp = self.stamp()
-        return None if self.simulated and stamp == 0 else seconds(stamp, self.epoch)
+        return None if self.simulated and stamp == 0 else self.time_of(stamp)
+
+    def time_of(self, stamp: int) -> float:
+        """Return the control time [s] of a stamp [ns]."""
+        return seconds(stamp, self.epoch)
 
     def _begin(self) -> None:
         self.simulated = bool(self._node.get_parameter("use_sim_time").value)

@@ -35,7 +35,7 @@ from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
-from sphere_nmpc.ros.conversions import framed_pose_from_ros, seconds, stamp_from_ros
+from sphere_nmpc.ros.conversions import framed_pose_from_ros, stamp_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.lifetime import RunnableNode, run
@@ -201,7 +201,7 @@ class ControllerNode(RunnableNode):
 
     def _receive_pose(self, message: PoseStamped) -> None:
         stamp, now = stamp_from_ros(message.header.stamp), self._control_clock.now()
-        measured = seconds(stamp, self._control_clock.epoch)
+        measured = self._control_clock.time_of(stamp)
         self._monitor.pose_received(self._schedule.pose_age(measured, now))
         try:
             pose = TimedPose(stamp, measured, framed_pose_from_ros(message))

@@ -208,6 +208,15 @@ def test_other_control_period_begins_a_new_grid() -> None:
     assert made[0].time_budget == pytest.approx(PLANNING_SHARE * 0.25)
 
 
+def test_other_control_period_on_another_clock_measures_the_pace_of_that_clock() -> None:
+    schedule = clocked(simulated=False)
+    schedule.clock_jumped(simulated=True)
+    schedule.change(ControllerSettings(strategy="time_optimal"))
+    assert schedule.pace is None
+    show_pace(schedule, 3.0, until=5.0)
+    assert schedule.pace == pytest.approx(3.0)
+
+
 def test_change_of_another_setting_keeps_the_grid() -> None:
     schedule = clocked()
     requests(schedule, 1.0)

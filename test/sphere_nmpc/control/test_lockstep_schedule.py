@@ -40,7 +40,7 @@ def test_pose_between_sample_instants_is_not_observed(schedule: LockstepSchedule
 
 
 @pytest.mark.parametrize("now", [None, 0.0, 99.0])
-def test_clock_of_the_node_is_not_looked_at(schedule: LockstepSchedule, now) -> None:
+def test_clock_of_the_node_is_ignored(schedule: LockstepSchedule, now) -> None:
     actions = receive(schedule, 1500, now)
     assert actions.plan is not None and actions.plan.instant == 1.5
     assert math.isnan(schedule.pose_age(1.5, now))

@@ -22,14 +22,14 @@ def test_budget_is_a_share_of_the_period_on_the_wall_clock(pace: float) -> None:
     assert planning.budget(7.0, 7.0) == pytest.approx(PLANNING_SHARE * 0.25 / pace)
 
 
-def test_late_tick_plans_for_less_but_never_for_nothing() -> None:
+def test_late_tick_has_a_smaller_budget_but_never_none() -> None:
     planning = PlanningTime(0.25, simulated=False)
     assert planning.pace == 1.0
     assert planning.budget(7.0, 7.06) == pytest.approx(PLANNING_SHARE * 0.25 - 0.06)
     assert planning.budget(7.0, 8.0) == pytest.approx(0.025)
 
 
-def test_pace_is_unknown_until_some_of_it_was_seen() -> None:
+def test_pace_is_unknown_until_it_has_been_measured_for_a_while() -> None:
     assert PlanningTime(0.25, simulated=True).pace is None
     assert after(5.0, 0.009).pace is None
     assert after(5.0, 0.03).pace == pytest.approx(5.0)
@@ -60,7 +60,7 @@ def test_second_reading_of_the_same_instant_counts_for_nothing() -> None:
     assert planning.pace == pace
 
 
-def test_plans_are_made_for_when_they_will_be_there() -> None:
+def test_lead_follows_from_recent_durations() -> None:
     planning = PlanningTime(0.25, simulated=False)
     assert planning.lead == 0.0
     planning.expect_all()
@@ -81,7 +81,7 @@ def test_lead_is_in_control_time_and_never_more_than_the_share() -> None:
     assert planning.lead == MOST_LEAD * 0.25
 
 
-def test_what_has_passed_on_the_wall_clock_is_reckoned_with() -> None:
+def test_control_time_passes_with_the_wall_clock_at_the_pace() -> None:
     assert after(5.0, 1.0).after(7.0, 0.01) == pytest.approx(7.05)
     assert PlanningTime(0.25, simulated=False).after(7.0, 0.01) == pytest.approx(7.01)
     assert PlanningTime(0.25, simulated=True).after(7.0, 0.01) == 7.0, "nothing is known yet"

@@ -174,7 +174,7 @@ def test_trajectory_is_matched_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    "message, told",
+    "message, words",
     [
         (trajectory(("rotor_1_joint", "wheel"), (0.0, (1.0, 2.0))), "given.*wheel.*expected"),
         (trajectory(("rotor_1_joint",), (0.0, (1.0,))), "given.*expected.*rotor_2_joint"),
@@ -187,8 +187,8 @@ def test_trajectory_is_matched_by_name() -> None:
     ],
     ids=["unknown", "missing", "extra", "twice", "empty", "short", "nan", "times"],
 )
-def test_trajectory_that_is_wrong_is_refused_with_what_was_given(message, told) -> None:
-    with pytest.raises(InvalidInputError, match=told):
+def test_trajectory_that_is_wrong_is_refused_with_what_was_given(message, words) -> None:
+    with pytest.raises(InvalidInputError, match=words):
         cv.hold_from_trajectory(message, now=0)
 
 

@@ -56,7 +56,7 @@ def test_live_change_reaches_the_controller(controller, monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "name, value, told",
+    "name, value, words",
     [
         ("horizon", 8, "read-only"),
         ("robot.shell_mass", 2.0, "read-only"),
@@ -66,11 +66,11 @@ def test_live_change_reaches_the_controller(controller, monkeypatch) -> None:
         ("pose_timeout", float("nan"), "pose_timeout"),
     ],
 )
-def test_wrong_change_is_refused_with_the_reason(controller, name, value, told) -> None:
+def test_wrong_change_is_refused_with_the_reason(controller, name, value, words) -> None:
     before = controller.get_parameter(name).value
     result = controller.set_parameters([Parameter(name, value=value)])[0]
     assert not result.successful
-    assert told in result.reason
+    assert words in result.reason
     assert controller.get_parameter(name).value == before
 
 
@@ -97,10 +97,10 @@ def test_wrong_value_at_the_start_is_named(graph, name, value) -> None:
         SimulatorNode([Parameter(name, value=value)])
 
 
-def test_unknown_names_are_told_in_one_warning(graph, capfd) -> None:
+def test_unknown_names_are_logged_in_one_warning(graph, capfd) -> None:
     given = {"sed": 1, "robot.mass": 2.0}
     node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
     graph.add(node)
-    told = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
-    assert len(told) == 1 and "robot.mass, sed" in told[0]
+    lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
+    assert len(lines) == 1 and "robot.mass, sed" in lines[0]
     assert not node.has_parameter("sed")

@@ -12,127 +12,127 @@ MS = 1_000_000
 POSE, SAMPLE = 10 * MS, 500 * MS
 
 
-def keeper(**settings) -> SimulatedClock:
-    made = SimulatedClock(POSE, SAMPLE, **settings)
-    made.restart(0, 0.0)
-    return made
+def clock_at_zero(**settings) -> SimulatedClock:
+    clock = SimulatedClock(POSE, SAMPLE, **settings)
+    clock.restart(0, 0.0)
+    return clock
 
 
-def run(made: SimulatedClock, until: int, wall: float, cost: float = 0.0) -> float:
+def run(clock: SimulatedClock, until: int, wall: float, cost: float = 0.0) -> float:
     """Advance as a node would, each instant at a price of `cost` [s]; return the wall time."""
     now = 0
     while now < until:
-        wall += made.wait(now, wall)
-        now = made.upcoming(now)
-        made.advanced(now, wall)
+        wall += clock.wait(now, wall)
+        now = clock.upcoming(now)
+        clock.advanced(now, wall)
         wall += cost
     return wall
 
 
 def test_instants_are_those_of_poses_and_samples() -> None:
-    made = SimulatedClock(3 * MS, SAMPLE)
-    assert made.upcoming(0) == 3 * MS
-    assert made.upcoming(498 * MS) == SAMPLE
-    assert made.upcoming(SAMPLE) == 501 * MS
+    clock = SimulatedClock(3 * MS, SAMPLE)
+    assert clock.upcoming(0) == 3 * MS
+    assert clock.upcoming(498 * MS) == SAMPLE
+    assert clock.upcoming(SAMPLE) == 501 * MS
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 20.0])
 def test_pace_is_kept(factor) -> None:
-    wall = run(keeper(real_time_factor=factor), 2000 * MS, 0.0)
+    wall = run(clock_at_zero(real_time_factor=factor), 2000 * MS, 0.0)
     assert wall == pytest.approx(2.0 / factor)
 
 
 def test_factor_zero_never_waits() -> None:
-    assert run(keeper(real_time_factor=0.0), 2000 * MS, 5.0) == 5.0
+    assert run(clock_at_zero(real_time_factor=0.0), 2000 * MS, 5.0) == 5.0
 
 
-def test_small_lateness_is_made_up_without_a_burst() -> None:
-    made = keeper()
-    made.advanced(POSE, 0.050)
-    assert made.wait(POSE, 0.050) == pytest.approx(0.005)
+def test_small_delay_is_caught_up_without_a_burst() -> None:
+    clock = clock_at_zero()
+    clock.advanced(POSE, 0.050)
+    assert clock.wait(POSE, 0.050) == pytest.approx(0.005)
     now, wall = POSE, 0.050
     while now < 20 * POSE:
-        wall += made.wait(now, wall)
+        wall += clock.wait(now, wall)
         now += POSE
-        made.advanced(now, wall)
+        clock.advanced(now, wall)
     assert wall == pytest.approx(0.200)
-    assert made.lost == 0.0
+    assert clock.lost == 0.0
 
 
 def test_time_lost_to_a_slow_machine_is_given_up() -> None:
-    made = keeper()
-    wall = run(made, 1000 * MS, 0.0, cost=0.020)
+    clock = clock_at_zero()
+    wall = run(clock, 1000 * MS, 0.0, cost=0.020)
     assert wall == pytest.approx(2.0, rel=0.05)
-    assert made.lost == pytest.approx(1.0, abs=0.15)
-    assert made.achieved(1000 * MS, wall) == pytest.approx(0.5, rel=0.05)
+    assert clock.lost == pytest.approx(1.0, abs=0.15)
+    assert clock.achieved(1000 * MS, wall) == pytest.approx(0.5, rel=0.05)
 
 
-def test_pause_stops_time_and_leaves_no_lateness() -> None:
-    made = keeper()
-    made.pause()
-    assert made.wait(0, 100.0) == math.inf
-    made.resume(0, 100.0)
-    assert made.wait(0, 100.0) == pytest.approx(0.01)
+def test_pause_stops_time_and_causes_no_delay() -> None:
+    clock = clock_at_zero()
+    clock.pause()
+    assert clock.wait(0, 100.0) == math.inf
+    clock.resume(0, 100.0)
+    assert clock.wait(0, 100.0) == pytest.approx(0.01)
 
 
 def test_step_runs_to_the_next_sample_and_pauses() -> None:
-    made = keeper(paused=True, real_time_factor=0.0)
-    assert made.step(0, 0.0) == SAMPLE
+    clock = clock_at_zero(paused=True, real_time_factor=0.0)
+    assert clock.step(0, 0.0) == SAMPLE
     now = 0
-    while made.wait(now, 1.0) == 0.0:
-        now = made.upcoming(now)
-        made.advanced(now, 1.0)
+    while clock.wait(now, 1.0) == 0.0:
+        now = clock.upcoming(now)
+        clock.advanced(now, 1.0)
     assert now == SAMPLE
-    assert made.paused
+    assert clock.paused
 
 
 def test_lockstep_waits_for_the_answer_to_its_instant() -> None:
-    made = keeper(lockstep=True, real_time_factor=0.0)
-    made.resume(0, 0.0)
-    assert made.wait(0, 1.0) == pytest.approx(4.0)
-    made.command_received(SAMPLE, 1.0)
-    assert made.wait(0, 1.0) > 0.0
-    made.command_received(0, 1.0)
-    assert made.wait(0, 1.0) == 0.0
-    made.advanced(POSE, 1.0)
-    assert made.wait(POSE, 1.0) == 0.0
-    made.advanced(SAMPLE, 1.0)
-    assert made.awaited == SAMPLE
+    clock = clock_at_zero(lockstep=True, real_time_factor=0.0)
+    clock.resume(0, 0.0)
+    assert clock.wait(0, 1.0) == pytest.approx(4.0)
+    clock.command_received(SAMPLE, 1.0)
+    assert clock.wait(0, 1.0) > 0.0
+    clock.command_received(0, 1.0)
+    assert clock.wait(0, 1.0) == 0.0
+    clock.advanced(POSE, 1.0)
+    assert clock.wait(POSE, 1.0) == 0.0
+    clock.advanced(SAMPLE, 1.0)
+    assert clock.awaited == SAMPLE
 
 
 def test_lockstep_gives_up_after_its_timeout() -> None:
-    made = keeper(lockstep=True, lockstep_timeout=2.0, real_time_factor=0.0)
-    made.resume(0, 0.0)
-    assert made.wait(0, 2.0) == 0.0
-    assert made.timeouts == 1
+    clock = clock_at_zero(lockstep=True, lockstep_timeout=2.0, real_time_factor=0.0)
+    clock.resume(0, 0.0)
+    assert clock.wait(0, 2.0) == 0.0
+    assert clock.timeouts == 1
 
 
-def test_lockstep_without_partner_waits_for_ever() -> None:
-    made = keeper(lockstep=True, lockstep_timeout=2.0)
-    made.resume(0, 0.0)
-    assert made.wait(0, 100.0, controller_found=False) == math.inf
-    assert made.wait(0, 200.0) == pytest.approx(2.0)
-    assert made.timeouts == 0
+def test_lockstep_without_a_controller_waits_for_ever() -> None:
+    clock = clock_at_zero(lockstep=True, lockstep_timeout=2.0)
+    clock.resume(0, 0.0)
+    assert clock.wait(0, 100.0, controller_found=False) == math.inf
+    assert clock.wait(0, 200.0) == pytest.approx(2.0)
+    assert clock.timeouts == 0
 
 
 def test_lockstep_asks_again_after_a_pause() -> None:
-    made = keeper(lockstep=True, paused=True)
-    made.command_received(0, 0.0)
-    made.resume(0, 5.0)
-    assert made.awaited == 0
+    clock = clock_at_zero(lockstep=True, paused=True)
+    clock.command_received(0, 0.0)
+    clock.resume(0, 5.0)
+    assert clock.awaited == 0
 
 
-def test_world_on_the_system_clock_keeps_up_after_a_standstill() -> None:
-    keeper = SimulatedClock(10 * MS, 250 * MS, keeps_up=True)
-    keeper.restart(0, 100.0)
-    assert keeper.due(0, 100.0) == 10 * MS
-    assert keeper.due(10 * MS, 103.456) == 3450 * MS, "the newest instant that has passed"
-    keeper.advanced(3450 * MS, 103.457)
-    assert keeper.lost == 0.0
-    assert keeper.wait(3450 * MS, 103.457) == pytest.approx(0.003)
+def test_simulation_on_the_system_clock_catches_up_after_a_standstill() -> None:
+    clock = SimulatedClock(10 * MS, 250 * MS, keeps_up=True)
+    clock.restart(0, 100.0)
+    assert clock.due(0, 100.0) == 10 * MS
+    assert clock.due(10 * MS, 103.456) == 3450 * MS, "the newest instant that has passed"
+    clock.advanced(3450 * MS, 103.457)
+    assert clock.lost == 0.0
+    assert clock.wait(3450 * MS, 103.457) == pytest.approx(0.003)
 
 
 def test_simulated_time_is_advanced_one_instant_at_a_time() -> None:
-    keeper = SimulatedClock(10 * MS, 250 * MS)
-    keeper.restart(0, 100.0)
-    assert keeper.due(10 * MS, 103.456) == 20 * MS
+    clock = SimulatedClock(10 * MS, 250 * MS)
+    clock.restart(0, 100.0)
+    assert clock.due(10 * MS, 103.456) == 20 * MS

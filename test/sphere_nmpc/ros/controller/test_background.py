@@ -1,13 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Work beside the control loop is done in order, and dropped rather than piled up."""
+"""Background tasks are done in order, and dropped where the queue is full."""
 
 import threading
 
 from sphere_nmpc.ros.controller.background import Background
 
 
-def test_tasks_are_done_in_order_and_an_error_is_told() -> None:
+def test_tasks_are_done_in_order_and_errors_are_reported() -> None:
     done: list[int] = []
     errors: list[str] = []
 
@@ -25,7 +25,7 @@ def test_tasks_are_done_in_order_and_an_error_is_told() -> None:
     assert errors == ["ValueError: no"]
 
 
-def test_tasks_are_left_out_while_one_takes_long() -> None:
+def test_tasks_are_dropped_while_the_queue_is_full() -> None:
     release, began = threading.Event(), threading.Event()
     done: list[int] = []
 

@@ -59,36 +59,36 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("message", REFUSED.values(), ids=REFUSED.keys())
-def test_wrong_trajectory_moves_nothing_and_is_told_once(graph, capfd, message) -> None:
+def test_wrong_trajectory_moves_nothing_and_is_logged_once(graph, capfd, message) -> None:
     node = simulator(graph, real_time_factor=5.0)
     joints = graph.collect(JointState, "joint_states")
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     for _ in range(5):
         sender.publish(message)
     graph.until(lambda: node._fault_log.counts["rotor_trajectory refused"] == 5)
-    heard = len(joints)
-    graph.until(lambda: len(joints) > heard + 20)
+    received = len(joints)
+    graph.until(lambda: len(joints) > received + 20)
     assert not speeds(joints).any()
-    told = [line for line in capfd.readouterr().err.splitlines() if "refused" in line]
-    assert len(told) == 1
-    assert "given" in told[0]
+    lines = [line for line in capfd.readouterr().err.splitlines() if "refused" in line]
+    assert len(lines) == 1
+    assert "given" in lines[0]
 
 
 @pytest.mark.parametrize("data", [[1.0], [1.0, math.nan], [1.0, 2.0, 3.0]])
-def test_wrong_speeds_move_nothing_and_are_told_once(graph, capfd, data) -> None:
+def test_wrong_speeds_move_nothing_and_are_logged_once(graph, capfd, data) -> None:
     node = simulator(graph, real_time_factor=5.0)
     joints = graph.collect(JointState, "joint_states")
     sender = graph.publisher(Float64MultiArray, "rotor_commands")
     for _ in range(3):
         sender.publish(Float64MultiArray(data=data))
     graph.until(lambda: node._fault_log.counts["rotor_commands refused"] == 3)
-    heard = len(joints)
-    graph.until(lambda: len(joints) > heard + 20)
+    received = len(joints)
+    graph.until(lambda: len(joints) > received + 20)
     assert not speeds(joints).any()
     assert capfd.readouterr().err.count("rotor_commands refused") == 1
 
 
-def test_speed_beyond_the_limit_is_limited_and_told(graph, capfd) -> None:
+def test_speed_beyond_the_limit_is_limited_and_logged(graph, capfd) -> None:
     simulator(graph, real_time_factor=5.0, command_timeout=2.0)
     joints = graph.collect(JointState, "joint_states")
     graph.publisher(Float64MultiArray, "rotor_commands").publish(
@@ -124,13 +124,13 @@ def test_trajectory_goes_first_and_names_are_matched(graph) -> None:
     swapped = tuple(reversed(JOINT_NAMES))
     sender.publish(trajectory((0.0, (20.0, 40.0)), (3.0, (20.0, 40.0)), names=swapped))
     graph.until(lambda: joints and tuple(joints[-1].velocity) == (40.0, 20.0))
-    heard = len(joints)
+    received = len(joints)
     commands.publish(Float64MultiArray(data=[-90.0, -90.0]))
-    graph.until(lambda: len(joints) > heard + 30)
-    assert np.all(speeds(joints)[heard:] == (40.0, 20.0))
+    graph.until(lambda: len(joints) > received + 30)
+    assert np.all(speeds(joints)[received:] == (40.0, 20.0))
 
 
-def test_ramp_to_rest_that_comes_after_its_end_still_stops_the_rotors(graph, capfd) -> None:
+def test_ramp_to_rest_that_arrives_after_its_end_still_stops_the_rotors(graph, capfd) -> None:
     node = simulator(graph, real_time_factor=2.0)
     joints = graph.collect(JointState, "joint_states")
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
@@ -147,7 +147,7 @@ def test_ramp_to_rest_that_comes_after_its_end_still_stops_the_rotors(graph, cap
     assert "rotor_trajectory late: given an end" in capfd.readouterr().err
 
 
-def test_pose_clock_and_odometry_tell_the_same_rising_time(graph) -> None:
+def test_pose_clock_and_odometry_have_the_same_increasing_stamps(graph) -> None:
     simulator(graph, real_time_factor=10.0, pose_rate=40.0)
     poses = graph.collect(PoseStamped, "pose")
     odometry = graph.collect(Odometry, "odom")
@@ -168,7 +168,7 @@ def test_pause_stops_the_clock_and_step_goes_one_sample(graph) -> None:
     assert graph.call(SetBool, "simulator/pause", SetBool.Request(data=True)).success
     then = node.simulator.now
     clock = graph.collect(Clock, "/clock")
-    graph.until(lambda: len(clock) >= 2)  # repeated for those who come late
+    graph.until(lambda: len(clock) >= 2)  # repeated for late subscribers
     assert node.simulator.now == then
     assert {stamp_from_ros(message.clock) for message in clock} == {then}
     assert graph.call(Trigger, "simulator/step", Trigger.Request()).success
@@ -191,9 +191,9 @@ def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> Non
     graph.until(lambda: poses and np.linalg.norm(pose_from_ros(poses[-1])[:2] - start) > 0.1)
     assert graph.call(Trigger, "simulator/reset", Trigger.Request()).success
     graph.until(lambda: np.allclose(pose_from_ros(poses[-1])[:2], start, atol=1e-12))
-    heard = len(poses)
-    graph.until(lambda: len(poses) > heard + 20)
-    for pose in poses[heard:]:
+    received = len(poses)
+    graph.until(lambda: len(poses) > received + 20)
+    for pose in poses[received:]:
         np.testing.assert_allclose(pose_from_ros(pose)[:2], start, atol=1e-12)
     assert not node.simulator.plant.rotor_speeds.any()
     assert np.all(np.diff([stamp_from_ros(message.clock) for message in clock]) >= 0)
@@ -203,7 +203,7 @@ def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
     node = simulator(graph, lockstep=True, real_time_factor=0.0)
     poses = graph.collect(PoseStamped, "pose")
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
-    graph.until(lambda: poses)  # repeated, as the first one came before anybody listened
+    graph.until(lambda: poses)  # repeated, as there was no subscriber for the first one
     sender.publish(trajectory((0.0, (10.0, 0.0)), stamp=1))
     graph.spin_for(0.3)
     assert node.simulator.now == 0
@@ -215,13 +215,13 @@ def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
     assert len({stamp_from_ros(pose.header.stamp) for pose in poses}) <= 26
 
 
-def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_told(graph, capfd) -> None:
+def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_logged(graph, capfd) -> None:
     node = simulator(graph)
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: node.simulator.now > 500 * MS)
-    heard = node._receiver.received
+    received = node._receiver.received
     sender.publish(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
-    graph.until(lambda: node._receiver.received > heard)
+    graph.until(lambda: node._receiver.received > received)
     graph.spin_for(0.1)
     assert "rotor_trajectory" not in capfd.readouterr().err
     assert not node._fault_log.counts
@@ -241,16 +241,16 @@ def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
         assert message.velocity[0] == pytest.approx(expected)
 
 
-def test_lockstep_timeout_is_told_and_counted(graph, capfd) -> None:
+def test_lockstep_timeout_is_logged_and_counted(graph, capfd) -> None:
     node = simulator(graph, lockstep=True, lockstep_timeout=0.1, real_time_factor=0.0)
     graph.spin_for(0.5)
-    assert node.simulator.now == 0  # nobody there yet who could answer
+    assert node.simulator.now == 0  # there is no node yet that could answer
     diagnostics = graph.collect(DiagnosticArray, "/diagnostics")
     graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: node.simulator.now >= 1000 * MS)
-    told = capfd.readouterr().err
-    assert told.count("lockstep time-out: given no rotor_trajectory for t = 0.000 s") == 1
-    assert told.count("lockstep time-out") == 1
+    printed = capfd.readouterr().err
+    assert printed.count("lockstep time-out: given no rotor_trajectory for t = 0.000 s") == 1
+    assert printed.count("lockstep time-out") == 1
     graph.until(lambda: diagnostics)
     values = {value.key: value.value for value in diagnostics[-1].status[0].values}
     assert int(values["lockstep time-outs"]) >= 1
@@ -258,12 +258,12 @@ def test_lockstep_timeout_is_told_and_counted(graph, capfd) -> None:
 
 def test_diagnostics_have_the_layout_of_diagnostic_updater(graph) -> None:
     simulator(graph, real_time_factor=10.0)
-    heard = graph.collect(DiagnosticArray, "/diagnostics")
-    graph.until(lambda: len(heard) >= 2)
-    names = [status.name for status in heard[-1].status]
+    reports = graph.collect(DiagnosticArray, "/diagnostics")
+    graph.until(lambda: len(reports) >= 2)
+    names = [status.name for status in reports[-1].status]
     assert names == ["simulator: clock", "simulator: commands"]
-    assert {status.hardware_id for status in heard[-1].status} == {"sphere"}
-    values = {value.key: value.value for value in heard[-1].status[0].values}
+    assert {status.hardware_id for status in reports[-1].status} == {"sphere"}
+    values = {value.key: value.value for value in reports[-1].status[0].values}
     assert 0.0 < float(values["real time factor"]) <= 11.0
     assert values["paused"] == "false"
 
@@ -289,7 +289,7 @@ def test_ideal_plant_offers_no_push(graph) -> None:
     assert not any(service.service_name.endswith("push") for service in node.services)
 
 
-def test_several_commands_between_two_looks_are_all_taken(graph) -> None:
+def test_several_commands_between_two_calls_of_the_executor_are_all_received(graph) -> None:
     node = simulator(graph, real_time_factor=1.0, pose_rate=500.0)
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     for speed in range(1, 6):

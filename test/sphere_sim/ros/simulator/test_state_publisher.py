@@ -11,7 +11,7 @@ from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 
-def test_transform_is_published_to_who_listens(graph, monkeypatch) -> None:
+def test_transform_is_published_if_there_is_a_subscriber(graph, monkeypatch) -> None:
     # A TFMessage cannot be had from the wheels; a message that wraps nothing can be sent instead.
     class StandIn(TransformStamped):
         def __init__(self, transforms=()) -> None:
@@ -21,8 +21,8 @@ def test_transform_is_published_to_who_listens(graph, monkeypatch) -> None:
 
     monkeypatch.setattr(state_publisher, "TFMessage", StandIn)
     world = StatePublisher(graph.probe, 0.3)
-    heard = graph.collect(TransformStamped, "/tf")
+    received = graph.collect(TransformStamped, "/tf")
     graph.until(lambda: world._transforms.get_subscription_count() > 0)
     world.publish(Simulator(SimulatorSettings(), RobotParameters()))
-    graph.until(lambda: heard)
-    assert (heard[0].header.frame_id, heard[0].child_frame_id) == ("world", "base_link")
+    graph.until(lambda: received)
+    assert (received[0].header.frame_id, received[0].child_frame_id) == ("world", "base_link")

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded run as arrays."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
-from sphere_sim.evaluation.metrics import Metrics, measure
+from sphere_sim.evaluation.metrics import Metrics, measure, state_errors
+
+ErrorMeasure = Callable[[Vector, Vector], Vector]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +107,18 @@ class Run:
             return np.full_like(self.states, np.nan)
         which = np.searchsorted(self.goal_times, self.times, side="right") - 1
         return np.where(which[:, None] < 0, np.nan, self.goals[np.maximum(which, 0)])
+
+    def errors(self, measure: ErrorMeasure = state_errors) -> tuple[Vector, Vector]:
+        """Return the times [s] of the poses with a goal in force, and their errors.
+
+        Parameters
+        ----------
+        measure : callable, optional
+            Computes errors from states and goals, both of shape (n, 6).
+        """
+        goals = self.goals_in_force
+        known = np.all(np.isfinite(goals), axis=1)
+        return self.times[known], measure(self.states[known], goals[known])
 
     def metrics(self) -> Metrics | None:
         """Return the metrics from the last goal on; None without a goal or later poses."""

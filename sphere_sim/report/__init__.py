@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Reports on recorded runs: one page, figures and tables."""
+"""Reports on recorded runs: page, figures and tables."""

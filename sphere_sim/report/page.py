@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One HTML page that needs nothing but itself."""
+"""Self-contained HTML page of a report."""
 
 import base64
 import math
@@ -35,18 +35,18 @@ def write_page(
     path : Path
         File to write.
     runs : sequence of Run
-        What it is about.
+        Recorded runs.
     figures : sequence of (str, str, Path)
-        Heading, words below and SVG file of each figure; a heading that repeats is left out.
+        Heading, caption and SVG file of each figure; figures with equal headings share one.
     """
     title = "Run report: " + ", ".join(run.name for run in runs)
     parts = [f"<h1>{escape(title)}</h1>", _table(runs), *_notes(runs)]
     heading = ""
-    for about, words, file in figures:
-        if about != heading:
-            heading = about
-            parts.append(f"<h2>{escape(about)}</h2>")
-        parts.append(_figure(words, file))
+    for figure_heading, caption, file in figures:
+        if figure_heading != heading:
+            heading = figure_heading
+            parts.append(f"<h2>{escape(heading)}</h2>")
+        parts.append(_figure(caption, file))
     parts.append(f'<p class="note">Made by sphere_nmpc {escape(__version__)}.</p>')
     body = "\n".join(parts)
     write_atomically(
@@ -58,8 +58,8 @@ def write_page(
     )
 
 
-def describe(metrics: Metrics | None) -> list[tuple[str, str]]:
-    """Return name and value of each result, as words; a run without a goal has none."""
+def results(metrics: Metrics | None) -> list[tuple[str, str]]:
+    """Return name and value of each result as text; empty for a run without a goal."""
     if metrics is None:
         return []
     settled = _number(metrics.settle_time_s, "s") if metrics.settled else "not settled"
@@ -76,10 +76,10 @@ def describe(metrics: Metrics | None) -> list[tuple[str, str]]:
 
 
 def _table(runs: Sequence[Run]) -> str:
-    columns = [dict(describe(run.metrics())) for run in runs]
+    columns = [dict(results(run.metrics())) for run in runs]
     names = list(dict.fromkeys(name for column in columns for name in column))
     if not names:
-        return '<p class="note">Without a goal there is nothing to measure.</p>'
+        return '<p class="note">Without a goal there are no metrics.</p>'
     head = "".join(f'<th scope="col">{escape(run.name)}</th>' for run in runs)
     rows = [
         f'<tr><th scope="row">{escape(name)}</th>'
@@ -98,13 +98,13 @@ def _notes(runs: Sequence[Run]) -> list[str]:
     ]
 
 
-def _figure(words: str, file: Path) -> str:
+def _figure(caption: str, file: Path) -> str:
     data = base64.b64encode(file.read_bytes()).decode()
     return (
-        f'<figure><img alt="{escape(words)}" src="data:image/svg+xml;base64,{data}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
+        f'<figure><img alt="{escape(caption)}" src="data:image/svg+xml;base64,{data}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 
 
 def _number(value: float, unit: str) -> str:
-    return "not told" if math.isnan(value) else f"{value:.3g} {unit}"
+    return "not recorded" if math.isnan(value) else f"{value:.3g} {unit}"

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the paper's panels do not show: errors, torque, solve times and the value function."""
+"""Figures of errors, rotor torques, solve times and the value function."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,15 +18,14 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     ORANGE,
+    SMALLEST_ERROR,
     VERMILION,
-    say_missing,
+    mark_missing,
     styled,
 )
 
 PAPER_TORQUE = 3.2
-"""The paper finds all torques below this [N m]."""
-_FLOOR = 1e-7
-"""Smallest error that is drawn [mixed units]."""
+"""Bound on all torques that the paper states [N m]."""
 
 
 def error_over_time(run: Run) -> Figure:
@@ -34,17 +33,16 @@ def error_over_time(run: Run) -> Figure:
     with styled():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         axes = figure.subplots()
-        goals = run.goals_in_force
-        known = np.all(np.isfinite(goals), axis=1)
-        if np.any(known):
+        if run.goal is not None:
             parts = (
                 (state_errors, r"$\|x - x_d\|$ [m, -]"),
                 (position_errors, "distance [m]"),
                 (angle_errors, "angle [rad]"),
             )
             for i, (measure, label) in enumerate(parts):
-                values = np.maximum(measure(run.states[known], goals[known]), _FLOOR)
-                axes.semilogy(run.times[known], values, DASHES[i], color=COLOURS[i], label=label)
+                times, errors = run.errors(measure)
+                axes.semilogy(times, np.maximum(errors, SMALLEST_ERROR), DASHES[i],
+                              color=COLOURS[i], label=label)
             axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
             axes.annotate("settled below", (0.005, SETTLED_ERROR), color=GREY, fontsize=8,
                           xycoords=("axes fraction", "data"), ha="left", va="bottom")
@@ -53,13 +51,13 @@ def error_over_time(run: Run) -> Figure:
             axes.set_xlim(0.0, run.times[-1])
             axes.legend()
         else:
-            say_missing(axes, "goal")
+            mark_missing(axes, "goal")
         axes.set_title("Error over time")
     return figure
 
 
 def rotor_torques(run: Run) -> Figure:
-    """Draw the rotor torques (Eqs. 44 to 46) with the bound the paper states."""
+    """Draw the rotor torques (Eqs. 44 to 46) with the bound that the paper states."""
     with styled():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         axes = figure.subplots()
@@ -79,7 +77,7 @@ def rotor_torques(run: Run) -> Figure:
             axes.margins(y=0.12)
             axes.legend(loc="lower right", ncols=2)
         else:
-            say_missing(axes, "rotor torques")
+            mark_missing(axes, "rotor torques")
     return figure
 
 
@@ -105,25 +103,26 @@ def solve_times(run: Run) -> Figure:
             histogram.yaxis.set_major_locator(MaxNLocator(integer=True))
             histogram.legend()
         else:
-            say_missing(over_time, "solve times")
+            mark_missing(over_time, "solve times")
             histogram.set_visible(False)
     return figure
 
 
 def value_function(run: Run) -> Figure:
-    """Draw the value of the optimal control problem at each sample, which should fall.
+    """Draw the value of the optimal control problem at each sample, which should decrease.
 
-    Of a problem of least time the value is the time that is left.
+    The value of a minimum-time problem is the time to go.
     """
     with styled():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         axes = figure.subplots()
         costs, to_go = run.solves.costs, run.solves.to_go
         positive = np.isfinite(costs) & (costs > 0.0)
-        told = np.isfinite(to_go)
+        reported = np.isfinite(to_go)
         axes.set_title("Value of the optimal control problem")
-        if np.any(told):
-            axes.plot(run.solves.times[told], to_go[told], ".-", color=COLOURS[0], linewidth=1.0)
+        if np.any(reported):
+            axes.plot(run.solves.times[reported], to_go[reported], ".-", color=COLOURS[0],
+                      linewidth=1.0)
             axes.set_ylim(bottom=0.0)
             axes.set_xlabel("time [s]")
             axes.set_ylabel("time to the goal, by the plan [s]")
@@ -133,5 +132,5 @@ def value_function(run: Run) -> Figure:
             axes.set_xlabel("time [s]")
             axes.set_ylabel("value $V_N^*$")
         else:
-            say_missing(axes, "values")
+            mark_missing(axes, "values")
     return figure

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run as an animated picture: the sphere rolls over the floor to its goal."""
+"""Animation (GIF) of a recorded run."""
 
 import io
 from pathlib import Path
@@ -14,7 +14,6 @@ from sphere_sim.evaluation.metrics import (
     angle_errors,
     position_errors,
     settling_index,
-    state_errors,
 )
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.recording.run import Run
@@ -23,37 +22,29 @@ from sphere_sim.report.figures.style import BLUE, GREY, VERMILION
 
 _SIZE = (640, 300)
 _OVERSAMPLING = 2
-"""Everything is painted this much larger and then reduced, which smooths the edges."""
+"""Factor by which frames are drawn larger and then reduced, which smooths the edges."""
 _FRAME_RATE = 20.0
-"""Pictures a second; GIF counts in hundredths of a second."""
-_STAYS = 1.2
-"""For how long the last picture stays [s]."""
+"""Frames a second; GIF stores frame times in hundredths of a second."""
+_LAST_FRAME = 1.2
+"""Duration of the last frame [s]."""
 _COLOURS = 128
 _ARM = 0.06
-"""Half length of the arms of the crosses that mark start and goal [m]."""
+"""Half length of the crosses that mark start and goal [m]."""
 _BACKGROUND, _LINES, _INK = "#ffffff", "#e4e4e4", "#222222"
 
 
-def write_animation(run: Run, path: Path, until: float | None = None) -> Path:
-    """Write a GIF that repeats for ever, in the run's own time.
+def write_animation(run: Run, path: Path) -> None:
+    """Write a GIF that repeats endlessly, in real time, until the run has settled.
 
     Parameters
     ----------
     run : Run
-        What to show.
+        The run; one that does not settle is shown completely.
     path : Path
         File to write.
-    until : float, optional
-        Time at which to end [s]; by default half a second after the error has fallen below the
-        settling threshold for good, else the end of the run.
-
-    Returns
-    -------
-    Path
-        The file.
     """
-    end = _natural_end(run) if until is None else until
-    instants = np.arange(0.0, min(end, float(run.times[-1])) + 1e-9, 1.0 / _FRAME_RATE)
+    end = min(_end_of_interest(run), float(run.times[-1]))
+    instants = np.arange(0.0, end + 1e-9, 1.0 / _FRAME_RATE)
     indices = np.minimum(np.searchsorted(run.times, instants - 1e-9), run.times.size - 1)
     radius = run.robot.shell_radius
     seen = run.states[: indices[-1] + 1, POSITION]
@@ -61,32 +52,28 @@ def write_animation(run: Run, path: Path, until: float | None = None) -> Path:
     camera = Camera.on(places, radius, (_SIZE[0] * _OVERSAMPLING, _SIZE[1] * _OVERSAMPLING))
     floor = _floor(camera, run, radius)
     frames = [_frame(camera, floor, run, int(i), radius) for i in indices]
-    # One palette for all, so that colours do not flicker and equal pixels stay equal.
+    # With one palette for all frames colours do not flicker.
     palette = frames[len(frames) // 2].quantize(_COLOURS, Image.Quantize.MEDIANCUT)
     paletted = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     milliseconds = [round(1e3 / _FRAME_RATE)] * len(frames)
-    milliseconds[-1] = round(1e3 * _STAYS)
+    milliseconds[-1] = round(1e3 * _LAST_FRAME)
     packed = io.BytesIO()
     paletted[0].save(
         packed, "GIF", save_all=True, append_images=paletted[1:], duration=milliseconds, loop=0,
         optimize=True,
     )
     write_atomically(path, packed.getvalue())
-    return path
 
 
-def _natural_end(run: Run) -> float:
-    goals = run.goals_in_force
-    known = np.all(np.isfinite(goals), axis=1)
-    if np.any(known):
-        index = settling_index(state_errors(run.states[known], goals[known]))
-        if index is not None:
-            return float(run.times[known][index]) + 0.5
-    return float(run.times[-1])
+def _end_of_interest(run: Run) -> float:
+    """Return half a second after the run has settled [s]; inf if it has not."""
+    times, errors = run.errors()
+    index = settling_index(errors) if errors.size else None
+    return float("inf") if index is None else float(times[index]) + 0.5
 
 
 def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
-    """Paint what stands still: tiles of half a metre, and the goal as a faint sphere."""
+    """Return the background: tiles of half a metre, and the goal as a translucent sphere."""
     picture = Image.new("RGB", camera.size, _BACKGROUND)
     draw = ImageDraw.Draw(picture)
     (left, right), (near, far) = camera.floor_extent(0.5)
@@ -103,6 +90,7 @@ def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
 def _frame(
     camera: Camera, floor: Image.Image, run: Run, index: int, radius: float
 ) -> Image.Image:
+    """Return the frame at an index of the run's poses."""
     picture = floor.copy()
     draw = ImageDraw.Draw(picture)
     past = run.states[: index + 1, POSITION]
@@ -119,19 +107,21 @@ def _frame(
 
 
 def _cross(draw: ImageDraw.ImageDraw, camera: Camera, place: Vector, colour: str) -> None:
+    """Draw a cross on the floor."""
     for arm in ((_ARM, 0.0), (0.0, _ARM)):
         ends = [(*(place - arm), 0.0), (*(place + arm), 0.0)]
         draw.line(camera.project(ends), fill=colour, width=3 * _OVERSAMPLING)
 
 
 def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int) -> None:
+    """Draw time and distance to the goal."""
     font = ImageFont.truetype(
         str(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), 13 * _OVERSAMPLING
     )
-    words = f"{run.times[index]:4.1f} s"
+    text = f"{run.times[index]:4.1f} s"
     if run.goal is not None:
         state = run.states[index : index + 1]
         distance = float(position_errors(state, run.goal)[0])
         angle = float(np.degrees(angle_errors(state, run.goal)[0]))
-        words += f"     to the goal: {distance:.2f} m, {angle:.0f}\N{DEGREE SIGN}"
-    draw.text((12 * _OVERSAMPLING, 10 * _OVERSAMPLING), words, fill=_INK, font=font)
+        text += f"     to the goal: {distance:.2f} m, {angle:.0f}\N{DEGREE SIGN}"
+    draw.text((12 * _OVERSAMPLING, 10 * _OVERSAMPLING), text, fill=_INK, font=font)

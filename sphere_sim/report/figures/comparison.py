@@ -1,18 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Several runs in one figure."""
+"""Figure that compares several runs."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.recording.run import Run
-from sphere_sim.report.figures.style import COLOURS, DASHES, GREY, say_missing, styled
-
-_FLOOR = 1e-7
-"""Smallest error that is drawn [mixed units]."""
+from sphere_sim.report.figures.style import (
+    COLOURS,
+    DASHES,
+    GREY,
+    SMALLEST_ERROR,
+    mark_missing,
+    styled,
+)
 
 
 def comparison(runs: Sequence[Run]) -> Figure:
@@ -21,21 +25,19 @@ def comparison(runs: Sequence[Run]) -> Figure:
         figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         error, path, speed, solve = figure.subplots(2, 2).flat
         for i, run in enumerate(runs):
-            look = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)],
-                    "label": run.name}
-            goals = run.goals_in_force
-            known = np.all(np.isfinite(goals), axis=1)
-            errors = np.maximum(state_errors(run.states[known], goals[known]), _FLOOR)
-            error.semilogy(run.times[known], errors, **look)
-            path.plot(run.states[:, 0], run.states[:, 1], **look)
-            path.plot(*run.states[0, :2], "o", color=look["color"], markersize=5)
+            style = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)],
+                     "label": run.name}
+            times, errors = run.errors()
+            error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), **style)
+            path.plot(run.states[:, 0], run.states[:, 1], **style)
+            path.plot(*run.states[0, :2], "o", color=style["color"], markersize=5)
             if run.goal is not None:
-                path.plot(*run.goal[:2], "*", color=look["color"], markersize=11)
+                path.plot(*run.goal[:2], "*", color=style["color"], markersize=11)
             if run.joint_times.size:
-                speed.plot(run.joint_times, np.max(np.abs(run.rotor_speeds), axis=1), **look)
+                speed.plot(run.joint_times, np.max(np.abs(run.rotor_speeds), axis=1), **style)
             if run.solves.times.size:
                 order = np.sort(1e3 * run.solves.durations)
-                solve.step(order, np.linspace(0.0, 1.0, order.size), where="post", **look)
+                solve.step(order, np.linspace(0.0, 1.0, order.size), where="post", **style)
         error.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
         path.set_aspect("equal", adjustable="datalim")
         for axes, title, horizontal, vertical in (
@@ -48,7 +50,7 @@ def comparison(runs: Sequence[Run]) -> Figure:
             axes.set_xlabel(horizontal)
             axes.set_ylabel(vertical)
             if not axes.lines:
-                say_missing(axes, "such series")
+                mark_missing(axes, "such series")
         solve.set_xscale("log")
         error.legend(loc="best")
     return figure

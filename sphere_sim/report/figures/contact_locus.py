@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's Fig. 7: where on the shell the sphere has touched the ground, and circle Gamma."""
+"""Figure of the contact points on the shell and circle Gamma, as the paper's Fig. 7."""
 
 from copy import copy
 
@@ -16,7 +16,7 @@ def contact_locus(run: Run) -> Figure:
     """Draw the contact points on the shell.
 
     The far side is drawn fainter. Circle Gamma is the great circle through the rotors' axes,
-    z = 0 in the body frame, which the locus always crosses at a right angle (Corollary 1).
+    z = 0 in the body frame; the locus crosses it at right angles (Corollary 1).
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def contact_locus(run: Run) -> Figure:
             axes.set_title(("seen from above the rotors", "seen from the other side")[place],
                            loc="center")
         handles, labels = axes.get_legend_handles_labels()
-        # In the legend nothing is on the far side.
+        # Legend entries are opaque, also those of points on the far side.
         handles = [copy(handle) for handle in handles]
         for handle in handles:
             handle.set_alpha(1.0)
@@ -73,7 +73,7 @@ def _draw_curve(
     """Draw a curve on the unit sphere, its far side fainter."""
     near = points @ towards >= 0.0
     for side, alpha, label in ((near, 1.0, name), (~near, 0.22, None)):
-        # A gap in the curve is a nan, not a straight line through the ball.
+        # Values of nan interrupt the curve; otherwise it would cross the sphere.
         kept = np.where(side[:, None], points, np.nan)
         axes.plot(*kept.T, color=colour, linewidth=width, alpha=alpha, label=label)  # type: ignore[attr-defined]
 
@@ -95,7 +95,7 @@ def _draw_graticule(axes: object, towards: Vector) -> None:
 
 
 def _draw_axes_of_rotors(axes: object, towards: Vector) -> None:
-    """Mark where the rotors' axes come through the shell."""
+    """Mark the ends of the rotors' axes."""
     for direction, name in (((1, 0, 0), "rotor 1"), ((0, 1, 0), "rotor 2")):
         for sign in (1.0, -1.0):
             place = sign * np.array(direction, dtype=float)

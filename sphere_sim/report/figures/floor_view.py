@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A floor seen from above at an angle, without perspective, and a marked ball on it."""
+"""Orthographic view of a floor from above at an angle, with a marked sphere on it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from sphere_sim.report.figures.style import BLUE, ORANGE, VERMILION
 _ELEVATION = np.radians(38.0)
 _LIGHT = np.array((0.35, -0.45, 0.82)) / np.linalg.norm((0.35, -0.45, 0.82))
 _BELT = 0.07
-"""Half width of the painted circle Gamma, over the radius."""
+"""Half width of the line of circle Gamma over the radius."""
 _HUB = 0.965
-"""Cosine of the half angle of the dots where the rotors' axes come through the shell."""
+"""Cosine of the half angle of the dots at the ends of the rotors' axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Orthographic view along a direction; maps world points [m] to pixels.
+    """Orthographic projection of world points [m] to pixels.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Camera:
     right, up, towards : ndarray, shape (3,)
         Axes of the picture and direction to the viewer, unit vectors [world frame].
     scale : float
-        Pixels a metre.
+        Scale [pixels/m].
     middle : ndarray, shape (2,)
-        What is in the middle of the picture, in metres along `right` and `up`.
+        Centre of the picture along `right` and `up` [m].
     """
 
     size: tuple[int, int]
@@ -45,9 +45,9 @@ class Camera:
 
     @classmethod
     def on(cls, places: Vector, radius: float, size: tuple[int, int]) -> "Camera":
-        """Look at balls of a radius [m] that stand at places (n, 2) so that all are seen.
+        """Return a view that contains spheres of a radius [m] at places (n, 2) [m].
 
-        The longest way of the run goes across the picture.
+        The direction of their largest spread is horizontal in the picture.
         """
         spread = places - places.mean(axis=0)
         axis = np.linalg.svd(spread, full_matrices=False)[2][0]
@@ -64,14 +64,14 @@ class Camera:
         return cls(size, right, up, towards, scale, 0.5 * (low + high))
 
     def project(self, points: object) -> list[tuple[float, float]]:
-        """Return pixels of world points, shape (n, 3)."""
+        """Return the pixels of world points, shape (n, 3) [m]."""
         world = np.asarray(points, dtype=float)
         x = self.size[0] / 2.0 + self.scale * (world @ self.right - self.middle[0])
         y = self.size[1] / 2.0 - self.scale * (world @ self.up - self.middle[1])
         return list(zip(x.tolist(), y.tolist(), strict=True))
 
     def floor_extent(self, tile: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the range of x and of y, in whole tiles, of the floor that is in the picture."""
+        """Return the ranges of x and y of the visible floor, in whole tiles [m]."""
         reach = np.array(self.size) / (2.0 * self.scale)
         reach[1] /= np.sin(_ELEVATION)
         ahead = np.array((-self.right[1], self.right[0]))
@@ -90,22 +90,22 @@ def paint_ball(
     radius: float,
     opacity: float = 1.0,
 ) -> None:
-    """Paint a ball whose shell shows its octants, circle Gamma and the rotors' axes.
+    """Draw a sphere with octants, circle Gamma and the ends of the rotors' axes.
 
     Parameters
     ----------
     picture : Image
-        Painted on.
+        Picture to draw on.
     camera : Camera
-        How it is looked at.
+        View.
     place : sequence of 3 floats
         Centre [m; world frame].
     quaternion : ndarray, shape (4,)
         Orientation wxyz, body to world.
     radius : float
-        Of the ball [m].
+        Radius [m].
     opacity : float, optional
-        1 hides what is behind; a fainter ball has no shadow.
+        Opacity, 0 to 1; only an opaque sphere has a shadow.
     """
     x, y = camera.project([tuple(place)])[0]
     if opacity >= 1.0:
@@ -128,7 +128,7 @@ def paint_ball(
 
 
 def _shell_colours(points: Vector) -> Vector:
-    """Return the colour of points of the unit sphere in body axes, shape (..., 3)."""
+    """Return the colours of points of the unit sphere, shape (..., 3) [body frame]."""
     blue, orange, vermilion = (
         np.array(ImageColor.getrgb(name), dtype=float) for name in (BLUE, ORANGE, VERMILION)
     )
@@ -144,7 +144,7 @@ def _paint_shadow(
     picture: Image.Image, camera: Camera, place: Sequence[float], radius: float
 ) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
-    # The shadow falls away from the light.
+    # The shadow is displaced away from the light.
     x, y = np.asarray(place[:2]) - 0.35 * radius * _LIGHT[:2]
     rim = np.column_stack((x + 0.9 * radius * np.cos(turn), y + 0.9 * radius * np.sin(turn),
                            np.zeros_like(turn)))

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The four panels of the paper's Figs. 3 to 6: position, Euler parameters, path, rotor speeds."""
+"""Figure as the paper's Figs. 3 to 6: position, Euler parameters, path and rotor speeds."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,23 +15,23 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     VERMILION,
-    say_missing,
+    mark_missing,
     styled,
 )
 
 _SMALLEST_VIEW = 0.3
-"""Smallest side of the path's panel [m]."""
+"""Smallest length that the panel of the path shows [m]."""
 
 
 def paper_panels(run: Run, title: str | None = None) -> Figure:
-    """Draw a run as the paper does.
+    """Draw the four panels of a run.
 
     Parameters
     ----------
     run : Run
         The run.
     title : str, optional
-        Above the panels.
+        Title above the panels.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def paper_panels(run: Run, title: str | None = None) -> Figure:
 
 
 def draw_position(axes: Axes, run: Run) -> None:
-    """Draw x and y of the centre over time, and of the goal."""
+    """Draw x and y of centre and goal over time."""
     for i, name in enumerate(("x", "y")):
         axes.plot(run.times, run.states[:, i], DASHES[i], color=COLOURS[i], label=name)
     _draw_goal_lines(axes, run, POSITION)
@@ -59,7 +59,7 @@ def draw_position(axes: Axes, run: Run) -> None:
 
 
 def draw_euler_parameters(axes: Axes, run: Run) -> None:
-    """Draw the four parts of the quaternion over time, and of the goal."""
+    """Draw the four components of the quaternion and of that of the goal over time."""
     for i in range(4):
         values = run.states[:, QUATERNION][:, i]
         axes.plot(run.times, values, DASHES[i], color=COLOURS[i], label=f"$q_{i + 1}$")
@@ -70,14 +70,14 @@ def draw_euler_parameters(axes: Axes, run: Run) -> None:
 
 
 def draw_path(axes: Axes, run: Run) -> None:
-    """Draw the path of the centre in the plane with start and goal."""
+    """Draw the path of the centre on the plane with start and goal."""
     x, y = run.states[:, 0], run.states[:, 1]
     axes.plot(x, y, color=BLUE)
     axes.plot(x[0], y[0], "o", color=BLACK, markersize=6, label="start")
     goal = run.goal
     if goal is not None:
         axes.plot(goal[0], goal[1], "*", color=VERMILION, markersize=13, label="goal", zorder=3)
-    # A run on the spot must not fill the panel with its last millimetres.
+    # Motions of millimetres must not fill the panel.
     middle = 0.5 * np.array((x.min() + x.max(), y.min() + y.max()))
     axes.update_datalim((middle - _SMALLEST_VIEW / 2.0, middle + _SMALLEST_VIEW / 2.0))
     axes.margins(0.08)
@@ -102,7 +102,7 @@ def draw_rotor_speeds(axes: Axes, run: Run) -> None:
         _over_time(axes, run, "d: rotor speeds", "rotor speed [rad/s]")
     else:
         axes.set_title("d: rotor speeds")
-        say_missing(axes, "rotor speeds")
+        mark_missing(axes, "rotor speeds")
 
 
 def _draw_goal_lines(axes: Axes, run: Run, part: slice) -> None:

@@ -1,19 +1,17 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Two strategies on the same scenario."""
+"""Figure of two strategies on the same scenario."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index, state_errors
+from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.paper_panels import draw_rotor_speeds
-from sphere_sim.report.figures.style import BLACK, COLOURS, DASHES, GREY, styled
+from sphere_sim.report.figures.style import BLACK, COLOURS, DASHES, GREY, SMALLEST_ERROR, styled
 
-_FLOOR = 1e-7
-"""Smallest error that is drawn [mixed units]."""
 _AFTERWARDS = 2.0
-"""For how long both are shown after both have settled [s]."""
+"""Time shown after both runs have settled [s]."""
 
 
 def side_by_side(first: Run, second: Run, title: str | None = None) -> Figure:
@@ -22,9 +20,9 @@ def side_by_side(first: Run, second: Run, title: str | None = None) -> Figure:
     Parameters
     ----------
     first, second : Run
-        The runs, whose names stand in the legend.
+        The runs; their names are in the legend.
     title : str, optional
-        Above the panels.
+        Title above the panels.
 
     Returns
     -------
@@ -36,10 +34,9 @@ def side_by_side(first: Run, second: Run, title: str | None = None) -> Figure:
         figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         error, path, *speeds = figure.subplots(2, 2).flat
         for i, run in enumerate(runs):
-            goals = run.goals_in_force
-            known = np.all(np.isfinite(goals), axis=1)
-            values = np.maximum(state_errors(run.states[known], goals[known]), _FLOOR)
-            error.semilogy(run.times[known], values, DASHES[i], color=COLOURS[i], label=run.name)
+            times, errors = run.errors()
+            error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), DASHES[i], color=COLOURS[i],
+                           label=run.name)
             path.plot(run.states[:, 0], run.states[:, 1], DASHES[i], color=COLOURS[i])
             draw_rotor_speeds(speeds[i], run)
             speeds[i].set_title(f"{'cd'[i]}: rotor speeds, {run.name}")
@@ -64,11 +61,10 @@ def side_by_side(first: Run, second: Run, title: str | None = None) -> Figure:
 
 
 def _end_of_interest(runs: tuple[Run, ...]) -> float:
-    """Return when both have settled and stayed for a while; inf where one has not."""
+    """Return a time after both runs have settled [s]; inf if one has not."""
     ends = []
     for run in runs:
-        goals = run.goals_in_force
-        known = np.all(np.isfinite(goals), axis=1)
-        index = settling_index(state_errors(run.states[known], goals[known]))
-        ends.append(float("inf") if index is None else float(run.times[known][index]))
+        times, errors = run.errors()
+        index = settling_index(errors)
+        ends.append(float("inf") if index is None else float(times[index]))
     return max(ends) + _AFTERWARDS

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How all figures look, and how they are saved.
+"""Common style of the figures, and their files.
 
-The colours are those of Okabe and Ito, which people with any colour vision can tell apart; lines
-differ in their dashes as well, for print without colour.
+The colours are those of Okabe and Ito, which people with any colour vision can distinguish; lines
+also differ in their dashes, for print without colour.
 """
 
 import io
@@ -19,10 +19,12 @@ from matplotlib.figure import Figure
 from sphere_sim.output.atomic_write import write_atomically
 
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-ORANGE, SKY, YELLOW, BLACK, GREY = "#E69F00", "#56B4E9", "#F0E442", "#000000", "#777777"
+ORANGE, SKY, BLACK, GREY = "#E69F00", "#56B4E9", "#000000", "#777777"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 1)))
 FORMATS = ("png", "svg")
+SMALLEST_ERROR = 1e-7
+"""Smallest error on a logarithmic axis [mixed units]."""
 
 _STYLE = {
     "axes.axisbelow": True,
@@ -43,14 +45,14 @@ _STYLE = {
     "lines.linewidth": 1.6,
     "mathtext.fontset": "dejavusans",
     "savefig.dpi": 150.0,
-    # Labels stay text in the file's own glyphs, and two equal figures are equal files.
+    # A fixed salt gives equal files for equal figures.
     "svg.hashsalt": "sphere_nmpc",
 }
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw and save figures in the project's style, whatever the user's own settings are."""
+    """Set the style of the project in this context, independent of the user's settings."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
@@ -58,35 +60,35 @@ def styled() -> Iterator[None]:
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Save a figure in all formats and return the files.
+    """Save a figure in all formats and return its files.
 
     Parameters
     ----------
     figure : Figure
-        What to save.
+        The figure.
     folder : Path
-        Where to; must exist.
+        Folder, which must exist.
     name : str
-        File name without its ending.
+        File name without suffix.
 
     Raises
     ------
     OSError
-        Naming the file that cannot be written.
+        If a file cannot be written; the error names it.
     """
     files = [folder / f"{name}.{kind}" for kind in FORMATS]
     for kind, file in zip(FORMATS, files, strict=True):
         dated, drawn = {"Date": None} if kind == "svg" else {}, io.BytesIO()
         with styled():
             figure.savefig(drawn, format=kind, metadata=dated)
-        # The same in all formats, and found once: it takes as long as drawing.
+        # The layout is equal in all formats; its computation takes as long as drawing.
         figure.set_layout_engine("none")
         write_atomically(file, drawn.getvalue())
     return files
 
 
-def say_missing(axes: Axes, what: str) -> None:
-    """Fill a panel with the news that the bag has nothing for it."""
+def mark_missing(axes: Axes, what: str) -> None:
+    """Mark a panel whose data the bag does not have."""
     axes.text(
         0.5, 0.5, f"no {what} in this bag", transform=axes.transAxes, color=GREY,
         ha="center", va="center",

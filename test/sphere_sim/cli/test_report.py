@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The report of a bag: its files, its page, and what it says of a bag it cannot read."""
+"""Reports of bags: files, page, and errors for bags that cannot be read."""
 
 import json
 import os
@@ -15,8 +15,9 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from sphere_sim.cli.main import main as command
-from sphere_sim.cli.report import FIGURES, main
+from sphere_sim.cli.report import main
 from sphere_sim.recording.bag_writer import BagWriter
+from sphere_sim.report.report_files import FIGURES
 from sphere_sim.ros.session.child_process import verb_command
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -58,8 +59,8 @@ def test_report_of_one_bag_has_every_figure_and_the_tables(tmp_path, capsys) -> 
     metrics = json.loads((out / "summary.json").read_text())["run"]["metrics"]
     assert metrics["settled"] and metrics["settle_time_s"] == pytest.approx(0.47, abs=1e-9)
     assert metrics["max_rotor_speed"] is None
-    told = capsys.readouterr()
-    assert "settling time" in told.out and "joint_states is missing" in told.err
+    printed = capsys.readouterr()
+    assert "settling time" in printed.out and "joint_states is missing" in printed.err
 
 
 def test_page_is_self_contained(tmp_path) -> None:
@@ -72,7 +73,7 @@ def test_page_is_self_contained(tmp_path) -> None:
     assert "a&amp;b" in page and "http" not in re.sub(r'src="[^"]*"', "", page)
 
 
-def test_several_bags_are_compared_under_different_names(tmp_path) -> None:
+def test_several_bags_are_compared_under_unique_names(tmp_path) -> None:
     bags = [make_bag(tmp_path / name / "bag") for name in ("one", "two")]
     out = tmp_path / "out"
     assert main([*map(str, bags), str(bags[0]), "--out", str(out)]) == 0
@@ -82,32 +83,32 @@ def test_several_bags_are_compared_under_different_names(tmp_path) -> None:
 
 def test_unreadable_bag_exits_with_1_and_one_line(tmp_path, capsys) -> None:
     assert command(["report", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "there is no such file or folder" in told
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "there is no such file or folder" in error
 
 
-def test_run_without_a_goal_has_a_page_that_says_so(tmp_path, capsys) -> None:
+def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys) -> None:
     out = tmp_path / "out"
     bag = make_bag(tmp_path / "run", goal=False)
     assert main([str(bag), "--out", str(out), "--csv"]) == 0
-    assert "nothing to measure" in (out / "report.html").read_text()
-    told = capsys.readouterr()
-    assert "goal_pose and active_goal are missing" in told.err
-    assert "run: no figures, as no goal was in force at any pose; see the notes" in told.out
+    assert "Without a goal there are no metrics" in (out / "report.html").read_text()
+    printed = capsys.readouterr()
+    assert "goal_pose and active_goal are missing" in printed.err
+    assert "run: no metrics, as no goal was in force at any pose; see the notes" in printed.out
     notes = json.loads((out / "summary.json").read_text())["run"]["notes"]
     assert any("goal_pose and active_goal are missing" in note for note in notes)
     table = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
     assert np.all(np.isnan(table["error"])) and np.all(np.isfinite(table["x"]))
 
 
-def test_empty_bag_is_told(tmp_path, capsys) -> None:
+def test_empty_bag_is_refused(tmp_path, capsys) -> None:
     bag = make_bag(tmp_path / "run", 0, goal=False)
     assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "is empty" in told
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "is empty" in error
 
 
-def test_truncated_bag_is_reported_on_as_far_as_it_goes(tmp_path, capsys) -> None:
+def test_report_of_a_truncated_bag_has_its_beginning(tmp_path, capsys) -> None:
     bag = make_bag(tmp_path / "run", 1500)
     file = next(bag.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
@@ -117,16 +118,16 @@ def test_truncated_bag_is_reported_on_as_far_as_it_goes(tmp_path, capsys) -> Non
     assert any("is truncated" in note for note in notes)
 
 
-def test_bag_of_another_robot_is_told(tmp_path, capsys) -> None:
+def test_bag_of_another_robot_is_refused(tmp_path, capsys) -> None:
     bag = make_bag(tmp_path / "run", 0)
     assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "another robot; has: /controller/active_goal" in told
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "another robot; has: /controller/active_goal" in error
 
 
 def report(*arguments: str, limit: int | None = None, **environment: str):
-    """Run the command in a process of its own, which may write files up to a limit [bytes]."""
+    """Run the command in a process, with a limit on the size of its files [bytes]."""
     def restrict() -> None:
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
@@ -147,7 +148,7 @@ TABLES = {"motion.csv", "motion.parquet", "solves.csv", "solves.parquet"}
     [(64, "summary.json", set()), (4096, "motion.csv", {"summary.json"}),
      (35_000, "panels.png", {"summary.json", *TABLES})],
 )
-def test_a_file_that_cannot_be_written_is_named_and_numbers_stay(
+def test_error_names_the_file_that_cannot_be_written_and_numbers_are_kept(
     tmp_path, limit, failed, left
 ) -> None:
     bag, out = make_bag(tmp_path / "run"), tmp_path / "out"
@@ -160,7 +161,7 @@ def test_a_file_that_cannot_be_written_is_named_and_numbers_stay(
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A disk of four megabytes."""
+    """Return a file system of four megabytes."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(disk)]
@@ -171,25 +172,25 @@ def small_disk(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_disk_that_fills_up_keeps_whole_files_only(tmp_path, small_disk) -> None:
+def test_full_disk_keeps_complete_files_only(tmp_path, small_disk) -> None:
     bag, whole, out = make_bag(tmp_path / "run"), tmp_path / "whole", small_disk / "out"
     options = ("--csv", "--animation")
     assert report(str(bag), "--out", str(whole), *options).returncode == 0
     size = {file.name: file.stat().st_size for file in whole.iterdir()}
-    # All but the last picture fits, which is half of what is missing too much.
+    # Leave space for all but half of the animation, which is written last.
     pages = sum(-(-count // 4096) for name, count in size.items() if name != "animation.gif")
     free = os.statvfs(small_disk).f_bavail - pages - size["animation.gif"] // 8192
     (small_disk / "fill").write_bytes(bytes(4096 * free))
     ended = report(str(bag), "--out", str(out), *options)
-    told = f"sphere_nmpc report: {out / 'animation.gif'}: No space left on device"
-    assert ended.returncode == 1 and ended.stderr.splitlines()[-1] == told
+    message = f"sphere_nmpc report: {out / 'animation.gif'}: No space left on device"
+    assert ended.returncode == 1 and ended.stderr.splitlines()[-1] == message
     assert {file.name for file in out.iterdir()} == set(size) - {"animation.gif"}
     for name in set(size) - {"animation.gif", "summary.json"}:
         assert (out / name).read_bytes() == (whole / name).read_bytes()
 
 
 @pytest.mark.slow
-def test_names_that_the_locale_does_not_know_are_written_as_they_are(tmp_path) -> None:
+def test_names_outside_of_the_locale_are_unchanged(tmp_path) -> None:
     bags = [str(make_bag(tmp_path / name)) for name in ("büg", "other")]
     out = tmp_path / "örep"
     ended = report(

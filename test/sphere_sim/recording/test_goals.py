@@ -127,7 +127,7 @@ def test_report_says_why_a_run_has_no_goal(rosbag2, messages, tmp_path, capsys) 
     bag, out = rosbag2(entries, "mcap", parts=1), tmp_path / "out"
     assert main([str(bag), "--out", str(out)]) == 0
     printed = capsys.readouterr()
-    assert "mine: no figures, as no goal was in force at any pose" in printed.out
+    assert "mine: no metrics, as no goal was in force at any pose" in printed.out
     reason = "goal at 7.25 s, poses from 0 to 3 s: no goal falls inside the recording"
     assert reason in printed.err
     assert reason in (out / "summary.json").read_text()

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Every figure can be drawn from a full run and from one that lacks almost everything."""
+"""Figures of a complete run, and of one that has poses only."""
 
 from pathlib import Path
 
@@ -50,12 +50,12 @@ def test_figure_is_drawn_and_saved(name, full, tmp_path) -> None:
     assert "<svg" in text and "href=\"http" not in text
 
 
-def test_missing_series_are_said_in_the_figure() -> None:
+def test_missing_series_are_marked_in_the_figure() -> None:
     words = [t.get_text() for axes in paper_panels(make_run(False)).axes for t in axes.texts]
     assert "no rotor speeds in this bag" in words
 
 
-def test_four_panels_show_the_paper_s_quantities() -> None:
+def test_panels_show_the_quantities_of_the_paper() -> None:
     axes = paper_panels(make_run()).axes
     assert [a.get_title(loc="left")[:2] for a in axes] == ["a:", "b:", "c:", "d:"]
     drawn = {line.get_label() for a in axes for line in a.lines}

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A run's series as tables for other tools."""
+"""Tables of a run for other tools, as CSV or Parquet."""
 
 import io
 from pathlib import Path
@@ -14,7 +14,7 @@ from sphere_sim.recording.run import Run
 
 
 def motion_table(run: Run) -> dict[str, Vector]:
-    """Return one column a quantity, one row a pose; joint states are joined on in between.
+    """Return the columns of a table with one row for each pose.
 
     Parameters
     ----------
@@ -24,8 +24,8 @@ def motion_table(run: Run) -> dict[str, Vector]:
     Returns
     -------
     dict of str to ndarray, shape (n,)
-        Times [s], states [m, -], errors, rotor speeds [rad/s] and torques [N m]; nan where the
-        bag does not tell.
+        Times [s], states [m, -], errors, and rotor speeds [rad/s] and torques [N m] interpolated
+        at the poses; nan where not recorded.
     """
     table = {"time_s": run.times}
     table.update({name: run.states[:, i] for i, name in enumerate(STATE_NAMES)})
@@ -38,18 +38,19 @@ def motion_table(run: Run) -> dict[str, Vector]:
         ("rotor_torque", "nm", run.rotor_torques),
     ):
         for i in range(2):
-            table[f"{name}_{i + 1}_{unit}"] = _at(run.times, run.joint_times, values[:, i])
+            column = _interpolate(run.times, run.joint_times, values[:, i])
+            table[f"{name}_{i + 1}_{unit}"] = column
     return table
 
 
 def solve_table(run: Run) -> dict[str, Vector]:
-    """Return times [s], durations [s] and values of the solves, one row each."""
+    """Return the columns of a table with one row for each solve: times, durations [s], values."""
     solves = run.solves
     return {"time_s": solves.times, "solve_time_s": solves.durations, "cost": solves.costs}
 
 
 def write_csv(table: dict[str, Vector], path: Path) -> None:
-    """Write a table with a header line, in digits that lose nothing."""
+    """Write a table with a header line, exact to the last bit."""
     rows = np.column_stack(list(table.values()))
     text = io.StringIO()
     np.savetxt(text, rows, fmt="%.17g", delimiter=",", header=",".join(table), comments="")
@@ -58,7 +59,7 @@ def write_csv(table: dict[str, Vector], path: Path) -> None:
 
 def write_parquet(table: dict[str, Vector], path: Path) -> None:
     """Write a table as Parquet."""
-    # Only those who ask for it need pyarrow.
+    # pyarrow is an optional dependency.
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -67,8 +68,8 @@ def write_parquet(table: dict[str, Vector], path: Path) -> None:
     write_atomically(path, packed.getvalue())
 
 
-def _at(times: Vector, sampled: Vector, values: Vector) -> Vector:
-    """Return values at other times by linear interpolation, nan outside of the samples."""
+def _interpolate(times: Vector, sampled: Vector, values: Vector) -> Vector:
+    """Return values at other times by linear interpolation; nan outside of the samples."""
     if not sampled.size:
         return np.full_like(times, np.nan)
     return np.interp(times, sampled, values, left=np.nan, right=np.nan)

@@ -1,0 +1,118 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of a report: summary, tables, figures, page and animations."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.printable_path import printable
+from sphere_sim.recording.run import Run
+from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures.animation import write_animation
+from sphere_sim.report.figures.comparison import comparison
+from sphere_sim.report.figures.contact_locus import contact_locus
+from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.style import save
+from sphere_sim.report.page import write_page
+from sphere_sim.report.tables import motion_table, solve_table, write_csv, write_parquet
+
+FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
+    "panels": (
+        paper_panels,
+        "Position, Euler parameters, path and rotor speeds; dotted: the goal and the limits.",
+    ),
+    "error": (analysis.error_over_time, "Error in the norm of the state, distance and angle."),
+    "contact": (
+        contact_locus, "Contact points on the shell; the locus crosses circle Γ at a right angle.",
+    ),
+    "torque": (analysis.rotor_torques, "Torques of the rotors' motors."),
+    "solve_time": (analysis.solve_times, "Solve times, over time and as a histogram."),
+    "value": (analysis.value_function, "Value of the optimal control problem at each sample."),
+}
+"""Figures of each run: file name, function that draws it, and caption."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OptionalFiles:
+    """Files that a report has only on request.
+
+    Attributes
+    ----------
+    csv, parquet : bool
+        Whether to write the tables in these formats.
+    animation : bool
+        Whether to write an animation of each run.
+    """
+
+    csv: bool = False
+    parquet: bool = False
+    animation: bool = False
+
+
+def write_report(
+    runs: Sequence[Run], prefixes: Sequence[str], out: Path, optional: OptionalFiles
+) -> Path:
+    """Write a report and return its page.
+
+    Numbers are written before figures, and animations, the largest files, last: on a full disk the
+    most important files exist.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Recorded runs; several are also compared.
+    prefixes : sequence of str
+        Prefix of the file names of each run.
+    out : Path
+        Folder, which must exist.
+    optional : OptionalFiles
+        Files to write in addition.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written; the error names it.
+    """
+    summary = {run.name: _summary(run) for run in runs}
+    write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
+    for run, prefix in zip(runs, prefixes, strict=True):
+        _write_tables(run, out, prefix, optional)
+    figures: list[tuple[str, str, Path]] = []
+    if len(runs) > 1:
+        caption = "Errors, paths, rotor speeds and solve times of all runs."
+        figures.append(("Comparison", caption, save(comparison(runs), out, "comparison")[1]))
+    for run, prefix in zip(runs, prefixes, strict=True):
+        for name, (draw, caption) in FIGURES.items():
+            files = save(draw(run), out, f"{prefix}{name}")
+            figures.append((run.name, caption, files[1]))
+    page = out / "report.html"
+    write_page(page, runs, figures)
+    if optional.animation:
+        for run, prefix in zip(runs, prefixes, strict=True):
+            write_animation(run, out / f"{prefix}animation.gif")
+    return page
+
+
+def _write_tables(run: Run, out: Path, prefix: str, optional: OptionalFiles) -> None:
+    for name, table in (("motion", motion_table(run)), ("solves", solve_table(run))):
+        if optional.csv:
+            write_csv(table, out / f"{prefix}{name}.csv")
+        if optional.parquet:
+            write_parquet(table, out / f"{prefix}{name}.parquet")
+
+
+def _summary(run: Run) -> dict[str, object]:
+    """Return the entry of a run in summary.json; null for nan, which JSON does not have."""
+    metrics = run.metrics()
+    values = {} if metrics is None else dataclasses.asdict(metrics)
+    known = {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in values.items()
+    }
+    return {"bag": printable(run.path), "metrics": known, "notes": list(run.notes)}

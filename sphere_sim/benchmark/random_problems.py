@@ -30,25 +30,25 @@ class Comparison:
 
     Attributes
     ----------
-    ours, ours_many, ipopt : list of float
+    own, own_many, ipopt : list of float
         Cost from the common initial guess, the least of `STARTS` guesses, and IPOPT's cost.
-    ours_s, ours_many_s : list of float
+    own_s, own_many_s : list of float
         Wall time [s].
     """
 
-    ours: list[float] = field(default_factory=list)
-    ours_many: list[float] = field(default_factory=list)
+    own: list[float] = field(default_factory=list)
+    own_many: list[float] = field(default_factory=list)
     ipopt: list[float] = field(default_factory=list)
-    ours_s: list[float] = field(default_factory=list)
-    ours_many_s: list[float] = field(default_factory=list)
+    own_s: list[float] = field(default_factory=list)
+    own_many_s: list[float] = field(default_factory=list)
 
     def summary(self) -> dict[str, float]:
         """Return the shares of not worse and of better costs, and the excess of the others."""
         result: dict[str, float] = {"problems": float(len(self.ipopt))}
         reference = np.array(self.ipopt)
         for name, costs, times in (
-            ("same_start", self.ours, self.ours_s),
-            (f"{STARTS}_starts", self.ours_many, self.ours_many_s),
+            ("same_start", self.own, self.own_s),
+            (f"{STARTS}_starts", self.own_many, self.own_many_s),
         ):
             excess = (np.array(costs) - reference) / reference
             worse = excess[excess > NOT_WORSE]
@@ -91,10 +91,10 @@ def compare(
         v, _ = ipopt.minimise(np.zeros(2 * HORIZON), parameters)
         comparison.ipopt.append(_cost(problem, np.clip(v, -1.0, 1.0)))
         answers = [solver.solve(problem, start) for start in starts]
-        comparison.ours.append(answers[0].cost)
-        comparison.ours_s.append(answers[0].solve_time)
-        comparison.ours_many.append(min(answer.cost for answer in answers))
-        comparison.ours_many_s.append(sum(answer.solve_time for answer in answers))
+        comparison.own.append(answers[0].cost)
+        comparison.own_s.append(answers[0].solve_time)
+        comparison.own_many.append(min(answer.cost for answer in answers))
+        comparison.own_many_s.append(sum(answer.solve_time for answer in answers))
         yield
 
 

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from sphere_sim.benchmark.closed_loops import SolverRecord
 
-OURS = "sphere_nmpc"
+OWN = "sphere_nmpc"
+"""Name of the solver of this package."""
 _COMPARED = ("median", "p99", "cpu_median", "cpu_p99")
 _SHOWN_TIMES = ("median_ms", "p99_ms", "max_ms", "cpu_median_ms", "cpu_p99_ms")
 
@@ -23,14 +24,14 @@ def as_numbers(records: dict[str, SolverRecord], missing: dict[str, str]) -> dic
     """Return the content of the JSON file."""
     solvers = {name: _solver_numbers(record) for name, record in records.items() if record.wall}
     report: dict[str, Any] = {"solvers": solvers, "missing": missing, "machine": _machine()}
-    ours = solvers.get(OURS)
-    if ours:
+    own = solvers.get(OWN)
+    if own:
         report["times_faster"] = {
-            name: {key: theirs[f"{key}_ms"] / ours[f"{key}_ms"] for key in _COMPARED}
-            for name, theirs in solvers.items()
-            if name != OURS
+            name: {key: numbers[f"{key}_ms"] / own[f"{key}_ms"] for key in _COMPARED}
+            for name, numbers in solvers.items()
+            if name != OWN
         }
-        report["control_rate_hz"] = {"p99": 1e3 / ours["p99_ms"], "max": 1e3 / ours["max_ms"]}
+        report["control_rate_hz"] = {"p99": 1e3 / own["p99_ms"], "max": 1e3 / own["max_ms"]}
     return report
 
 
@@ -83,7 +84,7 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
             str(row["failures"]),
             str(row["solves"]) + (" (stopped)" if row["stopped"] else ""),
             settle,
-            style="bold" if name == OURS else "",
+            style="bold" if name == OWN else "",
         )
     for name, reason in report["missing"].items():
         table.add_row(name, *["-"] * 7, reason, style="dim")
@@ -96,10 +97,10 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
         )
     if "floor_us" in report:
         parts = ", ".join(f"{k.replace('_', ' ')} {v:.1f}" for k, v in report["floor_us"].items())
-        console.print(f"The floor [us]: {parts}.", markup=False)
+        console.print(f"Parts of a solve [us]: {parts}.", markup=False)
     if "first_use_s" in report:
         console.print(
-            f"First use on a clean cache, first solve included: {report['first_use_s']:.1f} s."
+            f"First use with an empty cache, first solve included: {report['first_use_s']:.1f} s."
         )
     if "random" in report:
         _show_random(report["random"], console)
@@ -124,7 +125,7 @@ def draw(records: dict[str, SolverRecord], path: Path) -> None:
     axes, labels = figure.add_subplot(), []
     for row, (name, record) in enumerate(reversed(shown.items())):
         times = 1e3 * np.sort(record.wall)
-        colour = "tab:orange" if name.startswith(OURS) else "tab:blue"
+        colour = "tab:orange" if name.startswith(OWN) else "tab:blue"
         axes.plot(times, np.full(times.size, row), "|", color=colour, alpha=0.25, markersize=12)
         middle, late = np.percentile(times, [50.0, 99.0])
         for value, mark in ((middle, "o"), (late, ">")):

@@ -7,13 +7,13 @@ from sphere_sim.benchmark.do_mpc_solver import DoMpc
 from sphere_sim.benchmark.nlp_solvers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
 from sphere_sim.benchmark.numpy_slsqp import NumpySlsqp
 from sphere_sim.benchmark.own_solvers import AlgorithmOne, BothSigns
-from sphere_sim.benchmark.report import OURS
+from sphere_sim.benchmark.report import OWN
 
 IPOPT = "casadi ipopt"
 
 QUICK: dict[str, Maker] = {
-    OURS: BothSigns,
-    f"{OURS} (Algorithm 1)": AlgorithmOne,
+    OWN: BothSigns,
+    f"{OWN} (Algorithm 1)": AlgorithmOne,
     "scipy slsqp (casadi cost)": lambda: Slsqp(exact_gradient=False),
     IPOPT: ipopt,
 }

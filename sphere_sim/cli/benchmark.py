@@ -31,9 +31,9 @@ _FIRST_SOLVE = (
     "import numpy as np\n"
     "from sphere_sim.benchmark.own_solvers import BothSigns\n"
     "from sphere_sim.scenario.scenarios import PAPER_CASES\n"
-    "ours = BothSigns()\n"
-    "ours.start(PAPER_CASES[1].goal)\n"
-    "ours.solve(PAPER_CASES[1].start, np.zeros(2))\n"
+    "solver = BothSigns()\n"
+    "solver.start(PAPER_CASES[1].goal)\n"
+    "solver.solve(PAPER_CASES[1].start, np.zeros(2))\n"
 )
 
 
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.update(ONE_EACH)
     from rich.console import Console
 
-    from sphere_sim.benchmark.report import OURS, draw, show
+    from sphere_sim.benchmark.report import OWN, draw, show
 
     console = Console()
     if not console.is_terminal:
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if draw_or_warn("benchmark", str(figure), lambda: draw(records, figure)):
         written += f" and {figure}"
     console.print(f"Written: {written}", markup=False)
-    return 1 if OURS in missing else 0
+    return 1 if OWN in missing else 0
 
 
 def _write(path: Path, report: dict[str, Any]) -> None:

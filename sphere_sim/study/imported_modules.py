@@ -17,9 +17,9 @@ _ROOTS = {
 def imported_modules(*names: str, not_by_name: Collection[str] = ()) -> dict[str, Path]:
     """Return the source files of some modules and of all that these import, by module.
 
-    An import counts wherever it stands, also within a function; only what is imported for type
-    checking does not. A string that is the name of a module, alone or before a colon, counts as
-    an import too, as it is how modules are loaded when they are needed.
+    Imports within functions count too, imports for type checking do not. A string that is the
+    name of a module, alone or before a colon, counts as an import, because modules that are loaded
+    when they are needed are named so.
 
     Parameters
     ----------

@@ -132,11 +132,11 @@ class Processes:
         try:
             resource_tracker.ensure_running()  # its start would unblock the signal below
             with _interrupts_deferred():
-                ours, theirs = self._context.Pipe()
-                process = self._context.Process(target=serve, args=(theirs,), daemon=True)
-                with theirs:
+                parent_end, child_end = self._context.Pipe()
+                process = self._context.Process(target=serve, args=(child_end,), daemon=True)
+                with child_end:
                     process.start()
-                self._processes[ours] = process
+                self._processes[parent_end] = process
         except OSError as error:
             if not self._processes:
                 raise WorkersError(
@@ -148,7 +148,7 @@ class Processes:
             )
             self._jobs = len(self._processes)
             return None
-        return ours
+        return parent_end
 
     def _remove(self, link: Connection) -> str:
         """Remove a process that has died and return how it died."""

@@ -75,7 +75,7 @@ class StudyProgress:
         """Count a run."""
         self._done += 1
         self._settled += bool(record.results["settled"])
-        words = f"{self._settled} settled"
+        text = f"{self._settled} settled"
         if self._done > self._settled:
-            words += f", {self._done - self._settled} not"
-        self._progress.update(self._task, completed=self._done, settled=words)
+            text += f", {self._done - self._settled} not"
+        self._progress.update(self._task, completed=self._done, settled=text)

@@ -133,9 +133,9 @@ class Study:
         return [journal.records[i] for i in range(len(self.scenarios))]
 
     def _refuse_other_results(self, folders: Iterable[Path]) -> None:
-        ours = any((folder / JOURNAL).exists() for folder in folders)
+        has_journals = any((folder / JOURNAL).exists() for folder in folders)
         alone = (self.folder / JOURNAL).exists()
-        if alone or (not ours and (self.folder / "runs.csv").exists()):
+        if alone or (not has_journals and (self.folder / "runs.csv").exists()):
             raise ResultFolderError(
                 self.folder, "holds other results; choose another folder"
             )

@@ -54,7 +54,7 @@ class Simulator:
 
     @property
     def settings(self) -> SimulatorSettings:
-        """The settings in force."""
+        """The present settings."""
         return self._settings
 
     def change(self, settings: SimulatorSettings) -> None:

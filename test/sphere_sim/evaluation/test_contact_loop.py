@@ -58,7 +58,7 @@ def test_known_limits_of_drives_and_floor_cost_little_time() -> None:
     assert settling_time(run(careful, settings, RigidBodySettings(friction=0.2))) < 3.0
 
 
-def test_slip_reduces_the_planned_acceleration() -> None:
+def test_unknown_slippery_floor_costs_little_time() -> None:
     # 3.3 s were seen; with the full acceleration of the drives it does not arrive.
     settings = ControllerSettings()
     found = run(Controller(settings, ROBOT), settings, RigidBodySettings(friction=0.2))

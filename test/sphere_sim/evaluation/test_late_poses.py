@@ -36,5 +36,5 @@ def test_pose_age_is_the_latency_and_the_state_is_predicted(latency) -> None:
         assert np.linalg.norm(decision.state - truth) < PREDICTED_WITHIN
 
 
-def test_without_latency_every_pose_is_of_the_sample_instant() -> None:
+def test_without_latency_each_pose_is_of_the_sampling_instant() -> None:
     assert all(decision.pose_age == 0.0 for decision in run(0.0).decisions)

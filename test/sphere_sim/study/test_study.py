@@ -211,7 +211,7 @@ def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path, error) 
 
 def test_figure_that_cannot_be_drawn_is_one_warning(tmp_path, monkeypatch, caplog) -> None:
     monkeypatch.undo()
-    # A folder of this name stands where the figure should be.
+    # A folder has the name of the figure.
     (tmp_path / FIGURES[0]).mkdir()
     make(tmp_path)
     (warning,) = caplog.messages

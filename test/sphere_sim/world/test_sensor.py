@@ -54,12 +54,12 @@ def test_pose_is_the_state_at_its_stamp() -> None:
 
 
 def test_measurements_do_not_depend_on_when_poses_are_read() -> None:
-    asked = dict(
+    settings = dict(
         sensor_rate=20.0, sensor_latency=0.05, sensor_dropout=0.3, position_noise=0.01,
         orientation_noise=0.02, seed=4,
     )
     often, rarely = (
-        poses(world(**asked), step) for step in (10 * MILLISECOND, 250 * MILLISECOND)
+        poses(world(**settings), step) for step in (10 * MILLISECOND, 250 * MILLISECOND)
     )
     for (_, stamp, pose), (_, other_stamp, other_pose) in zip(often, rarely, strict=True):
         assert stamp == other_stamp

@@ -107,7 +107,7 @@ def _add_rotor_shapes(link: ElementTree.Element, rotor: Body, index: int) -> Non
     radius = math.sqrt(2.0 * axial / rotor.mass)
     square = 12.0 * transverse / rotor.mass - 3.0 * radius**2
     thickness = max(_MIN_THICKNESS, math.sqrt(max(0.0, square)))
-    # URDF cylinders stand on z; turn them onto the rotor's axis.
+    # The axis of a URDF cylinder is z: turn it onto that of the rotor.
     tilt = (0.0, 0.5 * math.pi) if index == 0 else (0.5 * math.pi, 0.0)
     _add_shape(link, "visual", rotor.name, tilt, "cylinder", radius=radius, length=thickness)
     size = [0.1 * radius, 0.1 * radius, 1.9 * radius]

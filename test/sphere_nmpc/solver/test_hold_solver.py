@@ -76,8 +76,8 @@ def test_bounds_hold_exactly(make_problem, kind, backend, scale):
     )
     assert np.all(solution.inputs[1:] >= problem.lower)
     assert np.all(solution.inputs[1:] <= problem.upper)
-    pressed = (solution.inputs[1:] == problem.lower) | (solution.inputs[1:] == problem.upper)
-    assert np.any(pressed), "the bounds are meant to be narrow enough to matter"
+    active = (solution.inputs[1:] == problem.lower) | (solution.inputs[1:] == problem.upper)
+    assert np.any(active), "the bounds have to be narrow enough to be active"
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -96,7 +96,7 @@ def test_fixed_knots_stay_where_they_are(make_problem, kind, backend):
         assert solution.iterations > 0
 
 
-def test_all_knots_fixed_is_no_problem(make_problem, kind):
+def test_problem_with_all_knots_fixed_converges(make_problem, kind):
     problem = make_problem(kind)
     problem = replace(problem, lower=np.zeros_like(problem.lower), upper=0.0 * problem.upper)
     for backend in BACKENDS:
@@ -106,13 +106,13 @@ def test_all_knots_fixed_is_no_problem(make_problem, kind):
         assert not np.any(solution.inputs[1:])
 
 
-def test_slew_hinge_limits_the_knot_differences(make_problem):
+def test_slew_penalty_limits_the_knot_differences(make_problem):
     problem = make_problem("slew", slew_weight=1e3, max_acceleration=60.0, unequal=False)
     free = HoldSolver().solve(replace(problem, slew_weight=0.0), random_start(problem))
     held = HoldSolver(SolverSettings(max_iterations=300)).solve(problem, random_start(problem))
     reach = problem.max_acceleration * problem.durations[:, None]
     beyond = [np.max(np.abs(np.diff(s.inputs, axis=0)) - reach) for s in (free, held)]
-    assert beyond[0] > 10.0, "without the hinge the limit is meant to be broken"
+    assert beyond[0] > 10.0, "without the penalty the limit has to be exceeded"
     assert beyond[1] < 0.5
 
 
@@ -176,7 +176,7 @@ class TestStatus:
 
 
 def test_singular_model_without_input_weight_is_solved(make_problem):
-    # 18 inputs, 6 residuals and nothing that holds the inputs: only the damping makes it definite.
+    # 18 variables, 6 residuals and no input weight: only the damping makes the model definite.
     problem = make_problem("slew", input_weight=0.0, slew_weight=0.0)
     for backend in BACKENDS:
         solution = HoldSolver(SolverSettings(max_iterations=40), backend).solve(
@@ -204,7 +204,7 @@ def test_one_solver_serves_many_threads(make_problem):
         assert np.array_equal(one.inputs, other.inputs)
 
 
-def test_answers_of_earlier_solves_are_left_alone(make_problem):
+def test_later_solve_does_not_change_an_earlier_solution(make_problem):
     solver = HoldSolver()
     problem = make_problem("paper", 1)
     first = solver.solve(problem, rest_start(problem))

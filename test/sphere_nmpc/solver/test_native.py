@@ -32,7 +32,7 @@ solution = another.solve(problem, np.zeros((4, 2)))
 print(solver.backend, f"{solution.cost:.12e}")
 """
 
-AS_NOBODY = """
+AS_USER_WITHOUT_HOME = """
 import importlib.readers  # while the interpreter's own files can still be read
 import os
 import sphere_nmpc.solver.native.codegen
@@ -57,7 +57,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become 
 
 
 def solve_elsewhere(cache, code=SOLVE, **environment):
-    """Start the solver in a process of its own, built in a hurry if no compiler is named."""
+    """Solve in a child process, whose solver is compiled without optimisation by default."""
     inherited = {k: v for k, v in os.environ.items() if k not in ("CC", "XDG_CACHE_HOME")}
     if "PATH" not in environment:
         inherited["CC"] = str(QUICK)
@@ -82,22 +82,22 @@ def answer(process):
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """Return a cache folder that two processes filled at the same moment, and what they said."""
+    """Return a cache folder that two processes filled at the same time, and their output."""
     cache = tmp_path_factory.mktemp("filled") / "cache"
     processes = [solve_elsewhere(cache) for _ in range(2)]
     return cache, [answer(process) for process in processes]
 
 
 def test_two_processes_at_once_build_once_and_agree(filled):
-    cache, said = filled
+    cache, outputs = filled
     assert len(list(cache.glob("*.so"))) == 1
     assert not list(cache.glob("build-*"))
-    first, second = (out[0].split()[:2] for out, _ in said)
+    first, second = (out[0].split()[:2] for out, _ in outputs)
     assert first[0] == "compiled" and first == second
-    assert sum("compiling the solver" in err for _, err in said) == 1
+    assert sum("compiling the solver" in err for _, err in outputs) == 1
 
 
-def test_second_use_builds_nothing_and_does_without_the_code_generator(filled):
+def test_second_use_neither_builds_nor_imports_the_code_generator(filled):
     generator = "import sys; print('sphere_nmpc.solver.native.codegen' in sys.modules)\n"
     out, err = answer(solve_elsewhere(filled[0], SOLVE + generator))
     assert "compiling" not in err and out[-1] == "False"
@@ -105,21 +105,21 @@ def test_second_use_builds_nothing_and_does_without_the_code_generator(filled):
 
 @pytest.mark.parametrize("damage", ("cut", "changed", "empty"))
 def test_damaged_binary_is_built_again(filled, damage):
-    cache, said = filled
+    cache, outputs = filled
     (binary,) = cache.glob("*.so")
     content = binary.read_bytes()
     middle = len(content) // 2
-    torn = {
+    contents = {
         "cut": content[:middle],
         "changed": content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :],
         "empty": b"",
     }[damage]
-    replacement = binary.with_suffix(".torn")
-    replacement.write_bytes(torn)
+    replacement = binary.with_suffix(".damaged")
+    replacement.write_bytes(contents)
     replacement.replace(binary)
     out, err = answer(solve_elsewhere(cache))
     assert "compiling" in err
-    assert out[0].split()[:2] == said[0][0][0].split()[:2]
+    assert out[0].split()[:2] == outputs[0][0][0].split()[:2]
 
 
 @pytest.mark.parametrize("damage", ("a text", "of another machine"))
@@ -185,23 +185,23 @@ def test_name_of_the_binary_does_not_depend_on_programs_in_path(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("environment", "told"),
+    ("environment", "cause"),
     [
         ({"PATH": ""}, "no C compiler found (looked for cc, gcc, clang and the Python package"),
         ({"CC": "nonesuch -O2"}, "looked for nonesuch, which CC names"),
         ({"CC": 'gcc "'}, "CC: given 'gcc \"', expected a compiler and its options"),
     ],
 )
-def test_without_compiler_the_virtual_machine_takes_over(filled, tmp_path, environment, told):
+def test_without_compiler_numpy_is_used_with_one_warning(filled, tmp_path, environment, cause):
     out, err = answer(solve_elsewhere(tmp_path / "cache", **environment))
     backend, cost = out[0].split()
     assert backend == "numpy"
-    assert len(err.splitlines()) == 1, "told once, in one line"
-    assert told in err and "same results" in err and "to cure this" in err
+    assert len(err.splitlines()) == 1, "one warning, of one line"
+    assert cause in err and "same results" in err and "to cure this" in err
     assert float(cost) == pytest.approx(float(filled[1][0][0][0].split()[1]), rel=1e-6)
 
 
-def test_demanded_without_compiler_is_an_error(monkeypatch, tmp_path):
+def test_compiled_solver_without_compiler_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setenv(places.CACHE_VARIABLE, str(tmp_path / "cache"))
     for name in ("temporary_folder", "temporary_path"):
@@ -211,13 +211,13 @@ def test_demanded_without_compiler_is_an_error(monkeypatch, tmp_path):
         native.load_library()
 
 
-def test_compiler_that_fails_is_told_with_its_last_words(tmp_path):
+def test_warning_quotes_the_output_of_a_compiler_that_fails(tmp_path):
     compiler = tmp_path / "broken"
-    compiler.write_text("#!/bin/sh\necho no luck >&2\nexit 1\n")
+    compiler.write_text("#!/bin/sh\necho unknown option >&2\nexit 1\n")
     compiler.chmod(0o755)
     out, err = answer(solve_elsewhere(tmp_path / "cache", CC=str(compiler)))
     assert out[0].startswith("numpy")
-    assert f"{compiler} fails: no luck" in err and "another C compiler" in err
+    assert f"{compiler} fails: unknown option" in err and "another C compiler" in err
     assert not list((tmp_path / "cache").glob("*.so"))
 
 
@@ -245,7 +245,7 @@ def full_disk(tmp_path):
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("this machine lets nobody mount a small disk")
+        pytest.skip("this machine does not allow to mount a small disk")
     return disk / "cache", "No space left on device"
 
 
@@ -259,8 +259,8 @@ def test_where_the_cache_cannot_be_written_all_processes_share_one_build(place, 
         assert out[0].startswith("compiled")
         assert err.count("compiling the solver") == 1, "two solvers, one build"
         (folder,) = temporary.glob("sphere_nmpc-*")
-        told = err.splitlines()[-1]
-        assert f"is kept in {folder}" in told and f"{cache}: {cause}" in told
+        warning = err.splitlines()[-1]
+        assert f"is kept in {folder}" in warning and f"{cache}: {cause}" in warning
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
         out, err = answer(solve_elsewhere(cache, TMPDIR=str(temporary), PATH=""))
         assert out[0].startswith("compiled") and err == ""
@@ -269,7 +269,7 @@ def test_where_the_cache_cannot_be_written_all_processes_share_one_build(place, 
             subprocess.run(["umount", str(cache.parent)], check=True)
 
 
-def test_where_no_file_may_be_large_both_folders_are_told(tmp_path):
+def test_where_files_may_not_be_large_the_warning_names_both_folders(tmp_path):
     code = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))\n" + SOLVE
     out, err = answer(solve_elsewhere(tmp_path / "cache", code))
     assert out[0].startswith("numpy") and len(err.splitlines()) == 1
@@ -279,15 +279,15 @@ def test_where_no_file_may_be_large_both_folders_are_told(tmp_path):
 
 @pytest.mark.parametrize("part", ("folder", "file"))
 @pytest.mark.parametrize("fault", ("another user", "writable"))
-def test_code_that_others_could_have_put_there_is_not_loaded(filled, tmp_path, part, fault):
+def test_binary_that_other_users_could_have_written_is_not_loaded(filled, tmp_path, part, fault):
     cache = tmp_path / "cache"
     shutil.copytree(filled[0], cache)
     (binary,) = cache.glob("*.so")
-    spoilt = cache if part == "folder" else binary
+    target = cache if part == "folder" else binary
     if fault == "writable":
-        spoilt.chmod(0o777)
+        target.chmod(0o777)
     elif os.geteuid() == 0:
-        os.chown(spoilt, 54321, 54321)
+        os.chown(target, 54321, 54321)
     else:
         pytest.skip("only root can give a file away")
     before = binary.stat().st_ino
@@ -297,10 +297,10 @@ def test_code_that_others_could_have_put_there_is_not_loaded(filled, tmp_path, p
         assert f"{cache} belongs to another user" in err or f"others can write to {cache}" in err
         assert binary.stat().st_ino == before
     else:
-        assert binary.stat().st_ino != before, "built anew in its place"
+        assert binary.stat().st_ino != before, "built again in its place"
 
 
-def test_temporary_folder_that_others_can_write_to_is_left_alone(tmp_path):
+def test_temporary_folder_that_other_users_can_write_to_is_not_used(tmp_path):
     taken = tmp_path / f"sphere_nmpc-{os.geteuid()}"
     taken.mkdir()
     taken.chmod(0o777)
@@ -317,7 +317,7 @@ def test_user_without_a_home_builds_in_the_temporary_folder():
         base = Path(name)
         base.chmod(0o1777)
         environment = {places.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": name}
-        out, err = answer(solve_elsewhere(base / "x", AS_NOBODY, **environment))
+        out, err = answer(solve_elsewhere(base / "x", AS_USER_WITHOUT_HOME, **environment))
         assert out[0] == str(base / "sphere_nmpc-54321")
         assert out[1].startswith(out[0]) and err.count("\n") == 1
 
@@ -330,7 +330,7 @@ def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     assert native.cache_folder() == tmp_path / "mine"
 
 
-def test_without_any_temporary_folder_a_path_that_cannot_be_used_is_named(monkeypatch):
+def test_without_any_temporary_folder_every_use_of_the_path_is_an_error(monkeypatch):
     places.temporary_folder.cache_clear()
     monkeypatch.setattr(places.tempfile, "gettempdir", lambda: "/proc/self/nowhere")
     with pytest.raises(OSError):

@@ -48,7 +48,7 @@ class Output:
     def install(self) -> None:
         """Replace ``sys.stdout`` and ``sys.stderr``.
 
-        Characters that the encoding of the terminal has not are written as backslash escapes.
+        Characters that the encoding of the terminal lacks are written as backslash escapes.
         """
         sys.stdout = self._lossy(sys.stdout, 1)
         sys.stderr = self._lossy(sys.stderr, 2)

@@ -118,5 +118,5 @@ def _measured(run: Run) -> Metrics:
 
 
 def _plain(value: float | bool) -> float | bool | None:
-    """Return the value, or None for nan and infinity, which JSON has not."""
+    """Return the value, or None for nan and infinity, which JSON lacks."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

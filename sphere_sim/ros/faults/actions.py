@@ -35,7 +35,7 @@ class Action(Protocol):
 
 
 class DisturbedPoses(Lasting):
-    """Poses are disturbed between simulator and controller."""
+    """Disturbance of the poses between simulator and controller."""
 
     def __init__(self, **options: Any) -> None:
         self._disturbance = make_disturbance(options)
@@ -50,7 +50,7 @@ class DisturbedPoses(Lasting):
 
 
 class Pause(Lasting):
-    """Simulated time is paused."""
+    """Pause of simulated time."""
 
     def begin(self, session: FaultSession) -> None:
         """Pause the simulator."""
@@ -62,10 +62,10 @@ class Pause(Lasting):
 
 
 class ClockLost(Lasting):
-    """The controller receives poses, but no clock."""
+    """Loss of the clock: the controller receives poses only."""
 
     def begin(self, session: FaultSession) -> None:
-        """Stop to forward the clock."""
+        """Stop forwarding the clock."""
         session.proxy.clock_passes = False
 
     def end(self, session: FaultSession) -> None:
@@ -74,7 +74,7 @@ class ClockLost(Lasting):
 
 
 class ClockBack(Lasting):
-    """Simulated time jumps back, and stays there."""
+    """Permanent jump of simulated time into the past."""
 
     def __init__(self, by: float) -> None:
         self._by = round(by * NANOSECONDS)
@@ -89,7 +89,7 @@ class ClockBack(Lasting):
 
 
 class Pace(Lasting):
-    """Simulated time runs at another real-time factor."""
+    """Another real-time factor."""
 
     def __init__(self, factor: float) -> None:
         self._factor = factor
@@ -104,7 +104,7 @@ class Pace(Lasting):
 
 
 class BadSolver(Lasting):
-    """The solver fails in the given way, see `BadStrategy`."""
+    """Failure of the solver in the given mode, see `BadStrategy`."""
 
     def __init__(self, mode: str) -> None:
         self._mode = mode
@@ -119,7 +119,7 @@ class BadSolver(Lasting):
 
 
 class BadLiveParameters(Lasting):
-    """Parameters are set to invalid values while the nodes run."""
+    """Invalid parameters that are set while the nodes run."""
 
     _WRONG = (
         ("controller", "pose_timeout", -1.0), ("controller", "pose_timeout", float("nan")),
@@ -142,7 +142,7 @@ class BadLiveParameters(Lasting):
 
 
 class StoppedRecording(DiskFull):
-    """The disk is full, and a new recording is started when it no longer is."""
+    """Full disk, followed by a new recording once there is space again."""
 
     def end(self, session: FaultSession) -> None:
         """Remove the limit and start a new recording."""

@@ -40,12 +40,12 @@ RADIUS = RobotParameters().shell_radius
 
 
 class SessionError(SphereNmpcError):
-    """The campaign cannot go on, as a node does not respond as it should."""
+    """A node does not respond as it should, so that the campaign cannot go on."""
 
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """How a session runs.
+    """Settings of a session.
 
     Attributes
     ----------

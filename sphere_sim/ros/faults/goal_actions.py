@@ -26,7 +26,7 @@ def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
 
 
 class BadGoals:
-    """A second publisher sends goals.
+    """A second publisher of goals.
 
     Parameters
     ----------

@@ -18,12 +18,12 @@ from sphere_sim.faults.outcome import Outcome
 from sphere_sim.ros.faults.scratch_home import RunningCommand, ScratchHome
 
 NOWHERE = "/dev/null"
-"""No folder can be made below it, not even by root."""
+"""A file: no folder can be created below it, not even by root."""
 _ONE_RUN = ("--draw", "1", "--seed", "1", "--duration", "2", "--jobs", "1")
 _STUDY = (*_ONE_RUN, "--no-bound")
 _DEMO = ("demo", "--rtf", "0", "--case", "3", "--no-compare", "--no-viewer")
 _SERVED = (200, 302)
-"""Status of a page that is served, or found at another address."""
+"""HTTP status of a page that is served or redirected."""
 _RESULTS = ("runs.csv", "summary.json", "inputs.npz")
 _PATIENCE = 5.0
 """Time in which a command has to end after Ctrl-C [s]; an idle machine needs less than one."""

@@ -24,14 +24,14 @@ _LEFT_ON_DISK = 1000
 
 
 class Lasting:
-    """A fault for which nothing has to be done while it lasts."""
+    """Base of faults for which nothing has to be done while they last."""
 
     def keep_on(self, session: FaultSession) -> None:
         """Do nothing."""
 
 
 class Kill(Lasting):
-    """A node is killed with SIGKILL and started again at the end.
+    """SIGKILL to a node, which is started again at the end.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Kill(Lasting):
 
 
 class Throttle(Lasting):
-    """The controller is stopped most of the time, as by a quota of processor time.
+    """Throttling of the controller: stopped most of the time, as by a processor quota.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Throttle(Lasting):
 
 
 class Hogs(Lasting):
-    """Other processes take all of the processor time that they get.
+    """Other processes that take all of the processor time that they get.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ _HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
 
 
 class DiskFull(Lasting):
-    """The recorder cannot write any more.
+    """Full disk: the recorder cannot write any more.
 
     A limit on the size of files is set from outside while the recorder runs: no disk has to be
     filled, and writing fails in the same place as on a full one.
@@ -143,7 +143,7 @@ class DiskFull(Lasting):
 
 
 class SecondController(Lasting):
-    """A second controller drives the same robot to another goal."""
+    """A second controller, which drives the same robot to another goal."""
 
     def begin(self, session: FaultSession) -> None:
         """Start it and send it a goal."""
@@ -163,7 +163,7 @@ class SecondController(Lasting):
 
 
 class BadStart(Lasting):
-    """The controller is started with invalid parameters, then with valid ones."""
+    """Starts of the controller with invalid parameters, then with valid ones."""
 
     _WRONG = (
         "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
@@ -171,7 +171,7 @@ class BadStart(Lasting):
     )
 
     def begin(self, session: FaultSession) -> None:
-        """Start it with each of them; it has to end by itself and name the parameter."""
+        """Start the controller with each; it has to end by itself and name the parameter."""
         controller = session.processes["controller"]
         controller.stop()
         for wrong in self._WRONG:

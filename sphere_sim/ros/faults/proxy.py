@@ -32,7 +32,7 @@ clock that lags behind the poses would be an unintended fault."""
 
 
 class FaultProxy:
-    """Proxy whose attributes determine what happens to the messages.
+    """Proxy of poses, clock and trajectories; its attributes determine the disturbances.
 
     Parameters
     ----------

@@ -198,7 +198,7 @@ def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...])
 def demo_session(
     run: GoalRun, shell_radius: float, check: Callable[[], object]
 ) -> Iterator[DemoSession]:
-    """Initialise rclpy and yield a `DemoSession`, whose parameters these are."""
+    """Initialise rclpy and yield a `DemoSession` with these parameters."""
     # Without handlers of rclpy's own: on Ctrl-C the caller has to end its child processes.
     start_ros([], quiet=True)
     try:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A goal is sent, and the node is served until the sphere has settled there."""
+"""Runs to a goal: sending it, and serving the node until the sphere has settled there."""
 
 import math
 import time
@@ -136,7 +136,7 @@ def wait_until(
 def _served(
     run: GoalRun, spin: Callable[[], object], deadline: float, stall_timeout: float
 ) -> Iterator[None]:
-    """Serve the node and yield, again and again until the deadline."""
+    """Serve the node repeatedly until the deadline, and yield each time."""
     newest, advanced = -math.inf, time.monotonic()
     while not run.time >= deadline:
         spin()
@@ -148,7 +148,7 @@ def _served(
 
 
 class GoalRunner:
-    """Runs of one robot from goal to goal.
+    """Sender of goals to one robot, which follows its runs.
 
     Parameters
     ----------

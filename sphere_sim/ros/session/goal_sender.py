@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sending of a goal to a controller that is matched, until it has confirmed it."""
+"""Sender of goals, which waits for the controller and its confirmation."""
 
 import math
 import time
@@ -21,7 +21,7 @@ _SAME = 1e-9
 
 
 class GoalNotAcceptedError(SphereNmpcError):
-    """No controller subscribes to the goal, or none accepted it."""
+    """No controller subscribes to goals, or none accepted the goal."""
 
 
 class GoalSender:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.numpy_backend.levenberg_marquardt import rest_start
 from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.benchmark.problem import paper_problem
@@ -26,7 +25,7 @@ def measure_parts() -> dict[str, float]:
     """
     case = PAPER_CASES[1]
     problem = paper_problem(case.start, case.goal, np.zeros(2))
-    start = rest_start(problem)
+    start = np.zeros((problem.intervals, 2))
     inputs = np.vstack((problem.input_in_force, start))
     none, some = (
         HoldSolver(SolverSettings(max_iterations=cap, decrease_tolerance=0.0))

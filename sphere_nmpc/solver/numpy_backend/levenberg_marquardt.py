@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.numpy_backend.objective import VectorObjective
 from sphere_nmpc.solver.numpy_backend.quadratic_model import QuadraticModel
 from sphere_nmpc.solver.problem import (
@@ -108,8 +108,3 @@ def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:
 
 def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> float:
     return float(np.abs(_clipped(v - gradient, lower, upper) - v).max())
-
-
-def rest_start(problem: HoldProblem) -> Vector:
-    """Return the cold start: all knots zero, shape (N, 2)."""
-    return np.zeros((problem.intervals, INPUT_SIZE))

@@ -233,7 +233,7 @@ class RecorderNode(RunnableNode):
             topic for topic, entry in self._subscriptions_by_topic.items()
             if topic not in received and entry.subscription.get_publisher_count() > 0
         ]
-        lines = [*(f"heard {t}" for t in received), *(f"matched {t}" for t in matched)]
+        lines = [*(f"received {t}" for t in received), *(f"matched {t}" for t in matched)]
         answer.message = "\n".join((str(folder or "not recording"), *sorted(lines)))
         return answer
 

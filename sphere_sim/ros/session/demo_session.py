@@ -141,8 +141,8 @@ class DemoSession:
 
     def _recorder_is_ready(self) -> bool:
         lines = self._call(self._recorder, Trigger.Request()).message.splitlines()
-        return not _missing(lines, ("heard",), _RECEIVED) and not _missing(
-            lines, ("heard", "matched"), _MATCHED
+        return not _missing(lines, ("received",), _RECEIVED) and not _missing(
+            lines, ("received", "matched"), _MATCHED
         )
 
     def _await(self, condition: Callable[[], bool], end: float, what: str) -> None:

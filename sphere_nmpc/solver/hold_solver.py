@@ -70,9 +70,7 @@ class HoldSolver:
             solution: HoldSolution = self._numpy.minimise(problem, start, limited)
             return solution
         slot = self._slot(problem.durations.size)
-        slot.write(problem)
-        slot.write_time_budget(budget)
-        slot.start[:] = start
+        slot.write(problem, start, budget)
         library().hold_solve(slot.address)
         return slot.read()
 
@@ -98,8 +96,7 @@ def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | f
     n = problem.intervals
     slot = Slot(n)
     slot.write_settings(SolverSettings())
-    slot.write(problem)
-    slot.start[:] = start
+    slot.write(problem, start, np.inf)
     gradient, hessian = np.zeros(2 * n), np.zeros((2 * n, 2 * n))
     sensitivities = np.zeros((n + 1, 6, 2 * n))
     outputs = (array.ctypes.data for array in (gradient, hessian, sensitivities))

@@ -56,8 +56,6 @@ class Slot:
     ----------
     address : int
         Address of the C structure.
-    start : ndarray, shape (N, 2)
-        Initial guess of the knots [rad/s], to be written before a solve.
     """
 
     def __init__(self, intervals: int) -> None:
@@ -65,12 +63,12 @@ class Slot:
         self._words: Vector = np.zeros(SIZE)
         self._integers = self._words.view(np.int64)
         self._durations = np.zeros(n)
-        self._lower, self._upper, self.start = np.zeros((3, n, 2))
+        self._lower, self._upper, self._start = np.zeros((3, n, 2))
         self._inputs, self._states = np.zeros((n + 1, 2)), np.zeros((n + 1, 6))
         self._workspace = np.zeros(int(library().hold_workspace(n)))
         self._integers[index("intervals")] = n
         arrays = (
-            self._durations, self._lower, self._upper, self.start, self._inputs, self._states,
+            self._durations, self._lower, self._upper, self._start, self._inputs, self._states,
             self._workspace,
         )
         pointers = [array.ctypes.data for array in arrays]
@@ -93,12 +91,8 @@ class Slot:
         )
         self._integers[_MAX_ITERATIONS] = settings.max_iterations
 
-    def write_time_budget(self, time_budget: float) -> None:
-        """Write the wall time of the next solves [s]."""
-        self._words[_TIME_BUDGET] = time_budget
-
-    def write(self, problem: HoldProblem) -> None:
-        """Write the problem to solve."""
+    def write(self, problem: HoldProblem, start: Vector, time_budget: float) -> None:
+        """Write a problem, the initial guess (N, 2) [rad/s] and the wall time of the solve [s]."""
         self._state[:] = problem.state
         self._goal[:] = problem.goal
         self._input_in_force[:] = problem.input_in_force
@@ -115,6 +109,8 @@ class Slot:
         self._durations[:] = problem.durations
         self._lower[:] = problem.lower
         self._upper[:] = problem.upper
+        self._start[:] = start
+        self._words[_TIME_BUDGET] = time_budget
 
     def read(self) -> HoldSolution:
         """Return the solution, in arrays of its own."""

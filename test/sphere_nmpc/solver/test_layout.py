@@ -57,9 +57,10 @@ def test_binary_of_another_layout_is_not_loaded(monkeypatch):
 def test_slot_writes_each_value_to_its_own_field(make_problem):
     problem = make_problem("stages and slew", max_step=0.07)
     slot = memory.Slot(problem.intervals)
-    slot.write(problem)
+    slot.write(problem, np.zeros((problem.intervals, 2)), 0.25)
     words = np.ctypeslib.as_array((ctypes.c_double * SIZE).from_address(slot.address))
     for field in FIELDS:
         if field.c_type == "double" and hasattr(problem, field.name):
             given = np.atleast_1d(getattr(problem, field.name))
             assert np.array_equal(words[layout.span(field.name)], given), field.name
+    assert words[index("time_budget")] == 0.25

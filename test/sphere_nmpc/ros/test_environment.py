@@ -47,18 +47,18 @@ def controller(
 
 def lines_until_up(node: subprocess.Popen) -> list[str]:
     """Return the log up to the line with the network reach, then stop the node."""
-    told = []
+    lines = []
     try:
         for line in node.stderr:
-            told.append(line)
+            lines.append(line)
             if "reachable" in line:
                 break
         node.send_signal(signal.SIGINT)
-        assert node.wait(PATIENCE) == 0, told
+        assert node.wait(PATIENCE) == 0, lines
     finally:
         node.kill()
         node.wait()
-    return told
+    return lines
 
 
 @pytest.mark.parametrize("given", ["abc", "500", "233", "-3", "010", "1.5", " 7", "0x10", "٣"])
@@ -105,26 +105,26 @@ def test_default_log_folder_is_that_of_ros(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("environment", "told"),
+    ("environment", "message"),
     [
         ({"ROS_DOMAIN_ID": "500"}, "ROS_DOMAIN_ID: given '500', expected"),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/absent.xml"}, "PROFILES_FILE: given '/absent.xml'"),
         ({"ROS_LOG_DIR": NOWHERE}, "ROS_LOG_DIR: given"),
     ],
 )
-def test_node_ends_with_code_2_and_one_line(environment, told) -> None:
+def test_node_ends_with_code_2_and_one_line(environment, message) -> None:
     node = controller(environment)
     _, errors = node.communicate(timeout=PATIENCE)
     assert node.returncode == 2
-    assert len(errors.strip().splitlines()) == 1 and told in errors
+    assert len(errors.strip().splitlines()) == 1 and message in errors
 
 
 @pytest.mark.parametrize("home", [NOWHERE, None], ids=["unwritable", "unset"])
 def test_node_without_home_folder_starts_with_one_message(home, tmp_path) -> None:
-    told = lines_until_up(
+    lines = lines_until_up(
         controller({"HOME": home, "ROS_LOG_DIR": None, "SPHERE_NMPC_CACHE": str(tmp_path)})
     )
-    assert sum("log file: given" in line for line in told) == 1, told
+    assert sum("log file: given" in line for line in lines) == 1, lines
 
 
 def segment(folder: Path, port: int) -> None:
@@ -169,12 +169,12 @@ def another_user(user: str) -> tuple[str, ...]:
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
 def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
-    graph, told = Graph(), []
+    graph, lines = Graph(), []
     environment = {"ROS_LOG_DIR": None, "HOME": NOWHERE, "SPHERE_NMPC_CACHE": str(tmp_path)}
     node = controller(environment, another_user("65534"))
     try:
-        while not told or "reachable" not in told[-1]:  # the solver may have to be built first
-            told.append(node.stderr.readline())
+        while not lines or "reachable" not in lines[-1]:  # the solver may have to be built first
+            lines.append(node.stderr.readline())
         confirmed = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
         goals = graph.publisher(PoseStamped, "goal_pose")
         goals.publish(pose_to_ros(PAPER_CASES[1].goal, 0, 0.3))
@@ -182,9 +182,9 @@ def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> N
     finally:
         graph.close()
         node.terminate()
-        told.append(node.communicate(timeout=PATIENCE)[1])
+        lines.append(node.communicate(timeout=PATIENCE)[1])
     assert node.returncode == 0
-    assert sum("shared memory: given" in line for line in told) == 1
+    assert sum("shared memory: given" in line for line in lines) == 1
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_node_of_another_user_starts_after_one_of_root(user, tmp_path) -> None:
     cache = tmp_path / "roots"
     lines_until_up(controller({"SPHERE_NMPC_CACHE": str(cache)}))
     environment = {"SPHERE_NMPC_CACHE": str(cache), "ROS_LOG_DIR": None, "HOME": None}
-    told = lines_until_up(controller(environment, another_user(user)))
-    assert not any("Traceback" in line for line in told)
+    lines = lines_until_up(controller(environment, another_user(user)))
+    assert not any("Traceback" in line for line in lines)
     assert sum("log file: given ~/.ros/log" in line or "log file: given /nonexistent" in line
-               for line in told) == 1, told
+               for line in lines) == 1, lines

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Small bags of a sphere that rolls to its goal, and bags laid out as rosbag2 does it."""
+"""Small bags of a sphere that rolls to its goal, of the recorder and as rosbag2 writes them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ def pose(stamp: int, state: Any) -> Any:
 
 
 def joints(stamp: int, speeds: Any, names=("rotor_2_joint", "rotor_1_joint")) -> Any:
-    """Rotor 2 first: who reads by index will be wrong."""
+    """Return joint states with rotor 2 first, for which reading by index would be wrong."""
     turned = np.array(speeds[::-1], dtype=float)
     return make(
         "sensor_msgs/msg/JointState", header=header(stamp), name=list(names),
@@ -80,7 +80,7 @@ def status(time: float, solve_time: float, cost: float) -> Any:
 
 
 def state_at(i: int) -> np.ndarray:
-    """Exponential approach to the origin, turning about z, with a jump of the sign half way."""
+    """Return a state that approaches the origin exponentially, with a change of sign half way."""
     decay = np.exp(-4.0 * i / COUNT * 2.5)
     half = 0.5 * decay
     state = np.array([2.0 * decay, -decay, np.cos(half), 0.0, 0.0, np.sin(half)])
@@ -101,9 +101,9 @@ def run_messages(namespace: str = "") -> Iterator[Entry]:
         if i % 50 == 0:
             plan = trajectory(now, ((1.0, 2.0), (3.0, 4.0)))
             yield f"{namespace}/rotor_trajectory", "trajectory_msgs/msg/JointTrajectory", now, plan
-            told = status(now / 1e9, 1e-3 * (1 + i), 10.0 / (1 + i))
+            solve = status(now / 1e9, 1e-3 * (1 + i), 10.0 / (1 + i))
             kind_of_status = "diagnostic_msgs/msg/DiagnosticStatus"
-            yield f"{namespace}/controller/status", kind_of_status, now, told
+            yield f"{namespace}/controller/status", kind_of_status, now, solve
 
 
 def write_own(folder: Path, entries: Any) -> Path:
@@ -116,7 +116,7 @@ def write_own(folder: Path, entries: Any) -> Path:
 
 
 def write_foreign(folder: Path, entries: Any, plugin: StoragePlugin) -> Path:
-    """Write a bag as ``ros2 bag record`` lays it out."""
+    """Write a bag with the writer of ``rosbags``."""
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         connections: dict[str, Any] = {}
         for topic, kind, stamp, message in entries:
@@ -133,7 +133,7 @@ def messages() -> Callable[..., Iterator[Entry]]:
 
 @pytest.fixture
 def make_bag(tmp_path: Path) -> Callable[..., Path]:
-    """Return a function that writes messages in one of the three kinds of bag."""
+    """Return a function that writes messages into a bag of a kind: own, mcap or sqlite3."""
 
     def write(entries: Any, kind: str = "own") -> Path:
         folder = tmp_path / f"bag_{kind}"
@@ -148,10 +148,10 @@ def as_rosbag2(
     folder: Path, entries: Sequence[Entry], kind: str, compression: str = "", parts: int = 2,
     custom: dict[str, str] | None = None,
 ) -> Path:
-    """Write messages, or raw bytes of them, as ``ros2 bag record`` leaves them.
+    """Write messages, or their serialised bytes, as ``ros2 bag record`` does.
 
-    The storage files are called folder_0, folder_1, …; with compression by file ``.zstd`` takes
-    the place of each; metadata.yaml names them in order, and the mode in capitals.
+    The storage files are called folder_0, folder_1, …, with the suffix ``.zstd`` if files are
+    compressed; metadata.yaml lists them in order, and the mode of compression in capitals.
     """
     folder.mkdir()
     yaml, descriptions, names = YAML(typ="safe"), [], []
@@ -205,7 +205,7 @@ def as_rosbag2(
 
 @pytest.fixture
 def rosbag2(tmp_path: Path) -> Callable[..., Path]:
-    """Return `as_rosbag2` with the name of a folder for the folder."""
+    """Return `as_rosbag2` for a folder of a name in the temporary folder."""
     return lambda entries, *how, name="mine", **more: as_rosbag2(
         tmp_path / name, list(entries), *how, **more
     )
@@ -214,7 +214,7 @@ def rosbag2(tmp_path: Path) -> Callable[..., Path]:
 def on_the_system_clock(entries: Sequence[Entry], goals_first: bool = True) -> list[Entry]:
     """Return entries with the log times of a recorder without simulated time.
 
-    Time passes as unevenly as on a busy machine; while simulated time stands still before the run
+    Log times are as irregular as on a busy machine. While simulated time is paused before the run,
     the first pose is repeated, and half way through this the goal is set, if `goals_first`.
     """
     rng = np.random.default_rng(7)

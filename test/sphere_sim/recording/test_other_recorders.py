@@ -59,11 +59,11 @@ def entries(own):
     """Return topic, type, log time and bytes of the messages as a user would record them."""
     with Reader(own) as reader:
         wanted = [it for it in reader.connections if it.topic in TOPICS]
-        told = [(it.topic, it.msgtype, log, raw) for it, log, raw in reader.messages(wanted)]
+        recorded = [(it.topic, it.msgtype, log, raw) for it, log, raw in reader.messages(wanted)]
     there = []
-    for topic, msgtype, log, raw in told:
+    for topic, msgtype, log, raw in recorded:
         if topic == "/controller/active_goal":
-            # As a user types it, with any stamp; recorders may come too late for the real one.
+            # With an arbitrary stamp, as from a user; the real goal_pose may not be recorded.
             goal = STORE.deserialize_cdr(raw, msgtype)
             stamp = dataclasses.replace(goal.header.stamp, sec=12345)
             goal.header = dataclasses.replace(goal.header, stamp=stamp)
@@ -111,10 +111,10 @@ def test_report_has_the_same_metrics(
     kinds = ("sqlite3", "mcap")
     bags = [own, *(rosbag2(on_system_clock(entries), kind, "file", name=kind) for kind in kinds)]
     assert main([*map(str, bags), "--out", str(tmp_path / "out")]) == 0
-    told = list(json.loads((tmp_path / "out" / "summary.json").read_text()).values())
-    assert told[0]["metrics"]["settled"] and len(told[0]["metrics"]) == 9
-    for of_others in told[1:]:
-        assert same(of_others["metrics"], told[0]["metrics"])
+    reports = list(json.loads((tmp_path / "out" / "summary.json").read_text()).values())
+    assert reports[0]["metrics"]["settled"] and len(reports[0]["metrics"]) == 9
+    for of_others in reports[1:]:
+        assert same(of_others["metrics"], reports[0]["metrics"])
         assert of_others["notes"] == []
 
 
@@ -124,9 +124,9 @@ def test_goal_without_a_stamp_is_dated_within_a_pose_period(
 ) -> None:
     logged = [entry for entry in entries if entry[0] != "/controller/active_goal"]
     run = read_run(rosbag2(on_system_clock(logged) if clock == "system" else logged, "mcap"))
-    told, expected = figures(run), figures(read_run(own))
-    assert told["settle_time_s"] == pytest.approx(expected["settle_time_s"], abs=POSE_PERIOD)
-    assert told["final_error"] == pytest.approx(expected["final_error"], rel=ROUNDING)
+    found, expected = figures(run), figures(read_run(own))
+    assert found["settle_time_s"] == pytest.approx(expected["settle_time_s"], abs=POSE_PERIOD)
+    assert found["final_error"] == pytest.approx(expected["final_error"], rel=ROUNDING)
 
 
 @pytest.mark.parametrize(

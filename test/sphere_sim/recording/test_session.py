@@ -90,6 +90,20 @@ def test_latched_messages_are_repeated_in_a_later_bag(bag) -> None:
     assert stamps(second, "/goal") == stamps(second) == [3 * S]
 
 
+def test_early_messages_of_a_latched_topic_are_limited_too(bag) -> None:
+    session = Recorded(bag, CLOCK).session
+    session.set_topic("/goal", FLAG_TYPE, latched=True)
+    session.start()
+    session.write([(1, CLOCK, clock_message(5 * S)), (2, "/goal", TRUE)])
+    session.stop()
+    session.write([(3, CLOCK, clock_message(0))])
+    second = session.start()
+    session.write([(i, "/goal", TRUE) for i in range(4, 9)])
+    session.write([(9, CLOCK, clock_message(6 * S))])
+    session.stop()
+    assert stamps(second, "/goal") == [6 * S, 6 * S]
+
+
 def test_messages_between_two_bags_are_in_neither(bag) -> None:
     session = Recorded(bag).session
     session.write([(1 * S, FLAG, TRUE)])

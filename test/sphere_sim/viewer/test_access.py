@@ -43,10 +43,10 @@ def shake_hands(
 
 def refusal(url: str, **how: str) -> str:
     """Return the line with which the server refuses a WebSocket."""
-    with pytest.raises(InvalidStatus) as told:
+    with pytest.raises(InvalidStatus) as error:
         shake_hands(url, **how)
-    assert told.value.response.status_code == 403
-    (line,) = bytes(told.value.response.body).decode().splitlines()
+    assert error.value.response.status_code == 403
+    (line,) = bytes(error.value.response.body).decode().splitlines()
     return line
 
 
@@ -87,8 +87,8 @@ def test_names_of_this_machine_are_different_origins(server) -> None:
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "0.0.0.0"])
 def test_foreign_name_of_this_machine_is_refused(server, host) -> None:
     origin = f"http://{host}:{server.get_port()}"
-    told = refusal(server.url, origin=origin, host=host)
-    assert told.startswith("Host: expected 127.0.0.1:") and "ssh -L" in told
+    text = refusal(server.url, origin=origin, host=host)
+    assert text.startswith("Host: expected 127.0.0.1:") and "ssh -L" in text
     status, text = get(server.url, host)
     assert status == 403 and text.startswith("Host: ")
 
@@ -97,8 +97,8 @@ def test_foreign_name_of_this_machine_is_refused(server, host) -> None:
 def test_page_and_websocket_need_the_token(server, query) -> None:
     page = urlsplit(server.url)
     url = f"http://{page.netloc}/?{query}"
-    for told in (refusal(url, origin=f"http://{page.netloc}"), get(url)[1]):
-        assert told.startswith("token: missing or wrong; open the address that the viewer printed")
+    for text in (refusal(url, origin=f"http://{page.netloc}"), get(url)[1]):
+        assert text.startswith("token: missing or wrong; open the address that the viewer printed")
     assert get(url)[0] == 403
     assert get(f"http://{page.netloc}/index.html?{query}")[0] == 403
 
@@ -108,8 +108,8 @@ def test_repeated_token_is_refused(server) -> None:
 
 
 def test_page_of_another_version_has_to_be_reloaded(server) -> None:
-    told = refusal(server.url, protocol="viser-v0.0.1")
-    assert told.startswith("Sec-WebSocket-Protocol: ") and told.endswith("reload the page")
+    text = refusal(server.url, protocol="viser-v0.0.1")
+    assert text.startswith("Sec-WebSocket-Protocol: ") and text.endswith("reload the page")
 
 
 def test_page_is_redirected_to_its_websocket(server) -> None:
@@ -132,8 +132,8 @@ def test_another_port_is_used_if_the_preferred_one_is_taken(capsys) -> None:
             assert free != taken and get(server.url)[0] == 200
         finally:
             server.stop()
-    told = f"viewer: port {taken}: address already in use; using {free}\n"
-    assert capsys.readouterr() == ("", told)
+    text = f"viewer: port {taken}: address already in use; using {free}\n"
+    assert capsys.readouterr() == ("", text)
 
 
 def test_no_free_port_is_an_error_of_one_line(tmp_path) -> None:

@@ -35,7 +35,7 @@ class LockstepSchedule:
     """No instant is missed: time waits for it."""
 
     def __init__(self, settings: ControllerSettings) -> None:
-        self._settings = settings
+        self._period = settings.control_period
         self._answered: int | None = None
 
     def pose_age(self, time: float, now: float | None) -> float:
@@ -48,7 +48,7 @@ class LockstepSchedule:
         The simulator repeats the pose while it waits. The plan of an instant is made once, its
         command is then sent again.
         """
-        if pose.stamp % round(self._settings.control_period * _NANOSECONDS):
+        if pose.stamp % round(self._period * _NANOSECONDS):
             return NOTHING
         if pose.stamp == self._answered:
             return Actions(repeat=True)
@@ -99,14 +99,12 @@ class LockstepSchedule:
 
     def refusal(self, settings: ControllerSettings) -> str | None:
         """Return why another control period is impossible: the simulator waits at fixed ones."""
-        period = self._settings.control_period
-        if settings.control_period == period:
+        if settings.control_period == self._period:
             return None
         return (
             f"strategy: given '{settings.strategy}' in lockstep, expected one that samples every "
-            f"{period:g} s, as the simulator waits for"
+            f"{self._period:g} s, as the simulator waits for"
         )
 
     def change(self, settings: ControllerSettings) -> None:
-        """Apply new settings."""
-        self._settings = settings
+        """Do nothing: another control period is refused."""

@@ -12,6 +12,7 @@ import time
 
 from geometry_msgs.msg import PoseStamped
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.faults.fault_session import RADIUS, READY, FaultSession, SessionError
 from sphere_sim.ros.faults.goal_actions import random_goal
@@ -19,6 +20,8 @@ from sphere_sim.ros.session.child_process import ChildProcess
 
 _SLICE = 0.1
 """Period of the throttling [s], that of Linux's processor quotas."""
+_WRONG_PARAMETERS = InvalidParameterError.exit_code
+"""Exit code of a node that is started with wrong parameters."""
 _LEFT_ON_DISK = 1000
 """Space that is left before the disk is full [bytes]."""
 
@@ -179,7 +182,7 @@ class BadStart(Lasting):
             controller.start([*session.arguments("controller"), "-p", wrong])
             session.wait(lambda: controller.code is not None, READY, f"the end with {wrong}")
             output = controller.log.read_bytes()[before:].decode(errors="replace")
-            if controller.code != 1 or wrong.partition(":")[0] not in output:
+            if controller.code != _WRONG_PARAMETERS or wrong.partition(":")[0] not in output:
                 raise SessionError(f"{controller.ending} with {wrong}, output: {output.strip()}")
             session.monitor.messages.append(output)
 

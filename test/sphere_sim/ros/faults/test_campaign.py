@@ -12,7 +12,9 @@ pytest.importorskip("rclpy")
 
 from sphere_sim.cli.main import main as command
 
-SHORT = ("pose_dropped_100", "pose_nan", "controller_killed", "disk_full")
+SHORT = (
+    "pose_dropped_100", "pose_nan", "controller_killed", "disk_full", "parameters_at_start",
+)
 LATE_REST = "rotors turned for"
 """A complaint that a busy machine alone can cause: the controller was not run for seconds."""
 ROBOT = RobotParameters()

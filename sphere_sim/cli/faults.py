@@ -13,6 +13,7 @@ from itertools import chain
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -177,7 +178,8 @@ def _line(outcome: Outcome) -> str:
         return f"{outcome.fault}: survived"
     if outcome.survived:
         return f"{outcome.fault}: survived, at the goal {outcome.recovery:.2f} s after it"
-    return f"[red]{outcome.fault}: {'; '.join(outcome.complaints)}[/red]"
+    complaints = "; ".join(outcome.complaints)
+    return f"[red]{escape(f'{outcome.fault}: {complaints}')}[/red]"
 
 
 def _print(table: list[FaultRow], console: Console) -> None:
@@ -198,7 +200,8 @@ def _print(table: list[FaultRow], console: Console) -> None:
     console.print(shown)
     for row in table:
         for complaint in row.complaints:
-            console.print(f"{row.fault}: {complaint}", highlight=False, soft_wrap=True)
+            text = f"{row.fault}: {complaint}"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
     survived, tried = (sum(n) for n in zip(*((r.survived, len(r.outcomes)) for r in table),
                                            strict=True))
     console.print(f"{survived} of {tried} trials survived")

@@ -56,9 +56,10 @@ def write_results(plan: DemoPlan, arrived: bool, console: Console) -> None:
         drawn.append(_draw(figure, plan.folder, "comparison"))
     console.print(table(plan, runs))
     files = ", ".join(["bag", *filter(None, drawn)])
-    console.print(f"{files} and summary.json are in {plan.folder}", soft_wrap=True)
+    console.print(f"{files} and summary.json are in {plan.folder}", markup=False, soft_wrap=True)
     bag = shlex.quote(str(plan.bag))
-    console.print(f"to see it again: sphere_nmpc viewer --replay {bag}", soft_wrap=True)
+    replay = f"to see it again: sphere_nmpc viewer --replay {bag}"
+    console.print(replay, markup=False, soft_wrap=True)
     if not arrived:
         print(
             f"demo: not at the goal after {run.times[-1]:.1f} s: error {metrics.final_error:.3g}, "

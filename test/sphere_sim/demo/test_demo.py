@@ -93,7 +93,7 @@ def test_wrong_arguments_exit_with_2(arguments, message, capsys) -> None:
 
 @pytest.fixture(scope="module")
 def lockstep_run(tmp_path_factory) -> tuple[Path, str]:
-    folder = tmp_path_factory.mktemp("demo") / "out"
+    folder = tmp_path_factory.mktemp("demo") / "out [/b]"
     done = subprocess.run(
         [*DEMO, "--rtf", "0", "--out", str(folder)], capture_output=True, text=True, timeout=120,
         check=False,

@@ -75,11 +75,12 @@ def test_two_robots_reach_their_goals_at_the_same_time(graph) -> None:
             message = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
             graph.publisher(PoseStamped, f"{prefix}goal_pose").publish(message)
         graph.until(lambda: all(received and received[-1].data for received in arrivals), 60.0)
-        errors = [
-            state_error(pose_from_ros(received[-1]), np.array(goal, float))
-            for received, goal in zip(poses, GOALS, strict=True)
-        ]
-        assert max(errors) < 2e-2, "twice the tolerance, beyond which an arrival is taken back"
+        graph.until(
+            lambda: all(
+                state_error(pose_from_ros(received[-1]), np.array(goal, float)) < 1e-2
+                for received, goal in zip(poses, GOALS, strict=True)
+            )
+        )
     for node in (first, second):
         output = node.stderr.read()
         assert "clock jumped" not in output and "other publisher" not in output

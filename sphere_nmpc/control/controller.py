@@ -38,7 +38,7 @@ class Controller:
         Defaults to the one named in `settings`.
     background : callable, optional
         Runs tasks that a sampling instant need not wait for (the fit of the plant's parameters),
-        one after another; by default they run at once, so that results repeat.
+        one after another; by default they run immediately, so that results repeat.
     """
 
     def __init__(
@@ -63,7 +63,9 @@ class Controller:
         self.late_poses = 0
         """Poses dropped: not newer than the newest, or too old to be fused."""
         self.failures = 0
-        """Estimates, plans and commands since the start that failed."""
+        """Poses, estimates, plans and commands since the start whose processing failed."""
+        self.last_failure = ""
+        """Message of the newest of these failures."""
 
     @property
     def estimator(self) -> Estimator:
@@ -128,10 +130,10 @@ class Controller:
             raise InvalidStateError(f"pose: given time {time}, expected a finite number [s]")
         try:
             accepted = self._estimator.observe(time, checked)
-        except Exception:
+        except Exception as error:
             # As in `decide`; without further poses the rotors are ramped to rest.
-            accepted = False
-            self.failures += 1
+            self._record(error)
+            return False
         self.late_poses += int(not accepted)
         return accepted
 
@@ -175,9 +177,9 @@ class Controller:
         start = commands.earliest(now)
         try:
             hold = commands.joined(decision.plan.hold, start)
-        except Exception:
-            # As in `decide`; the hold in force has passed this way before.
-            self.failures += 1
+        except Exception as error:
+            # As in `decide`; the hold in force has been joined without an error before.
+            self._record(error)
             hold = commands.joined(commands.in_force(start), start)
         planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
@@ -247,12 +249,16 @@ class Controller:
 
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         """Return the rest of the hold in force."""
-        self.failures += 1
+        message = self._record(error)
         self._reset_strategy()
-        return Plan(
-            PlanStatus.FALLBACK, self._commands.in_force(time), _states(state),
-            message=f"{type(error).__name__}: {error}",
-        )
+        hold = self._commands.in_force(time)
+        return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
+
+    def _record(self, error: Exception) -> str:
+        """Count a failure and return its message."""
+        self.failures += 1
+        self.last_failure = f"{type(error).__name__}: {error}"
+        return self.last_failure
 
     def _ramp_to_rest(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
         hold = self._commands.ramp_to_rest(time)

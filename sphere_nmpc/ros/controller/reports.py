@@ -90,7 +90,7 @@ class ControllerReports:
         self._tick_times: deque[float] = deque(maxlen=_KEPT)
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
-        self._ticks = self._ticks_reported = 0
+        self._ticks = self._ticks_reported = self._failures_reported = 0
         self._last_tick = float("nan")
         self._last_status = (float("-inf"), Mode.NO_POSE)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -165,8 +165,7 @@ class ControllerReports:
         plan = decision.plan
         if decision.solved:
             self._solve_times.append(plan.solve_time)
-        if decision.mode is Mode.FALLBACK:
-            self._fault_log.report("solve failed", plan.message)
+        self._log_failure(decision)
         self._status_values.update(decision, time)
         self._publish_arrival()
         last, mode = self._last_status
@@ -177,6 +176,14 @@ class ControllerReports:
         self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
         if len(plan.states):
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
+
+    def _log_failure(self, decision: Decision) -> None:
+        """Log what has failed since the last tick: the solve, or a pose or command beside it."""
+        failures, self._failures_reported = self._failures_reported, self._controller.failures
+        if decision.mode is Mode.FALLBACK:
+            self._fault_log.report("solve failed", decision.plan.message)
+        elif self._controller.failures > failures:
+            self._fault_log.report("controller failed", self._controller.last_failure)
 
     def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about solve times and failures."""

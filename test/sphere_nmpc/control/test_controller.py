@@ -534,7 +534,7 @@ def test_command_that_cannot_be_joined_leaves_the_hold_in_force(controller: Cont
     assert controller.commit(broken, PERIOD) is not None
     found = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
     np.testing.assert_allclose(found, expected, atol=1e-11)  # rounding of 60 rad/s
-    assert controller.failures == 1
+    assert controller.failures == 1 and "AttributeError" in controller.last_failure
 
 
 def test_pose_that_the_estimator_fails_on_is_counted_and_the_next_one_is_used(
@@ -546,5 +546,6 @@ def test_pose_that_the_estimator_fails_on_is_counted_and_the_next_one_is_used(
     with monkeypatch.context() as patch:
         patch.setattr(ExactPoseEstimator, "observe", fail)
         assert not controller.observe(0.0, START)
-    assert controller.failures == 1
+    assert controller.failures == 1 and controller.late_poses == 0
+    assert controller.last_failure == "ArithmeticError: made to fail"
     assert controller.observe(0.1, START)

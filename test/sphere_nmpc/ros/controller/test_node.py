@@ -486,6 +486,20 @@ def test_failing_solver_is_logged_and_the_plan_in_force_is_followed(robot, capfd
     np.testing.assert_allclose(holds[-1].speeds[0], holds[-2].at(holds[-1].start), atol=1e-6)
 
 
+def test_pose_that_the_estimator_fails_on_is_logged(robot, capfd, monkeypatch) -> None:
+    robot.send_goal()
+    robot.pass_time(0.6)
+
+    def fail(time, pose):
+        raise ArithmeticError("no estimate today")
+
+    monkeypatch.setattr(robot.node.controller.estimator, "observe", fail)
+    robot.pass_time(0.6)
+    line = "controller failed: ArithmeticError: no estimate today"
+    assert line in capfd.readouterr().err
+    assert int(robot.status()["failures"]) > 0 and robot.status()["late_poses"] == "0"
+
+
 def test_lockstep_answers_each_sample_instant_and_only_these(graph) -> None:
     robot = Robot(graph, lockstep=True)
     robot.pass_time(0.6)

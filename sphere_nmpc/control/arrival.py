@@ -7,7 +7,7 @@ _LEAVING = 2.0
 
 
 class Arrival:
-    """Detect from the error over time whether the sphere is at the goal."""
+    """Detector of the arrival at the goal from the error over time."""
 
     def __init__(self) -> None:
         self._inside_since: float | None = None

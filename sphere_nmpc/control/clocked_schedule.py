@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scheduler of a controller in real time: a timer fires, and time goes on while it plans."""
+"""Scheduler of a controller in real time: a timer triggers plans, and time advances meanwhile."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 
 class ClockedSchedule:
-    """Plan at each instant of the sample grid, within a share of the control period.
+    """Scheduler of a plan at each instant of a sample grid, within a share of the control period.
 
     A plan is made for the instant at which its command will be ready, predicted from recent
     durations. The first plan towards a goal does not wait for the next instant: it begins a new
@@ -99,7 +99,7 @@ class ClockedSchedule:
     def command_time(self, request: PlanRequest, elapsed: float) -> float:
         """Return the control time [s] now that planning has taken `elapsed` [s, wall].
 
-        A simulated clock shows the same time throughout a callback; the robot moves on.
+        A simulated clock shows the same time throughout a callback, while the robot moves.
         """
         return self._planning.after(request.now, elapsed)
 
@@ -119,7 +119,7 @@ class ClockedSchedule:
         return self._request(now, now, 0.0)
 
     def goal_changed(self) -> None:
-        """Start at once, and expect that the first plan may take all its time."""
+        """Start immediately, and expect that the first plan takes its whole time budget."""
         self._starting = True
         if STRATEGIES[self._settings.strategy].first_plan_takes_all:
             self._planning.expect_all()
@@ -133,7 +133,7 @@ class ClockedSchedule:
         return NOTHING if now is None else Actions(plan=self.final_request(now))
 
     def clock_jumped(self, simulated: bool | None = None) -> None:
-        """Start anew on a new grid; see `Schedule.clock_jumped`."""
+        """Restart on a new grid; see `Schedule.clock_jumped`."""
         if simulated is not None:
             self._simulated = simulated
             self._planning = PlanningTime(self._settings.control_period, simulated)

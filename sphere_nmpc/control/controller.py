@@ -23,7 +23,7 @@ from sphere_nmpc.strategy.registry import make_strategy
 
 
 class Controller:
-    """Estimate, plan and commit at each sampling instant; never raises while running.
+    """Control loop of estimation, planning and commands; it never raises while running.
 
     Each plan is sent with a ramp to rest behind its last knot, so that the hold in force can
     safely be followed to its end: if an estimate or a solve fails, it stays in force.

@@ -12,7 +12,7 @@ from sphere_nmpc.model.state import Vector, as_state
 
 
 class GoalMemory:
-    """Store the goal in a file, with the time at which it was last in force.
+    """File that stores the goal, with the time at which it was last in force.
 
     A controller resumes the goal only if it starts soon after the end of the last one and on the
     same clock, which must not have been set back: a simulation that starts again has no goal.
@@ -63,5 +63,5 @@ class GoalMemory:
             goal, then = as_state(content["goal"]), int(content["stamp"])
         except (OSError, ValueError, KeyError, TypeError, OverflowError):
             return None
-        goes_on = content.get("simulated") is simulated and then <= stamp
-        return (goal, age) if goes_on and age <= self._keep else None
+        is_same_clock = content.get("simulated") is simulated and then <= stamp
+        return (goal, age) if is_same_clock and age <= self._keep else None

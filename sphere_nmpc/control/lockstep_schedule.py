@@ -17,7 +17,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class LockstepSchedule:
-    """Plan when the pose of a sample instant arrives, and answer every such instant.
+    """Scheduler of one plan for each pose of a sample instant, all of which are answered.
 
     A plan may take any wall time, so that results are repeatable. The clock of the node is
     ignored: the stamp of the pose is the time.
@@ -56,7 +56,7 @@ class LockstepSchedule:
         return Actions(observe=pose, plan=self.final_request(pose.time))
 
     def tick(self, now: float, wall: float) -> Actions:
-        """Return nothing to do: poses trigger plans."""
+        """Return no action: poses trigger plans."""
         return NOTHING
 
     def start(
@@ -83,18 +83,18 @@ class LockstepSchedule:
         return PlanRequest(now, now, math.inf)
 
     def goal_changed(self) -> None:
-        """Plan anew for the present instant, also if it has been answered."""
+        """Plan for the present instant again, even if it has been answered."""
         self._answered = None
 
     def enabled(self) -> None:
-        """Do nothing: the next sample instant is soon enough."""
+        """Do nothing: the robot moves from the next sample instant on."""
 
     def disabled(self, now: float | None) -> Actions:
-        """Return nothing to do: the next sample instant is soon enough."""
+        """Return no action: the robot stops from the next sample instant on."""
         return NOTHING
 
     def clock_jumped(self, simulated: bool | None = None) -> None:
-        """Plan anew when a pose arrives, also one of an instant that was answered before."""
+        """Plan at the next pose, even at an instant that was answered before the jump."""
         self._answered = None
 
     def refusal(self, settings: ControllerSettings) -> str | None:

@@ -24,7 +24,7 @@ _STANDSTILL = 0.1
 
 
 class PlanningTime:
-    """Measure the pace of control time, and derive time budget and lead of the next plan.
+    """Time budget and lead of the next plan, from the measured pace of control time.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class PlanningTime:
     def read(self, now: float, wall: float) -> None:
         """Record that control time is `now` [s] when the steady clock shows `wall` [s].
 
-        A standstill and a jump back begin the measurement anew.
+        A standstill and a jump back restart the measurement.
         """
         last, wall_last = self._last
         if now == last and wall - wall_last < _STANDSTILL:

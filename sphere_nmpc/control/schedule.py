@@ -75,13 +75,13 @@ NOTHING = Actions()
 
 
 class Schedule(Protocol):
-    """Decide when the controller plans; the owner reports events and carries out `Actions`.
+    """Scheduler of plans; its owner reports events to it and carries out the `Actions` returned.
 
     Control times are seconds on the node's clock, wall times seconds on a steady clock.
     """
 
     is_real_time: bool
-    """Whether control time goes on while a plan is made."""
+    """Whether control time advances while a plan is made."""
 
     @property
     def timer_period(self) -> float | None:
@@ -127,7 +127,7 @@ class Schedule(Protocol):
         """Record a plan that took `duration` from its request to its command [s, wall]."""
 
     def final_request(self, now: float) -> PlanRequest:
-        """Return the request for the last plan, made at once, of a controller that ends."""
+        """Return the request for the last plan of a controller that ends, made immediately."""
 
     def goal_changed(self) -> None:
         """Prepare for the first plan towards a new goal."""
@@ -139,7 +139,7 @@ class Schedule(Protocol):
         """Return what to do at control time `now` because the controller was disabled."""
 
     def clock_jumped(self, simulated: bool | None = None) -> None:
-        """Start anew after a jump of control time, or on another clock.
+        """Restart after a jump of control time, or on another clock.
 
         Parameters
         ----------

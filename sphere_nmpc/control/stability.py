@@ -142,7 +142,7 @@ def neighbourhood_radius(
 
 
 class StabilityMonitor:
-    """Monitor a closed loop with one call per sample period; never raises while running.
+    """Monitor of a closed loop, called once per sample period; it never raises while running.
 
     A new goal or new weights make another value function: that transition is not assessed.
     """

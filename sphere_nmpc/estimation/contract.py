@@ -70,7 +70,7 @@ class Estimate:
 
 
 class Estimator(Protocol):
-    """Estimates state and plant parameters from poses and the rotor speeds sent."""
+    """Estimator of state and plant parameters from poses and the rotor speeds sent."""
 
     @property
     def newest(self) -> tuple[float, Vector] | None:

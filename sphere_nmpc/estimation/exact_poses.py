@@ -15,7 +15,7 @@ _SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
 
 
 class ExactPoseEstimator:
-    """See `sphere_nmpc.estimation.contract.Estimator`.
+    """`Estimator` for poses without noise, of which the newest one is the state.
 
     Parameters are estimated also where learning is off; they are then not used, but the noise is.
 
@@ -28,7 +28,7 @@ class ExactPoseEstimator:
     sent : SentInputs
         Rotor speeds that were sent.
     background : callable, optional
-        Runs the fit of the parameters; by default it runs at once, so that results repeat.
+        Runs the fit of the parameters; by default it runs immediately, so that results repeat.
     prior : ParameterDistribution, optional
         What another estimator has learnt about the parameters.
     """

@@ -28,7 +28,7 @@ def make_estimator(
     sent : SentInputs
         Rotor speeds that were sent.
     background : callable, optional
-        Runs tasks that the control loop does not wait for; by default they run at once.
+        Runs tasks that the control loop does not wait for; by default they run immediately.
     previous : Estimator, optional
         The one in use so far. It is kept if it still suits the settings; otherwise its
         parameters and its newest pose are handed over.

@@ -22,7 +22,7 @@ _LEAST_NOISE = 1e-6
 
 
 class NoisyPoseEstimator:
-    """See `sphere_nmpc.estimation.contract.Estimator`.
+    """`Estimator` for noisy poses, which are fused with the rotor speeds sent.
 
     Where learning is off the filter takes the parameters as built as exact.
 

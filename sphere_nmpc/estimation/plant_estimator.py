@@ -100,7 +100,7 @@ class _Fit:
 
 
 class PlantEstimator:
-    """Fit the parameters to the newest transitions.
+    """Least-squares fit of the parameters to the newest transitions.
 
     The result of an update is published as a whole when the update is complete: another thread
     may read `estimate` and `parameters` at any time.

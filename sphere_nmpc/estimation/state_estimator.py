@@ -41,7 +41,7 @@ class _Entry:
 
 
 class StateEstimator:
-    """Fuse poses with the inputs sent.
+    """Extended Kalman filter with the history that poses out of order need.
 
     Parameters
     ----------

@@ -4,5 +4,5 @@
 
 from sphere_nmpc.library_threads import limit_library_threads
 
-# Now, as a node loads numpy after this.
+# Here, as the libraries read the limit when a node imports numpy after this.
 limit_library_threads()

@@ -38,7 +38,7 @@ PERIOD = 0.5
 
 
 class Diagnostics:
-    """Publish the reports of a node's tasks on ``/diagnostics``, every `PERIOD` of wall time.
+    """Publisher of the reports of a node's tasks on ``/diagnostics``, every `PERIOD` of wall time.
 
     Parameters
     ----------

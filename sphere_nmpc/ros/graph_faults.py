@@ -20,7 +20,7 @@ _KILLED = "a node that was killed is counted for up to 20 s"
 
 @dataclass(frozen=True)
 class GraphFault:
-    """One fault.
+    """A fault in the ROS graph, with its remedy.
 
     Attributes
     ----------

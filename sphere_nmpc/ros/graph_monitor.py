@@ -22,7 +22,7 @@ _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
 class GraphMonitor:
-    """Keep the present faults, log each once when it begins, and log its end.
+    """Monitor of the present faults, which logs the beginning and the end of each.
 
     Parameters
     ----------

@@ -139,7 +139,7 @@ class StopRequest:
 
     The interpreter runs signal handlers between two of its own instructions, which a main thread
     that waits inside the middleware does not reach. The number of the signal is however written
-    to a file descriptor at once, which a thread reads.
+    to a file descriptor immediately, and a thread reads it there.
     """
 
     def __init__(self) -> None:

@@ -66,7 +66,7 @@ def refused_message(priority: int) -> str:
     """Return the warning about a priority that the system does not allow."""
     return (
         f"thread_priority: given {priority}, but this user may not schedule in real time, "
-        "expected root, CAP_SYS_NICE or rtprio in /etc/security/limits.conf; going on with "
+        "expected root, CAP_SYS_NICE or rtprio in /etc/security/limits.conf; continuing with "
         "ordinary scheduling"
     )
 

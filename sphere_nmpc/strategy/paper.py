@@ -6,7 +6,7 @@ Stage cost ||x - x_d||^2 + alpha ||u||^2, terminal cost beta ||x - x_d||^2 (Eq. 
 difference of quaternions, warm start shifted by one knot with zero as its last knot (step 6).
 
 Between two knots the same problem is solved with its first interval shortened, so that a higher
-control rate corrects a disturbance at once. At the paper's rate this never happens.
+control rate corrects a disturbance earlier. At the paper's rate this never happens.
 """
 
 import numpy as np

@@ -19,7 +19,7 @@ _LONGEST_FINAL_RAMP = 1.0
 
 
 class CommandSender:
-    """Publish each hold, and while one is in force its speeds at a fixed rate.
+    """Publisher of each hold and, while one is in force, of its speeds at a fixed rate.
 
     After a hold has ended nothing is published, so that another node may drive the robot.
 

@@ -14,7 +14,7 @@ _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
 
 
 class ControlClock:
-    """Convert between stamps and control time, and report jumps of the clock.
+    """Conversion from stamps to control time, with a report of jumps of the clock.
 
     In simulated time control time is the time on ``/clock``; otherwise it begins with the node.
 

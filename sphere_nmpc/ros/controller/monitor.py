@@ -20,7 +20,7 @@ from sphere_nmpc.ros.graph_monitor import GraphMonitor
 
 
 class ControllerMonitor:
-    """Measure how long clock and poses have been silent, and log the faults around a controller.
+    """Monitor of the silence of clock and poses, which logs the faults around a controller.
 
     Parameters
     ----------

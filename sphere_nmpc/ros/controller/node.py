@@ -142,7 +142,7 @@ class ControllerNode(RunnableNode):
         ]
 
     def _set_timer(self) -> None:
-        """Let a timer tick as the schedule needs it, from now on."""
+        """Replace the timer by one with the period of the schedule, if it needs one."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
         period = self._schedule.timer_period
@@ -168,7 +168,7 @@ class ControllerNode(RunnableNode):
             self._carry_out(self._schedule.tick(now, time.monotonic()))
 
     def _start(self) -> None:
-        """Plan at once where the rotors are at rest and a goal is waiting."""
+        """Plan immediately if the rotors are at rest and there is a goal to start for."""
         now = self._control_clock.now()
         if now is None:
             return
@@ -222,7 +222,7 @@ class ControllerNode(RunnableNode):
         self._set_goal(goal)
 
     def _set_goal(self, goal: Vector) -> None:
-        """Bring a goal, shape (6,), into force; the one that is in force is only confirmed."""
+        """Track a goal, shape (6,); one that is in force already is only confirmed."""
         is_new = self.controller.set_goal(goal)
         self._stored_goal.supersede()
         self._reports.goal(goal, self._control_clock.stamp())

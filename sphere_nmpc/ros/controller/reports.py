@@ -48,7 +48,7 @@ _LONGEST_SILENCE = 0.4
 
 
 class ControllerReports:
-    """Publish goal, arrival, predicted path and status; report to diagnostics.
+    """Publisher of goal, arrival, predicted path and status, and source of the diagnostics.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ _CONSTANTS = ("shell_radius_m", "c1", "r1", "r3")
 
 
 class ControllerStatus:
-    """Collect the status values of a sampling instant.
+    """Source of the status values of a sampling instant.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from sphere_nmpc.ros.controller.control_clock import ControlClock
 
 
 class StoredGoal:
-    """Restore the goal of the last run once, then store the goal in force.
+    """File with the goal in force; the goal of the last run is restored from it once.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class StoredGoal:
     def restore(self) -> tuple[Vector, float] | None:
         """Return the goal to continue with, shape (6,), and its age [s, wall].
 
-        None where there is none, and always but for the first call with a known time.
+        It is returned at most once, by the first call with a known time; otherwise None is.
         """
         if self.is_settled or self._clock.now() is None:
             return None

@@ -7,26 +7,23 @@ import dataclasses
 from sphere_nmpc.model.state import nearer_sign
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.states import Following, Searching, StartedSearch
 
 
-class NewPlan:
-    """Search for a plan from the present state.
+class PlanSearch:
+    """Search for a new plan from the present state.
 
     Parameters
     ----------
     full, reduced : ArrivalPlanner
-        Planners with the full and with a reduced limit of acceleration, for slippery floors.
-    grid : KnotGrid
-        Times of the knots; it begins again with a plan that a search found at a later sample.
+        Planners with the full and with a reduced limit of acceleration, for slippery floors. Their
+        common grid of knots begins again with a plan that a search found at a later sample.
     """
 
-    def __init__(self, full: ArrivalPlanner, reduced: ArrivalPlanner, grid: KnotGrid) -> None:
+    def __init__(self, full: ArrivalPlanner, reduced: ArrivalPlanner) -> None:
         self._full = full
         self._reduced = reduced
-        self._grid = grid
         self._tuning = full.tuning
 
     def search(
@@ -75,7 +72,7 @@ class NewPlan:
         if found is None:
             return Searching(strict=state.strict)
         if waited > 0.0:
-            self._grid.begin_again(now)
+            planner.grid.begin_again(now)
         for delay in self._tuning.delays + self._tuning.further_delays:
             arrival = planner.solve(
                 situation, found.goal, delay * found.duration, found.hold, new_plan=True

@@ -72,17 +72,7 @@ def _improved(
     deadline: float,
     settings: ControllerSettings,
 ) -> Following:
-    """Use what is left of the sample to search for an arrival that is earlier than that of `plan`.
-
-    Parameters
-    ----------
-    plan : Following
-        Solved from `situation`.
-    work : int
-        Effort of the search: solver iterations times intervals.
-    situation, deadline, settings
-        See `replan`.
-    """
+    """Use the rest of the sample to search for an earlier arrival, with effort `work`."""
     tuning, arrival, planner = plan.planner.tuning, plan.arrival, plan.planner
     tick, period = settings.control_period, settings.period
     # At a high control rate it is searched once a sample period, just after a knot.

@@ -146,8 +146,8 @@ class TimeOptimalSettings:
     # Searches from rest and slip
 
     search_share: float = 0.5
-    """Share [of the sample period] for which a search from rest may go on over several samples of
-    a high control rate."""
+    """Share [of the sample period] for which a search from rest may continue over several samples
+    of a high control rate."""
     slip_noise: float = 0.01
     """Process noise [m, -; a sample] above which a new plan takes the floor to be slippery."""
     slip_acceleration: float = 0.45

@@ -12,12 +12,12 @@ from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 
 @dataclass(frozen=True, eq=False)
 class StartedSearch:
-    """A search that goes on at the next sample.
+    """A search that is continued at the next sample.
 
     Attributes
     ----------
     search : ArrivalSearch
-        The search itself.
+        With the best arrival found so far.
     planner : ArrivalPlanner
         Planner with the drive limits of the search.
     begun_at : float
@@ -31,7 +31,7 @@ class StartedSearch:
 
 @dataclass(frozen=True, eq=False)
 class Searching:
-    """There is no plan: the rotors are ramped to rest, and a plan is searched for.
+    """State without a plan: the rotors are ramped to rest, and a plan is searched for.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Searching:
 
 @dataclass(frozen=True, eq=False)
 class Following:
-    """A plan to the goal is being followed.
+    """State in which a plan to the goal is followed.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Following:
 
 @dataclass(frozen=True)
 class Holding:
-    """The sphere rests at the goal.
+    """State in which the sphere rests at the goal.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, ramp_to_rest
 from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
-from sphere_nmpc.strategy.time_optimal.new_plan import NewPlan
+from sphere_nmpc.strategy.time_optimal.new_plan import PlanSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.replanning import replan
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -31,7 +31,7 @@ from sphere_nmpc.strategy.time_optimal.states import Following, Holding, Searchi
 
 
 class TimeOptimalStrategy:
-    """See `sphere_nmpc.strategy.contract.Strategy`.
+    """`Strategy` of the earliest arrival that a search finds.
 
     Parameters
     ----------
@@ -68,10 +68,9 @@ class TimeOptimalStrategy:
         self._grid, seeds = KnotGrid(period, tuning), itertools.count(1)
         acceleration = tuning.slip_acceleration * self._robot.max_rotor_acceleration
         slippery = dataclasses.replace(self._robot, max_rotor_acceleration=acceleration)
-        self._new_plan = NewPlan(
+        self._plan_search = PlanSearch(
             ArrivalPlanner(self._robot, period, self._grid, seeds, tuning),
             ArrivalPlanner(slippery, period, self._grid, seeds, tuning),
-            self._grid,
         )
         self._goals.reset()
         self._rest_at_goal.reset()
@@ -116,7 +115,7 @@ class TimeOptimalStrategy:
         elif at_rest and error < dead_band:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
-        return self._new_plan.search(state, situation, at_rest, deadline, settings)
+        return self._plan_search.search(state, situation, at_rest, deadline, settings)
 
     def _aim(self, situation: Situation) -> Situation:
         """Return the situation with a goal near enough to plan for.

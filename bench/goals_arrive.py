@@ -14,7 +14,6 @@ import argparse
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import rclpy
@@ -25,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.serving import serve_until
 
 _SENDER = Path(__file__).with_name("topic_pub.py")
 _OTHERS = {"alone": (), "recorder and viewer": ("recorder", "viewer")}
@@ -36,10 +36,9 @@ def arrived(node: Node, active: list[float], times: int, number: int) -> bool:
     """Send a goal that is recognised by its number; return whether it came into force."""
     goal = 0.01 * (number + 1)
     subprocess.run([sys.executable, _SENDER, str(goal), str(times)], check=True)
-    end = time.monotonic() + 1.0
-    while goal not in active and time.monotonic() < end:
-        rclpy.spin_once(node, timeout_sec=0.05)
-    return goal in active
+    return serve_until(
+        lambda: rclpy.spin_once(node, timeout_sec=0.05), lambda: goal in active, 1.0
+    )
 
 
 def trial(others: str, goals: int, loopback: bool) -> dict[str, int]:
@@ -55,7 +54,7 @@ def trial(others: str, goals: int, loopback: bool) -> dict[str, int]:
             nodes.start(verb, [*own, "--ros-args", *bag])
         rclpy.init()
         try:
-            node = rclpy.create_node("onlooker")
+            node = rclpy.create_node("observer")
             active: list[float] = []
             latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -66,9 +65,10 @@ def trial(others: str, goals: int, loopback: bool) -> dict[str, int]:
             if others == _ECHO:
                 node.create_subscription(PoseStamped, "goal_pose", lambda _: None, 10)
             wanted = 2 + len(_OTHERS.get(others, ("recorder", "viewer")))
-            end = time.monotonic() + PATIENCE
-            while len(node.get_node_names()) < wanted + 1 and time.monotonic() < end:
-                rclpy.spin_once(node, timeout_sec=0.1)
+            serve_until(
+                lambda: rclpy.spin_once(node, timeout_sec=0.1),
+                lambda: len(node.get_node_names()) > wanted, PATIENCE,
+            )
             nodes.check()
             counts: dict[str, int] = {}
             for form, times in _FORMS.items():

@@ -34,6 +34,7 @@ from sphere_nmpc.ros.conversions import pose_from_ros
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.serving import serve_until
 
 PATIENCE = 60.0
 """How long nodes on a busy machine may take to be ready [s]."""
@@ -99,12 +100,7 @@ class Observer:
 
     def until(self, condition: Callable[[], Any], patience: float) -> bool:
         """Serve the node until `condition` holds; return False after `patience` [s, wall]."""
-        end = time.monotonic() + patience
-        while not condition():
-            if time.monotonic() > end:
-                return False
-            self.spin()
-        return True
+        return serve_until(self.spin, condition, patience)
 
     def spin(self) -> None:
         """Serve the node for a moment, and check that all processes run."""

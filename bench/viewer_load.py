@@ -28,6 +28,7 @@ from rclpy.node import Node
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.serving import serve_until
 from sphere_sim.scenario.scenarios import draw_scenarios
 
 ROOT = Path(__file__).parents[1]
@@ -40,11 +41,8 @@ CONDITIONS = ("no viewer", "viewer, no page", "viewer and page")
 
 def wait_for(probe: Node, condition: Callable[[], object]) -> None:
     """Serve the probe until a condition holds."""
-    end = time.monotonic() + 60.0
-    while not condition():
-        if time.monotonic() > end:
-            raise SystemExit("the nodes were not ready within 60 s")
-        rclpy.spin_once(probe, timeout_sec=0.1)
+    if not serve_until(lambda: rclpy.spin_once(probe, timeout_sec=0.1), condition, 60.0):
+        raise SystemExit("the nodes were not ready within 60 s")
 
 
 def measure(condition: str, seconds: float, folder: Path) -> str:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator, controller and recorder as child processes, with the proxy between them."""
 
-import contextlib
 import itertools
 import time
 from collections.abc import Callable, Iterator
@@ -27,6 +26,7 @@ from sphere_sim.ros.faults.proxy import REMAPPED, FaultProxy
 from sphere_sim.ros.session.child_process import module_command, verb_command
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.serving import serve_until
 
 READY = 60.0
 """How long nodes may take to be ready [s]; a busy machine needs some ten."""
@@ -40,7 +40,7 @@ RADIUS = RobotParameters().shell_radius
 
 
 class SessionError(SphereNmpcError):
-    """A node does not respond as it should, so that the campaign cannot go on."""
+    """A node does not respond as it should, so that the campaign cannot continue."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +154,8 @@ class FaultSession:
         SessionError
             If that takes too long.
         """
-        end = time.monotonic() + timeout
-        while not condition():
-            if time.monotonic() > end:
-                raise SessionError(f"timed out after {timeout:g} s while waiting for {what}")
-            self.spin()
+        if not serve_until(self.spin, condition, timeout):
+            raise SessionError(f"timed out after {timeout:g} s while waiting for {what}")
 
     def call(self, service: str, request: Any) -> Any:
         """Call a service, again where there is no response, and return the response.
@@ -177,8 +174,7 @@ class FaultSession:
         futures = []
         while time.monotonic() < end:
             futures.append(client.call_async(request))
-            with contextlib.suppress(SessionError):
-                self.wait(lambda: any(f.done() for f in futures), _REPEAT, "a response")
+            if serve_until(self.spin, lambda: any(f.done() for f in futures), _REPEAT):
                 return next(future.result() for future in futures if future.done())
         raise SessionError(f"no response of {service} within {_RESPONSE_TIMEOUT:g} s")
 

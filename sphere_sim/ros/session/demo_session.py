@@ -29,12 +29,15 @@ from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.goal_run import GoalRun
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
+from sphere_sim.ros.session.serving import serve_until
 
 _RECEIVED = ("/clock", "/pose", "/controller/active_goal")
 """Topics of which the recorder must have a message before time starts; the simulator repeats
 its own while it is paused."""
 _MATCHED = ("/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands", "/controller/status")
 """Topics to whose publishers the recorder must be matched before time starts."""
+_RESPONSE_TIMEOUT = 5.0
+"""Longest wait for the response of a service [s]."""
 
 
 class NotReadyError(SphereNmpcError):
@@ -146,18 +149,15 @@ class DemoSession:
         )
 
     def _await(self, condition: Callable[[], bool], end: float, what: str) -> None:
-        while not condition():
-            if time.monotonic() > end:
-                raise NotReadyError(f"timed out while waiting for {what}")
-            self.spin()
+        if not serve_until(self.spin, condition, end - time.monotonic()):
+            raise NotReadyError(f"timed out while waiting for {what}")
 
     def _call(self, client: Any, request: Any) -> Any:
         future = client.call_async(request)
-        end = time.monotonic() + 5.0
-        while not future.done():
-            if time.monotonic() > end:
-                raise NotReadyError(f"no response of {client.srv_name} within 5 s")
-            self.spin(0.01)
+        if not serve_until(lambda: self.spin(0.01), future.done, _RESPONSE_TIMEOUT):
+            raise NotReadyError(
+                f"no response of {client.srv_name} within {_RESPONSE_TIMEOUT:g} s"
+            )
         return future.result()
 
     def _note_pose(self, message: Any) -> None:

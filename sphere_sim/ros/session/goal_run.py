@@ -16,6 +16,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_nmpc.ros.conversions import pose_from_ros, seconds, stamp_from_ros
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.session.serving import serve_until
 
 SETTLED = 1e-2
 """Error below which the sphere is at its goal [mixed units]."""
@@ -31,7 +32,7 @@ class StalledError(SphereNmpcError):
 
 
 class GoalRun:
-    """A run to one goal, judged from the poses on the way.
+    """A run to one goal, judged from its poses.
 
     Parameters
     ----------
@@ -174,14 +175,13 @@ class GoalRunner:
         Raises
         ------
         GoalNotAcceptedError
-            If they are not there within `timeout` [s, wall time].
+            If one of them is not there within `timeout` [s, wall time].
         """
         end = time.monotonic() + timeout
         self._sender.wait_for_controller(timeout)
-        while math.isnan(self.time):
-            if time.monotonic() > end:
-                raise GoalNotAcceptedError(f"no pose was published within {timeout:g} s")
-            self._spin()
+        left = end - time.monotonic()
+        if not serve_until(self._spin, lambda: not math.isnan(self.time), left):
+            raise GoalNotAcceptedError(f"no pose was published within {timeout:g} s")
 
     def send(self, goal: Vector, timeout: float, repeat: float = math.inf) -> GoalRun:
         """Bring a goal into force, see `GoalSender.send`, and begin a run to it."""

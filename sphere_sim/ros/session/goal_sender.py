@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_from_ros, pose_to_ros
+from sphere_sim.ros.session.serving import serve_until
 
 _SAME = 1e-9
 """Largest difference between the goal sent and the goal accepted [mixed units]."""
@@ -62,7 +63,7 @@ class GoalSender:
             If that does not happen in time.
         """
         topic = self._publisher.topic_name
-        if not self._wait(timeout, self._is_matched):
+        if not serve_until(self._spin, self._is_matched, timeout):
             number = self._publisher.get_subscription_count()
             raise GoalNotAcceptedError(
                 f"no controller was ready within {timeout:g} s: {number} subscribers of {topic}, "
@@ -98,11 +99,11 @@ class GoalSender:
         while (left := end - time.monotonic()) > 0.0:
             # Stamp 0 means now; the controller looks at the frame and the pose only.
             self._publisher.publish(pose_to_ros(goal, 0, shell_radius, WORLD_FRAME))
-            if self._wait(min(left, repeat), lambda: self._is_accepted(goal)):
+            if serve_until(self._spin, lambda: self._is_accepted(goal), min(left, repeat)):
                 return
         raise GoalNotAcceptedError(
             f"the goal was sent but not confirmed on {self._confirmation.topic_name} within "
-            f"{timeout:g} s; the controller's log says why"
+            f"{timeout:g} s; the controller's log names the reason"
         )
 
     def _is_matched(self) -> bool:
@@ -120,11 +121,3 @@ class GoalSender:
             self._accepted = pose_from_ros(message)
         except InvalidStateError as error:
             self._node.get_logger().warning(f"active_goal is no pose: {error}")
-
-    def _wait(self, timeout: float, condition: Callable[[], bool]) -> bool:
-        end = time.monotonic() + timeout
-        while time.monotonic() < end:
-            self._spin()
-            if condition():
-                return True
-        return False

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The actions that begin and end each fault of the catalogue."""
 
-from typing import Any, Protocol
+from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_sim.faults.catalogue import Fault
 from sphere_sim.faults.pose_stream import NANOSECONDS, make_disturbance
+from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import FaultSession, SessionError
 from sphere_sim.ros.faults.goal_actions import BadGoals
 from sphere_sim.ros.faults.process_actions import (
@@ -15,26 +16,12 @@ from sphere_sim.ros.faults.process_actions import (
     DiskFull,
     Hogs,
     Kill,
-    Lasting,
     SecondController,
     Throttle,
 )
 
 
-class Action(Protocol):
-    """A fault that can be begun and ended."""
-
-    def begin(self, session: FaultSession) -> None:
-        """Begin the fault."""
-
-    def keep_on(self, session: FaultSession) -> None:
-        """Do what has to be repeated while it lasts; called at each turn of the loop."""
-
-    def end(self, session: FaultSession) -> None:
-        """End the fault."""
-
-
-class DisturbedPoses(Lasting):
+class DisturbedPoses(Action):
     """Disturbance of the poses between simulator and controller."""
 
     def __init__(self, **options: Any) -> None:
@@ -49,7 +36,7 @@ class DisturbedPoses(Lasting):
         session.proxy.stream.disturbances.remove(self._disturbance)
 
 
-class Pause(Lasting):
+class Pause(Action):
     """Pause of simulated time."""
 
     def begin(self, session: FaultSession) -> None:
@@ -61,7 +48,7 @@ class Pause(Lasting):
         session.call("simulator/pause", SetBool.Request(data=False))
 
 
-class ClockLost(Lasting):
+class ClockLost(Action):
     """Loss of the clock: the controller receives poses only."""
 
     def begin(self, session: FaultSession) -> None:
@@ -73,7 +60,7 @@ class ClockLost(Lasting):
         session.proxy.clock_passes = True
 
 
-class ClockBack(Lasting):
+class ClockBack(Action):
     """Permanent jump of simulated time into the past."""
 
     def __init__(self, by: float) -> None:
@@ -88,7 +75,7 @@ class ClockBack(Lasting):
         """Keep the shift: a jump forward would be another fault."""
 
 
-class Pace(Lasting):
+class Pace(Action):
     """Another real-time factor."""
 
     def __init__(self, factor: float) -> None:
@@ -103,7 +90,7 @@ class Pace(Lasting):
         _set_pace(session, session.settings.pace)
 
 
-class BadSolver(Lasting):
+class BadSolver(Action):
     """Failure of the solver in the given mode, see `BadStrategy`."""
 
     def __init__(self, mode: str) -> None:
@@ -118,7 +105,7 @@ class BadSolver(Lasting):
         session.solver_file.write_text("")
 
 
-class BadLiveParameters(Lasting):
+class BadLiveParameters(Action):
     """Invalid parameters that are set while the nodes run."""
 
     _WRONG = (

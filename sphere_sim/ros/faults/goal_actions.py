@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
 
 _BURST = 0.01
@@ -25,7 +26,7 @@ def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
     return np.concatenate((rng.uniform(-reach, reach, 2), quaternion))
 
 
-class BadGoals:
+class BadGoals(Action):
     """A second publisher of goals.
 
     Parameters

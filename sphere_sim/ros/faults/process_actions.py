@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, READY, FaultSession, SessionError
 from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.child_process import ChildProcess
@@ -26,14 +27,7 @@ _LEFT_ON_DISK = 1000
 """Space that is left before the disk is full [bytes]."""
 
 
-class Lasting:
-    """Base of faults for which nothing has to be done while they last."""
-
-    def keep_on(self, session: FaultSession) -> None:
-        """Do nothing."""
-
-
-class Kill(Lasting):
+class Kill(Action):
     """SIGKILL to a node, which is started again at the end.
 
     Parameters
@@ -58,7 +52,7 @@ class Kill(Lasting):
         session.start(self._node)
 
 
-class Throttle(Lasting):
+class Throttle(Action):
     """Throttling of the controller: stopped most of the time, as by a processor quota.
 
     Parameters
@@ -91,7 +85,7 @@ class Throttle(Lasting):
             time.sleep(self._share * _SLICE)
 
 
-class Hogs(Lasting):
+class Hogs(Action):
     """Other processes that take all of the processor time that they get.
 
     Parameters
@@ -121,7 +115,7 @@ class Hogs(Lasting):
 _HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
 
 
-class DiskFull(Lasting):
+class DiskFull(Action):
     """Full disk: the recorder cannot write any more.
 
     A limit on the size of files is set from outside while the recorder runs: no disk has to be
@@ -145,7 +139,7 @@ class DiskFull(Lasting):
             resource.prlimit(self._pid, resource.RLIMIT_FSIZE, (hard, hard))
 
 
-class SecondController(Lasting):
+class SecondController(Action):
     """A second controller, which drives the same robot to another goal."""
 
     def begin(self, session: FaultSession) -> None:
@@ -165,7 +159,7 @@ class SecondController(Lasting):
         session.node.destroy_publisher(self._publisher)
 
 
-class BadStart(Lasting):
+class BadStart(Action):
     """Starts of the controller with invalid parameters, then with valid ones."""
 
     _WRONG = (

@@ -146,6 +146,9 @@ _ALL = (
 FAULTS = {fault.name: fault for fault in _ALL}
 """All faults by name, in the order in which they are tried."""
 
+_WITHOUT_RECORDER = {"recorder_killed", "disk_full"}
+"""A recorder that has been killed writes nothing to a full disk."""
+
 
 def chosen(
     known: Iterable[AnyFault], names: Iterable[str] = (), quick: bool = False
@@ -188,9 +191,11 @@ def pairs(faults: Iterable[Fault], number: int, seed: int) -> list[tuple[Fault, 
                  and {"kill", "bad_start"} & {one.action, other.action})
     ]
     order = np.random.default_rng([seed, 1]).permutation(len(possible))
-    return [possible[i] for i in order[:number]]
+    # After the draw, so that the exclusion does not change the other pairs of a seed.
+    drawn = [possible[i] for i in order if {f.name for f in possible[i]} != _WITHOUT_RECORDER]
+    return drawn[:number]
 
 
 def name_of(faults: Iterable[Fault]) -> str:
-    """Return the name of one fault, or of several at once."""
+    """Return the name of one fault, or of several together."""
     return " + ".join(fault.name for fault in faults)

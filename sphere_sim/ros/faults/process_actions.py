@@ -96,14 +96,14 @@ class Hogs(Action):
 
     def __init__(self, number: int) -> None:
         self._number = number
+        self._hogs: list[subprocess.Popen[bytes]] = []
 
     def begin(self, session: FaultSession) -> None:
         """Start them."""
-        # In the session of the campaign, whose share of the processor they have together; should
-        # the campaign die, they end by themselves.
-        self._hogs = [
-            subprocess.Popen([sys.executable, "-c", _HOG]) for _ in range(self._number)
-        ]
+        # In the session of the campaign, whose share of the processor they have together. If the
+        # campaign is killed, they end by themselves.
+        for _ in range(self._number):
+            self._hogs.append(subprocess.Popen([sys.executable, "-c", _HOG]))
 
     def end(self, session: FaultSession) -> None:
         """End them."""
@@ -126,6 +126,7 @@ class DiskFull(Action):
         """Set the limit a little above the size of the file."""
         self._pid = session.processes["recorder"].pid
         folder = session.settings.folder
+        session.wait(lambda: any(folder.glob("bag*/*.mcap")), READY, "a bag of the recorder")
         files = [file.stat() for file in folder.glob("bag*/*.mcap")]
         # Of the file being written, which may be smaller than earlier ones.
         written = max(files, key=lambda file: file.st_mtime_ns).st_size
@@ -147,8 +148,8 @@ class SecondController(Action):
         command = session.processes["controller"].command
         rival = session.processes.add("rival", command, append=True)
         names = ["-r", "__node:=rival", "-r", "goal_pose:=rival_goal"]
-        rival.start([*session.arguments("controller"), *names])
         self._publisher = session.node.create_publisher(PoseStamped, "rival_goal", 1)
+        rival.start([*session.arguments("controller"), *names])
         subscribers = self._publisher.get_subscription_count
         session.wait(lambda: subscribers() > 0, READY, "the second controller")
         self._publisher.publish(pose_to_ros(random_goal(session.rng), 0, RADIUS))

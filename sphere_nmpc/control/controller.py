@@ -63,9 +63,9 @@ class Controller:
         self.late_poses = 0
         """Poses dropped: not newer than the newest, or too old to be fused."""
         self.failures = 0
-        """Poses, estimates, plans and commands since the start whose processing failed."""
+        """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
-        """Message of the newest of these failures."""
+        """Message of the newest of these errors."""
 
     @property
     def estimator(self) -> Estimator:
@@ -255,7 +255,7 @@ class Controller:
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:
-        """Count a failure and return its message."""
+        """Count an error and return its message."""
         self.failures += 1
         self.last_failure = f"{type(error).__name__}: {error}"
         return self.last_failure
@@ -267,8 +267,9 @@ class Controller:
     def _reset_strategy(self) -> None:
         try:
             self._strategy.reset()
-        except Exception:
-            # What it kept is of no use then either.
+        except Exception as error:
+            # Nothing that it kept is needed after a reset: a new one takes its place.
+            self._record(error)
             self._strategy = make_strategy(self._settings, self._robot)
 
 

@@ -1,9 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
+"""Faults of one kind are logged at a limited rate, and all of them are counted."""
+
 from sphere_nmpc.fault_log import FaultLog
 
 
-def test_fault_is_logged_at_once_then_with_a_count() -> None:
+def test_fault_is_logged_immediately_then_with_a_count() -> None:
     lines: list[str] = []
     now = [0.0]
     faults = FaultLog(lines.append, period=5.0, clock=lambda: now[0])

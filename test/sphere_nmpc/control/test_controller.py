@@ -259,25 +259,6 @@ def test_strategy_that_predicts_nan_counts_as_failed(
     assert strategy.resets >= 2  # for the goal and now: no invalid warm start is kept
 
 
-@pytest.mark.parametrize("enabled", [True, False])
-def test_estimate_that_raises_leaves_a_safe_plan_or_ramps_to_rest(
-    controller: Controller, monkeypatch: pytest.MonkeyPatch, enabled: bool
-) -> None:
-    track(controller)
-
-    def fail(*arguments: object, **named: object) -> None:
-        raise ArithmeticError("no estimate")
-
-    monkeypatch.setattr(controller.estimator, "estimate", fail)
-    controller.observe(PERIOD, START)
-    controller.enabled = enabled
-    decision = controller.decide(PERIOD)
-    assert decision.mode is (Mode.FALLBACK if enabled else Mode.DISABLED)
-    assert ("no estimate" in decision.plan.message) == enabled
-    hold = controller.commit(decision, PERIOD)
-    assert hold is not None and not np.any(hold.speeds[-1])
-
-
 def test_strategy_that_returns_nothing_counts_as_failed(controller: Controller) -> None:
     class Silent(Scripted):
         def plan(self, situation: Situation) -> Plan:
@@ -494,12 +475,14 @@ def command_while_failing(
 
 
 @pytest.mark.parametrize("part", FAILING)
-def test_failure_of_any_part_does_not_stop_the_loop(
+def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
     controller: Controller, monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
     track(controller)
     hold = command_while_failing(controller, monkeypatch, part)
     assert not np.any(hold.speeds[-1])
+    assert controller.failures == 1
+    assert controller.last_failure == "ArithmeticError: made to fail"
     controller.observe(hold.start + 0.1, START)
     assert sample(controller, hold.start + 0.1) is Mode.TRACKING
 

@@ -54,7 +54,7 @@ knots = st.lists(
 
 
 class Events(RuleBasedStateMachine):
-    """Time goes on between events; the commands are checked after each of them."""
+    """Time passes between events; the commands are checked after each of them."""
 
     @initialize(start=st.sampled_from([0.0, 50.0, 1.7e9]))
     def set_up(self, start: float) -> None:

@@ -70,7 +70,7 @@ def test_lead_follows_from_recent_durations() -> None:
     assert planning.lead == pytest.approx(0.025)
     for _ in range(8):
         planning.took(0.001)
-    assert planning.lead == 0.0, "as good as at once"
+    assert planning.lead == 0.0, "a negligible duration"
 
 
 def test_lead_is_in_control_time_and_never_more_than_the_share() -> None:
@@ -84,4 +84,4 @@ def test_lead_is_in_control_time_and_never_more_than_the_share() -> None:
 def test_control_time_passes_with_the_wall_clock_at_the_pace() -> None:
     assert after(5.0, 1.0).after(7.0, 0.01) == pytest.approx(7.05)
     assert PlanningTime(0.25, simulated=False).after(7.0, 0.01) == pytest.approx(7.01)
-    assert PlanningTime(0.25, simulated=True).after(7.0, 0.01) == 7.0, "nothing is known yet"
+    assert PlanningTime(0.25, simulated=True).after(7.0, 0.01) == 7.0, "the pace is unknown"

@@ -1,5 +1,7 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
+"""Sample instants from late ticks of a timer."""
+
 import pytest
 
 from sphere_nmpc.control.sample_grid import SampleGrid
@@ -9,7 +11,7 @@ def instants(grid: SampleGrid, *moments: float) -> list[float]:
     return [grid.instant(moment) for moment in moments]
 
 
-def test_late_ticks_stand_for_their_instants() -> None:
+def test_late_ticks_belong_to_their_instants() -> None:
     grid = SampleGrid(0.5)
     assert instants(grid, 1.0, 1.51, 2.2, 2.5) == pytest.approx([1.0, 1.5, 2.0, 2.5])
     assert grid.missed == 0

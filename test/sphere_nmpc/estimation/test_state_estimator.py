@@ -32,12 +32,12 @@ def sent_inputs(rng: np.random.Generator) -> SentInputs:
     return sent
 
 
-def truths(sent: SentInputs, factor: float = 1.0, lag: float = 0.0) -> dict[float, Vector]:
+def truths(sent: SentInputs, factor: float = 1.0) -> dict[float, Vector]:
     """Return the states of a robot whose input gain is that of the nominal one times a factor."""
     constants = LUMPED.as_array() * np.array([1.0, factor, 1.0, 1.0])
     states, state, time = {}, START, 0.0
     for k in range(round(DURATION / PERIOD) + 1):
-        state = sent.predict(state, time - lag, k * PERIOD - lag, constants, 0.02)
+        state = sent.predict(state, time, k * PERIOD, constants, 0.02)
         time = k * PERIOD
         states[time] = state
     return states
@@ -48,10 +48,8 @@ def measured(rng: np.random.Generator, state: Vector) -> Vector:
     return apply_error(state, spread * rng.normal(size=5))
 
 
-def estimator(
-    sent: SentInputs, parameters: ParameterDistribution = PRIOR, noise: PoseNoise = NOISE
-) -> StateEstimator:
-    return StateEstimator(sent, SCALING, parameters, noise)
+def estimator(sent: SentInputs, parameters: ParameterDistribution = PRIOR) -> StateEstimator:
+    return StateEstimator(sent, SCALING, parameters, NOISE)
 
 
 def predicted(found: StateEstimator, time: float) -> FilterState:
@@ -65,10 +63,6 @@ def normalised_error(found: StateEstimator, time: float, truth: Vector) -> float
     state = predicted(found, time)
     error = error_between(state.state, truth)
     return float(error @ np.linalg.solve(state.covariance, error))
-
-
-def test_there_is_no_estimate_before_any_pose() -> None:
-    assert estimator(SentInputs()).predict(1.0) is None
 
 
 def test_estimate_is_better_than_the_poses_and_its_covariance_is_consistent() -> None:
@@ -98,15 +92,6 @@ def test_constants_are_estimated_from_noisy_poses() -> None:
     scaled_gain = found.parameters.mean[1]
     assert scaled_gain == pytest.approx(1.1, rel=0.01)
     assert found.outliers == 0
-
-
-def test_lag_of_the_drives_is_estimated() -> None:
-    rng = np.random.default_rng(8)
-    sent = sent_inputs(rng)
-    found = estimator(sent, noise=PoseNoise(1e-4, 1e-4))
-    for time, state in truths(sent, lag=0.01).items():
-        found.observe(time, state)
-    assert SCALING.lag(found.parameters.mean) == pytest.approx(0.01, abs=1e-3)
 
 
 def test_constants_taken_as_exact_stay() -> None:
@@ -166,15 +151,3 @@ def test_filter_restarts_after_a_few_outliers_that_agree() -> None:
         found.observe(PERIOD * k, measured(rng, elsewhere))
     assert found.restarts == 1
     assert normalised_error(found, 1.2, elsewhere) < 20.5
-
-
-def test_forgetting_poses_keeps_the_estimated_parameters() -> None:
-    rng = np.random.default_rng(13)
-    sent = sent_inputs(rng)
-    found = estimator(sent)
-    for time, state in truths(sent, factor=1.1).items():
-        found.observe(time, measured(rng, state))
-    learnt = found.parameters
-    found.forget()
-    assert found.predict(DURATION) is None
-    assert found.parameters is learnt

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Round trips between arrays and messages, and what is refused on the way in."""
+"""Round trips between arrays and messages, and messages that are refused."""
 
 import math
 
@@ -113,7 +113,7 @@ def test_framed_pose_needs_the_world_or_no_frame(frame, accepted) -> None:
             cv.framed_pose_from_ros(message)
 
 
-def test_transform_says_what_the_pose_says() -> None:
+def test_transform_agrees_with_the_pose() -> None:
     pose = cv.pose_to_ros(STATES[0], 5, RADIUS)
     transform = cv.transform_from_pose(pose)
     assert transform.header == pose.header and transform.child_frame_id == "base_link"

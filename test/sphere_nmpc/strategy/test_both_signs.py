@@ -1,5 +1,7 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
+"""Choice between the two quaternion signs of a goal."""
+
 from dataclasses import fields, replace
 
 import numpy as np

@@ -183,7 +183,7 @@ def test_state_at_the_goal_leads_to_no_motion(strategy: PaperStrategy) -> None:
     assert plan.cost == pytest.approx(0.0, abs=1e-12)
 
 
-def test_plan_that_hit_the_cap_of_iterations_says_so() -> None:
+def test_plan_at_the_cap_of_iterations_is_the_best_so_far() -> None:
     settings = ControllerSettings(strategy="paper", max_iterations=2)
     plan = PaperStrategy(settings, ROBOT).plan(situation())
     assert plan.status is PlanStatus.BEST_SO_FAR

@@ -93,7 +93,8 @@ class ScratchHome:
         """Return the environment of a command; a change to None removes a variable."""
         own = {k: v for k, v in os.environ.items() if k not in _DROPPED}
         own |= {"HOME": str(self.folder / "home"), "TMPDIR": str(self.folder / "tmp")}
-        own |= {_CACHE: str(self.folder / "cache")}
+        # Bytecode that a limit of file sizes truncates would break each later start.
+        own |= {_CACHE: str(self.folder / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
         own |= {name: value for name, value in changes.items() if value is not None}
         return {k: v for k, v in own.items() if changes.get(k, v) is not None}
 

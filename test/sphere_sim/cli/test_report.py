@@ -135,7 +135,8 @@ def report(*arguments: str, limit: int | None = None, **environment: str):
     return subprocess.run(
         verb_command("report", *arguments),
         capture_output=True, text=True, timeout=120.0, preexec_fn=restrict,
-        env={**os.environ, **environment},
+        # Bytecode that the limit truncates would break each later import.
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **environment},
     )
 
 

@@ -100,6 +100,8 @@ def test_study_on_a_full_disk_keeps_its_runs_and_continues(tmp_path) -> None:
         process = start(
             *study, "--out", str(tmp_path),
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
+            # Bytecode that the limit truncates would break each later import.
+            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         )
         _, message = process.communicate(timeout=150.0)
         assert "Traceback" not in message and "Exception ignored" not in message

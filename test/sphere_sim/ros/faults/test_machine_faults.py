@@ -58,6 +58,15 @@ def test_command_runs_in_a_home_of_its_own_with_its_limits(tmp_path) -> None:
     assert Path(environment["HOME"]) == tmp_path / "home"
 
 
+def test_limit_of_file_sizes_leaves_no_truncated_bytecode(tmp_path) -> None:
+    # Some versions of Python write it, and fail to load it afterwards.
+    bytecode, limits = tmp_path / "bytecode", {resource.RLIMIT_FSIZE: 100}
+    ended = ScratchHome(tmp_path).run(
+        ["--version"], {"PYTHONPYCACHEPREFIX": str(bytecode)}, limits, tmp_path / "version.txt"
+    )
+    assert ended.code == 0 and not list(bytecode.rglob("*.pyc"))
+
+
 def test_command_ends_with_its_context(tmp_path) -> None:
     home = ScratchHome(tmp_path)
     with home.running(["simulator"]) as node:

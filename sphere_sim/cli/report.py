@@ -13,7 +13,7 @@ from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run import Run
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.page import results
-from sphere_sim.report.report_files import OptionalFiles, write_report
+from sphere_sim.report.report_files import write_report
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,8 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print_results(run)
     # The files of a single run have the plain names that scripts and documents rely on.
     prefixes = [f"{name}_" for name in names] if len(runs) > 1 else [""]
-    optional = OptionalFiles(given.csv, given.parquet, given.animation)
-    print(f"report in {printable(write_report(runs, prefixes, given.out, optional))}")
+    page = write_report(
+        runs, prefixes, given.out, csv=given.csv, parquet=given.parquet, animation=given.animation
+    )
+    print(f"report in {printable(page)}")
     return 0
 
 

@@ -38,25 +38,9 @@ FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
 """Figures of each run: file name, function that draws it, and caption."""
 
 
-@dataclasses.dataclass(frozen=True)
-class OptionalFiles:
-    """Files that a report has only on request.
-
-    Attributes
-    ----------
-    csv, parquet : bool
-        Whether to write the tables in these formats.
-    animation : bool
-        Whether to write an animation of each run.
-    """
-
-    csv: bool = False
-    parquet: bool = False
-    animation: bool = False
-
-
 def write_report(
-    runs: Sequence[Run], prefixes: Sequence[str], out: Path, optional: OptionalFiles
+    runs: Sequence[Run], prefixes: Sequence[str], out: Path, *, csv: bool, parquet: bool,
+    animation: bool,
 ) -> Path:
     """Write a report and return its page.
 
@@ -71,8 +55,10 @@ def write_report(
         Prefix of the file names of each run.
     out : Path
         Folder, which must exist.
-    optional : OptionalFiles
-        Files to write in addition.
+    csv, parquet : bool
+        Whether to write the tables in these formats.
+    animation : bool
+        Whether to write an animation of each run.
 
     Raises
     ------
@@ -82,7 +68,11 @@ def write_report(
     summary = {run.name: _summary(run) for run in runs}
     write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
     for run, prefix in zip(runs, prefixes, strict=True):
-        _write_tables(run, out, prefix, optional)
+        for name, table in (("motion", motion_table(run)), ("solves", solve_table(run))):
+            if csv:
+                write_csv(table, out / f"{prefix}{name}.csv")
+            if parquet:
+                write_parquet(table, out / f"{prefix}{name}.parquet")
     figures: list[tuple[str, str, Path]] = []
     if len(runs) > 1:
         caption = "Errors, paths, rotor speeds and solve times of all runs."
@@ -93,18 +83,10 @@ def write_report(
             figures.append((run.name, caption, files[1]))
     page = out / "report.html"
     write_page(page, runs, figures)
-    if optional.animation:
+    if animation:
         for run, prefix in zip(runs, prefixes, strict=True):
             write_animation(run, out / f"{prefix}animation.gif")
     return page
-
-
-def _write_tables(run: Run, out: Path, prefix: str, optional: OptionalFiles) -> None:
-    for name, table in (("motion", motion_table(run)), ("solves", solve_table(run))):
-        if optional.csv:
-            write_csv(table, out / f"{prefix}{name}.csv")
-        if optional.parquet:
-            write_parquet(table, out / f"{prefix}{name}.parquet")
 
 
 def _summary(run: Run) -> dict[str, object]:

@@ -68,7 +68,7 @@ def write_animation(run: Run, path: Path) -> None:
 def _end_of_interest(run: Run) -> float:
     """Return half a second after the run has settled [s]; inf if it has not."""
     times, errors = run.errors()
-    index = settling_index(errors) if errors.size else None
+    index = settling_index(errors)
     return float("inf") if index is None else float(times[index]) + 0.5
 
 

@@ -23,10 +23,3 @@ def test_missing_messages_are_reported_with_their_age() -> None:
 def test_controller_that_left_the_graph_is_reported_sooner() -> None:
     liveness = Liveness(pose_at=10.5, controller_at=10.0, controllers=0)
     assert liveness.alerts(10.7) == ("controller gone",)
-
-
-def test_refused_pose_is_reported_with_its_reason() -> None:
-    liveness = Liveness(
-        pose_at=9.0, controller_at=9.9, controllers=1, refused="frame: given 'map'"
-    )
-    assert liveness.alerts(10.0) == ("pose refused: frame: given 'map'",)

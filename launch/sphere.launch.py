@@ -205,7 +205,7 @@ def real_time_factor(text: str, clock: str) -> float:
 
 
 def state_publisher(urdf: Path, own: dict[str, object], remapped: dict[str, object]) -> Node:
-    # Without a type launch takes the text for YAML, which the colon of a comment breaks.
+    # Without a type launch reads the text as YAML, which the colon of a comment makes invalid.
     text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
     return Node(
         package="robot_state_publisher", executable="robot_state_publisher",
@@ -230,7 +230,7 @@ def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Nod
 def rviz(config: Path, clock: dict[str, bool], remapped: dict[str, object]) -> Node | LogInfo:
     """Return RViz, or a log message that it is not installed."""
     if not is_installed("rviz2"):
-        return LogInfo(msg="rviz:=true given, but rviz2 is not installed: going on without it")
+        return LogInfo(msg="rviz:=true given, but rviz2 is not installed; it is not started")
     return Node(
         package="rviz2", executable="rviz2", arguments=["-d", str(config)], parameters=[clock],
         **remapped,

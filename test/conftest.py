@@ -26,8 +26,8 @@ sys.path += map(str, (_HERE, _HERE / "support", _SCRIPTS, _SCRIPTS / "documents"
 def _lock_domain() -> int:
     """Return a ROS domain id that no other session on this machine holds, and hold it.
 
-    The lock goes when the process ends, however it ends; an id made from the process id alone
-    would collide once in a hundred sessions. Ids above 101 reach into Linux' ephemeral ports.
+    The lock is released with the process, however it ends; ids derived from process ids would
+    collide in one of a hundred sessions. The ports of ids above 101 are ephemeral ports of Linux.
     """
     folder = Path(tempfile.gettempdir())
     for domain in range(1, 102):
@@ -43,7 +43,7 @@ def _lock_domain() -> int:
 os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
-# A busy machine must not fail a test, and neither must a draw that no earlier run has seen.
+# No deadline, as the machine may be busy; equal examples in each run.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 
@@ -63,8 +63,8 @@ def graph(request: pytest.FixtureRequest) -> Iterator["Graph"]:
 def _signals_have_their_defaults() -> None:
     """Let interrupts reach the processes under test.
 
-    An ignored signal is inherited: from the shell that started the session in its background, or
-    from a node that ran within the session and had to end undisturbed.
+    An ignored signal is inherited: from a shell that started the session in the background, or
+    from a node in the session that ignored further signals at its end.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

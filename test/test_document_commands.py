@@ -25,12 +25,12 @@ from command_checks import (
 from document_commands import Command, all_commands, commands
 from launch_stand_in import declared_arguments
 from ros2_checks import (
-    check_listening,
     check_parameter_get,
     check_parameter_set,
     check_publication,
     check_recording,
     check_service_call,
+    check_subscription,
 )
 
 OF_A_VERB = ("sphere_nmpc", "ros2 run sphere_nmpc")
@@ -38,9 +38,9 @@ CHECKS: dict[str, Callable[[tuple[str, ...]], None]] = {
     "make demo": lambda words: check_make(words),
     "ros2 launch sphere_nmpc": check_launch,
     "ros2 topic pub": check_publication,
-    "ros2 topic echo": check_listening,
-    "ros2 topic hz": check_listening,
-    "ros2 topic info": check_listening,
+    "ros2 topic echo": check_subscription,
+    "ros2 topic hz": check_subscription,
+    "ros2 topic info": check_subscription,
     "ros2 service call": check_service_call,
     "ros2 param set": check_parameter_set,
     "ros2 param get": check_parameter_get,
@@ -51,11 +51,11 @@ CHECKS: dict[str, Callable[[tuple[str, ...]], None]] = {
 }
 """Check of commands with this beginning; it is called with the remaining words."""
 UNCHECKED = (
-    # Of ROS: their arguments do not depend on the package.
+    # Tools of ROS whose arguments do not depend on the package.
     "ros2 security", "ros2 pkg prefix", "ros2 topic list", "ros2 node list", "colcon", "rosdep",
-    # test_documents.py looks for the targets and the scripts.
+    # test_documents.py checks that targets and scripts exist.
     "make", "python", "python3", ".venv/bin/python",
-    # Of the system.
+    # Tools of the system.
     ".", "apt", "done", "export", "for", "pip", ".venv-acados/bin/pip", "ssh",
     # Not a command but a line of /etc/security/limits.conf.
     "your_user - rtprio",

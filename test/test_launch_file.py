@@ -72,13 +72,13 @@ def test_booleans_are_false_in_each_spelling(value) -> None:
     assert nodes(started(f"viewer:={value}")).keys() == {"simulator", "controller"}
 
 
-def test_parameters_are_those_of_the_file_where_no_argument_says_otherwise() -> None:
+def test_parameters_are_those_of_the_file_without_arguments() -> None:
     started_nodes = nodes(started())
     assert parameters(started_nodes["simulator"]) == {"clock": "simulated"}
     assert parameters(started_nodes["controller"]) == {"use_sim_time": True}
     for node in started_nodes.values():
         assert node["parameters"][0] == str(ROOT / "config" / "sphere.yaml")
-        # The last one counts, so the arguments have to stand behind the file.
+        # The last value is used, so the arguments must follow the file.
         assert isinstance(node["parameters"][-1], dict)
 
 
@@ -130,7 +130,7 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
         assert parameters(found[executable])["frame_prefix"] == f"{place}/"
     assert parameters(found["simulator"]).keys() <= quantities(SimulatorSettings()).keys()
     for executable, node in found.items():
-        # The package's own nodes look for the clock of their namespace by themselves.
+        # Nodes of the package use the clock of their namespace without a remapping.
         remapped = node["package"] != "sphere_nmpc"
         assert node.named.get("remappings") == ([("/clock", "clock")] if remapped else None), (
             executable
@@ -196,12 +196,12 @@ def test_unknown_argument_is_refused_however_the_file_is_named(command, monkeypa
         ["python3", "my_launch_service.py"],
     ],
 )
-def test_arguments_of_an_including_file_are_left_alone(command) -> None:
+def test_arguments_of_an_including_file_are_accepted(command) -> None:
     assert nodes(started("colour:=red", command=command))
 
 
 @pytest.mark.slow
-def test_it_does_not_start_beside_nodes_of_the_same_topics(capfd) -> None:
+def test_it_is_refused_while_nodes_of_the_same_topics_run(capfd) -> None:
     pytest.importorskip("rclpy")
     from ros_graph import started as running
 
@@ -236,7 +236,7 @@ def test_robot_description_is_a_text_to_launch() -> None:
     assert description["value_type"] is str and "<robot" in description.values[0]
 
 
-def test_recording_has_every_documented_topic_but_goals_not_yet_accepted() -> None:
+def test_recording_has_every_documented_topic_except_requested_goals() -> None:
     (record,) = (a for a in started("record:=1", installed=OTHERS) if "cmd" in a.named)
     recorded = record["cmd"][record["cmd"].index("--topics") + 1:]
     assert "--use-sim-time" in record["cmd"]
@@ -264,5 +264,5 @@ def test_description_is_generated_where_launch_is_installed() -> None:
     assert set(arguments) == ARGUMENTS
 
 
-def test_arguments_are_those_that_are_tried_here() -> None:
+def test_arguments_of_the_file_are_those_tested_here() -> None:
     assert set(declared_arguments()) == ARGUMENTS

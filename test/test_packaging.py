@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Installations by pip and by colcon: they are complete."""
+"""Installations by pip and by colcon are complete."""
 
 import ast
 import os
@@ -29,7 +29,7 @@ HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory) -> Path:
-    """A copy of what a build reads, so that building leaves nothing in the source tree."""
+    """Copy of the files that a build reads, so that it leaves nothing in the source tree."""
     copy = tmp_path_factory.mktemp("tree") / "sphere_nmpc"
     copy.mkdir()
     ignore = shutil.ignore_patterns("__pycache__", "*.so")
@@ -50,9 +50,9 @@ def shared_files(tree: Path) -> set[str]:
 
 
 def clean_environment() -> dict[str, str]:
-    """Return the environment without what the ROS wheels leave in it for this interpreter.
+    """Return the environment without the variables that the ROS wheels set.
 
-    A child that runs another interpreter would load this one's libraries.
+    With them a child that runs another interpreter would load libraries of this one.
     """
     leftovers = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
     return {name: value for name, value in os.environ.items() if name not in leftovers}

@@ -34,7 +34,7 @@ def record(runs: Path, case: int, strategy: str) -> Path:
         program = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
         subprocess.run(
             [sys.executable, "-c", program, *command, "--no-viewer", "--out", str(folder)],
-            check=False,  # in case 4 the paper's controller need not arrive
+            check=False,  # in case 4 the paper's controller may not arrive
         )
     return folder
 

@@ -91,7 +91,7 @@ def main() -> None:
 def _row(
     plant: str, way: tuple[str, float], fused: bool, runs: list[Outcome], latest: float
 ) -> str:
-    # One that came near only just before the end has not shown that it stays.
+    # An arrival just before the end does not show that the sphere stays there.
     arrived = [found.arrived for found in runs if found.arrived <= latest]
     times = f"{np.median(arrived):.1f} ({max(arrived):.1f})" if arrived else "-"
     position = np.array([found.position for found in runs])

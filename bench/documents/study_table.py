@@ -32,7 +32,7 @@ def main() -> None:
     print("| " + " | ".join(_HEADER) + " |\n" + "|---" * len(_HEADER) + "|")
     for folder in given.folders:
         for runs in sorted([*folder.glob("runs.csv"), *folder.glob("*/runs.csv")]):
-            # With several strategies the folder itself has the rows of all of them once more.
+            # With several strategies the folder itself repeats the rows of all of them.
             if not (runs.parent / "inputs.npz").exists():
                 continue
             print(row(folder.name, runs.parent, given.loose))

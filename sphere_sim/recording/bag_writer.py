@@ -24,7 +24,7 @@ from sphere_sim.recording.mcap_writer import McapWriter
 _LIBRARY = f"sphere_nmpc {__version__}"
 _ROS_DISTRO = "jazzy"
 _LARGEST_CHUNK = 1 << 20
-"""Size from which on pending messages are committed at once [bytes]."""
+"""Size from which on pending messages are committed immediately [bytes]."""
 
 
 def _dump_yaml(value: Any) -> str:

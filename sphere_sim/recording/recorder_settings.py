@@ -21,7 +21,7 @@ class RecorderSettings:
         "", "-", "Folder of the bag, which must not exist; runs/<date and time> if empty"
     )
     record_on_start: bool = quantity(
-        True, "-", "Whether to record at once, or to wait for the start service"
+        True, "-", "Whether to record from the start, or to wait for the start service"
     )
     commit_period: float = quantity(
         0.5, "s", "Wall time after which received messages are on disk in a readable bag",

@@ -16,7 +16,7 @@ NAMES = (
 
 
 class History:
-    """Time series of at most `limit` equally spaced points, from the frames of a run.
+    """Time series of at most `limit` points, thinned from the frames of a run.
 
     Parameters
     ----------

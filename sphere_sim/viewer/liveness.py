@@ -46,6 +46,6 @@ class Liveness:
             return "no controller yet"
         age = now - self.controller_at
         if age <= CONTROLLER_TIMEOUT:
-            # A node that ends normally leaves the graph at once.
+            # A node that ends normally leaves the graph immediately.
             return "" if self.controllers or age < POSE_TIMEOUT else "controller gone"
         return f"controller silent for {age:.1f} s"

@@ -39,7 +39,7 @@ def read_or_refuse(path: Path, data: bytes) -> None:
 
 @SAME_FILE
 @given(data=st.binary(max_size=300))
-def test_any_bytes_are_no_scenarios(tmp_path, data) -> None:
+def test_any_bytes_are_read_or_refused(tmp_path, data) -> None:
     read_or_refuse(tmp_path / "any.csv", data)
 
 

@@ -70,12 +70,12 @@ def sent(controller, monkeypatch) -> LimitCheck:
     check = LimitCheck(100.0, 400.0)
     publish = controller._sender._trajectories.publish
 
-    def judge(message) -> None:
-        # Stamps that were rounded from a clock of 1970 need no judging here.
+    def check_and_publish(message) -> None:
+        # Relative to the epoch, as times since 1970 would be rounded.
         check.trajectory(hold_from_trajectory(message, 0, controller._control_clock.epoch))
         publish(message)
 
-    monkeypatch.setattr(controller._sender._trajectories, "publish", judge)
+    monkeypatch.setattr(controller._sender._trajectories, "publish", check_and_publish)
     return check
 
 
@@ -126,7 +126,7 @@ def test_any_command_leaves_the_robot_within_its_limits(graph, trajectory, data)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_nodes_keep_the_limits_and_serve_on_after_bytes_that_are_no_message(
+def test_nodes_keep_the_limits_and_still_work_after_invalid_bytes(
     graph, controller, seed
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -144,13 +144,13 @@ def test_nodes_keep_the_limits_and_serve_on_after_bytes_that_are_no_message(
         sender = graph.publisher(type(message), topic)
         data = serialize_message(message)
         for i in range(30):
-            spoilt = bytearray(data)
+            damaged = bytearray(data)
             if i % 2:
-                spoilt = spoilt[: rng.integers(1, len(data))]
+                damaged = damaged[: rng.integers(1, len(data))]
             else:
                 for place in rng.integers(4, len(data), size=4):
-                    spoilt[place] = rng.integers(256)
-            sender.publish(bytes(spoilt))
+                    damaged[place] = rng.integers(256)
+            sender.publish(bytes(damaged))
             graph.spin()
     assert np.all(np.isfinite(simulator.simulator.plant.state))
     assert np.all(np.abs(simulator.simulator.speed_reference) <= 100.0)

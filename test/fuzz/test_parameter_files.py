@@ -30,8 +30,8 @@ VALUES = st.one_of(
 )
 
 
-class Passing(RunnableNode):
-    """Declares what the controller declares, and asks to end as soon as it is up."""
+class ShortNode(RunnableNode):
+    """Node with the parameters of the controller, which ends as soon as it runs."""
 
     def __init__(self) -> None:
         super().__init__("controller", automatically_declare_parameters_from_overrides=True)
@@ -46,12 +46,12 @@ class Passing(RunnableNode):
 
 def starts_or_reports(path: Path, text: bytes, capfd) -> None:
     path.write_bytes(text)
-    code = run(Passing, ["--ros-args", "--params-file", str(path)], "")
+    code = run(ShortNode, ["--ros-args", "--params-file", str(path)], "")
     output = capfd.readouterr().err
     assert code in (0, 1, 2)
     assert "Traceback" not in output
     if code:
-        assert output.strip(), "a node that does not start says why"
+        assert output.strip(), "a node that does not start prints the reason"
 
 
 FILES = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -75,6 +75,6 @@ def test_any_text(tmp_path, capfd, text) -> None:
 
 @pytest.mark.parametrize("missing", ["none.yaml", "."])
 def test_file_that_cannot_be_read(tmp_path, capfd, missing) -> None:
-    code = run(Passing, ["--ros-args", "--params-file", str(tmp_path / missing)], "")
+    code = run(ShortNode, ["--ros-args", "--params-file", str(tmp_path / missing)], "")
     output = capfd.readouterr().err
     assert code == 2 and "Traceback" not in output and "cannot start" in output

@@ -20,11 +20,11 @@ from sphere_nmpc.quantity import quantities
 from sphere_sim.cli import benchmark, demo, faults, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.recording.recorder_settings import RecorderSettings
-from sphere_sim.ros.session import goal_command as goal_publisher
+from sphere_sim.ros.session import goal_command
 
 PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "demo": demo.parse,
-    "goal": goal_publisher.parse,
+    "goal": goal_command.parse,
     "viewer": viewer._parse,
     "study": lambda words: study._parser().parse_args(words),
     "benchmark": benchmark._parse,
@@ -121,7 +121,7 @@ class Options(argparse.ArgumentParser):
 
 
 def check_ros(node: str | None, words: Sequence[str]) -> None:
-    """Check what follows --ros-args; without a node any node will do."""
+    """Check arguments after --ros-args; without a node, one with such parameters must exist."""
     parser = Options()
     for names in (("-p", "--param"), ("-r", "--remap")):
         parser.add_argument(*names, action="append", default=[], dest=names[1][2:])
@@ -160,7 +160,7 @@ def check_launch(words: Sequence[str]) -> None:
     file, *arguments = words or [""]
     if file != LAUNCH.name:
         raise WrongCommandError(f"{file}: no launch file of the package")
-    # The user's own file need not be here.
+    # A parameter file of the user need not exist.
     config = f"params_file:={ROOT}/config/sphere.yaml"
     words = [config if word.startswith("params_file:=") else word for word in arguments]
     try:

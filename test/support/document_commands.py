@@ -16,16 +16,16 @@ FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:(?<=\n\n)|\A)(?:(?: {4}.*)?\n)+", re.MULTILINE)
 SPAN = re.compile(r"`([^`]+)`")
 BEGINS_A_COMMAND = re.compile(r"(?:ros2|sphere_nmpc|make)\s+[\w-]|--ros-args\s|-[pr]\s|[\w.]+:=\S")
-"""In code within text, where most is no command."""
-WITHIN = re.compile(r"\$\(([^()]*)\)")
+"""Beginning of a command as inline code, which mostly is not a command."""
+SUBSTITUTION = re.compile(r"\$\(([^()]*)\)")
 SHELLS = ("", "sh", "bash", "console")
 NO_COMMAND = re.compile(r"\(|\S+ = ")
-"""Begins a formula, which is indented as a command is."""
+"""Beginning of a formula, which is indented like a command."""
 BEFORE_A_COMMAND = re.compile(r"do|sudo|[A-Z_]+=\S*")
 
 
 class Command(NamedTuple):
-    """A command that a document prints."""
+    """Command in a document."""
 
     document: str
     words: tuple[str, ...]
@@ -47,7 +47,7 @@ def all_commands() -> list[Command]:
 
 
 def commands(document: str, text: str) -> Iterator[Command]:
-    """Yield what a document has in code blocks, and in code within its text if it begins so."""
+    """Yield the commands in code blocks, and in inline code that begins like a command."""
     blocks = [block for language, block in FENCE.findall(text) if language in SHELLS]
     text = FENCE.sub("", text)
     blocks += INDENTED.findall(text)
@@ -63,10 +63,10 @@ def commands(document: str, text: str) -> Iterator[Command]:
 
 
 def split(line: str) -> Iterator[tuple[str, ...]]:
-    """Yield the simple commands of a shell line without what may stand before them."""
-    for within in WITHIN.findall(line):
-        yield from split(within)
-    lexer = shlex.shlex(WITHIN.sub("OUTPUT", line), posix=True, punctuation_chars=True)
+    """Yield the simple commands of a shell line, without keywords and assignments before them."""
+    for inner in SUBSTITUTION.findall(line):
+        yield from split(inner)
+    lexer = shlex.shlex(SUBSTITUTION.sub("OUTPUT", line), posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
     words: list[str] = []
     for word in [*lexer, ";"]:

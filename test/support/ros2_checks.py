@@ -102,7 +102,7 @@ def check_publication(words: Sequence[str]) -> None:
         )
 
 
-def check_listening(words: Sequence[str]) -> None:
+def check_subscription(words: Sequence[str]) -> None:
     parser = Options()
     parser.add_argument("topic")
     parser.add_argument("kind", nargs="?")

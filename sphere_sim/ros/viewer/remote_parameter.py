@@ -83,4 +83,4 @@ class RemoteParameter:
         results = getattr(future.result(), "results", None)
         if not results or not results[0].successful:
             self._on_refusal(results[0].reason if results else f"{self._name}: no answer")
-        self._polled = -_PERIOD  # request the value in force at once
+        self._polled = -_PERIOD  # request the value in force immediately

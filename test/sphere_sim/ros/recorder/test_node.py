@@ -102,7 +102,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
     # Publishers that are late, unknown beforehand or less reliable than expected:
     late = probe.create_publisher(Odometry, "odom", BEST_EFFORT)
     unknown = probe.create_publisher(String, "controller/anything", 10)
-    foreign = probe.create_publisher(String, "somebody_elses", 10)
+    foreign = probe.create_publisher(String, "another_topic", 10)
     graph.until(lambda: all(p.get_subscription_count() for p in (early, late, unknown)))
     while not {"/pose", "/odom", "/controller/anything"} <= recording.received():
         for publisher, message in (
@@ -116,7 +116,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
     counts = counted(recording.folder)
     assert counts["/controller/active_goal"] == 1
     assert min(counts[t] for t in ("/pose", "/odom", "/controller/anything")) > 0
-    assert "/somebody_elses" not in counts
+    assert "/another_topic" not in counts
     with Reader(recording.folder) as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
         custom = reader.storage.metadata.custom
@@ -173,8 +173,8 @@ def test_start_and_stop_make_separate_bags(graph, record) -> None:
     assert call("stop").success
     second = call("start")
     assert second.success and second.message.endswith("bag_1")
-    speaker = graph.publisher(DiagnosticArray, "/diagnostics")
-    speaker.publish(DiagnosticArray())
+    publisher = graph.publisher(DiagnosticArray, "/diagnostics")
+    publisher.publish(DiagnosticArray())
     recording.wait_for("/diagnostics", namespace="/left")
     recording.end()
     assert "/diagnostics" not in counted(recording.folder)

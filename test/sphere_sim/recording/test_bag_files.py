@@ -5,6 +5,7 @@
 import re
 import shutil
 import sqlite3
+from contextlib import closing
 
 import pytest
 from mcap.reader import make_reader
@@ -171,15 +172,19 @@ def test_file_without_content_is_refused(tmp_path, name, content, reason) -> Non
 
 def test_write_ahead_log_of_a_killed_recorder_is_read(rosbag2, messages) -> None:
     bag = rosbag2(messages(), "sqlite3", parts=1)
-    with sqlite3.connect(bag / "mine_0.db3") as writer:
+    with closing(sqlite3.connect(bag / "mine_0.db3")) as writer:
+        rows = writer.execute("SELECT topic_id, timestamp, data FROM messages").fetchall()
+        writer.execute("DELETE FROM messages WHERE id > 100")
+        writer.commit()
         writer.execute("PRAGMA journal_mode=WAL")
-        writer.execute("UPDATE messages SET timestamp = timestamp + 1")
+        writer.executemany(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows[100:]
+        )
         writer.commit()
         killed = bag.parent / "killed"
         shutil.copytree(bag, killed)
-        assert (killed / "mine_0.db3-wal").stat().st_size > 0
-    run, whole = read_run(killed), read_run(bag)
-    assert len(run.times) == len(whole.times) == 301
+    assert (killed / "mine_0.db3-wal").exists()
+    assert len(read_run(killed).times) == 301
 
 
 def test_names_with_special_characters_of_urls_are_read(rosbag2, messages) -> None:

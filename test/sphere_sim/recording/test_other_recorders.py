@@ -10,7 +10,6 @@ rounding may differ.
 
 import dataclasses
 import json
-import sqlite3
 import subprocess
 from itertools import product
 from pathlib import Path
@@ -20,8 +19,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -172,26 +169,3 @@ def test_rosbags_reads_the_bags_of_this_test(
     bag = rosbag2(logged, kind, compression)
     with Reader(bag) as reader:
         assert [log for _, log, _ in reader.messages()] == [entry[2] for entry in logged]
-
-
-def test_databases_have_the_tables_of_rosbag2(entries, rosbag2) -> None:
-    bag = rosbag2(entries, "sqlite3")
-    poses = 0
-    for number in range(2):
-        with sqlite3.connect(bag / f"mine_{number}.db3") as connection:
-            poses += connection.execute(
-                "SELECT count(*) FROM messages JOIN topics ON topics.id = topic_id "
-                "WHERE name = '/pose' AND type = 'geometry_msgs/msg/PoseStamped'"
-            ).fetchone()[0]
-    assert poses == sum(entry[0] == "/pose" for entry in entries)
-
-
-def test_mcap_reader_decodes_the_files_of_this_test(entries, rosbag2, own) -> None:
-    bag, stamps = rosbag2(entries, "mcap"), set()
-    for number in range(2):
-        with (bag / f"mine_{number}.mcap").open("rb") as stream:
-            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-            for message in reader.iter_decoded_messages(topics=["/pose"]):
-                stamp = message.decoded_message.header.stamp
-                stamps.add(stamp.sec + 1e-9 * stamp.nanosec)
-    assert same(sorted(stamps), read_run(own).times)

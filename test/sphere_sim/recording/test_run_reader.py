@@ -57,17 +57,6 @@ def test_single_file_and_folder_without_metadata_are_read(make_bag, messages) ->
     assert len(read_run(next(folder.glob("*.mcap"))).times) == 301
 
 
-@pytest.mark.parametrize("share", [0.9, 0.5])
-def test_truncated_mcap_is_read_up_to_its_end(make_bag, messages, share) -> None:
-    folder = make_bag(list(messages()) * 30, "mcap")  # several chunks
-    file = next(folder.glob("*.mcap"))
-    data = file.read_bytes()
-    file.write_bytes(data[: int(share * len(data))])
-    run = read_run(folder)
-    assert len(run.times) > 100
-    assert any("is truncated" in note for note in run.notes)
-
-
 def test_missing_topics_are_noted_and_the_rest_is_read(make_bag, messages) -> None:
     names = ("joint_states", "rotor_trajectory", "active_goal", "goal_pose", "status")
     run = read_run(make_bag(without(messages(), *names)))

@@ -34,11 +34,11 @@ _COLUMNS = {
 def measure(strategy: str, rate: float, hogged: int, duration: float) -> dict[str, Any]:
     """Run both nodes for a while and return the figures."""
     goals = itertools.cycle(scenario.goal for scenario in draw_scenarios(50, 3))
-    world: dict[str, object] = {"pose_rate": rate}
+    simulator: dict[str, object] = {"pose_rate": rate}
     controller: dict[str, object] = {
         "strategy": strategy, "control_rate": rate, "command_rate": 100.0,
     }
-    with running(world, controller, keep_poses=False) as observer, hogs(hogged):
+    with running(simulator, controller, keep_poses=False) as observer, hogs(hogged):
         observer.begin()
         _drive(observer, goals, duration)
         return {

@@ -71,12 +71,12 @@ def main() -> int:
     scenarios = draw_scenarios(options.draw, options.seed)
     about = machine()
     start = ", ".join(repr(float(value)) for value in scenarios[0].start)
-    world = {
+    simulator = {
         "initial_state": f"[{start}]", "real_time_factor": options.rtf, "clock": options.clock
     }
     runs = []
     print(f"{about['date']}, load {about['load_average']}\n{_HEADER}")
-    with running(world, {"strategy": options.strategy}) as observer:
+    with running(simulator, {"strategy": options.strategy}) as observer:
         observer.begin()
         for number, scenario in enumerate(scenarios):
             run = one_run(observer, scenario.goal, options.longest)

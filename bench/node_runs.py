@@ -31,6 +31,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.conversions import pose_from_ros
+from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.process_set import ProcessSet
@@ -39,7 +40,7 @@ from sphere_sim.ros.session.serving import serve_until
 PATIENCE = 60.0
 """How long nodes on a busy machine may take to be ready [s]."""
 _RADIUS = 0.3
-_PRIORITY = {"thread_priority": 1}
+_PRIORITY: dict[str, object] = {"thread_priority": 1}
 """Parameters of the measured nodes, where the system allows it."""
 
 
@@ -131,10 +132,11 @@ def running(
 ) -> Iterator[Observer]:
     """Run both nodes with these parameters; yield their observer, with time paused."""
     on_system_clock = simulator.get("clock") == "system"
-    paused, follow = {"start_paused": not on_system_clock}, {"use_sim_time": not on_system_clock}
+    paused: dict[str, object] = {"start_paused": not on_system_clock}
+    follow: dict[str, object] = {"use_sim_time": not on_system_clock}
     with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
-        nodes.start("simulator", _arguments({**_PRIORITY, **paused, **simulator}))
-        nodes.start("controller", _arguments({**_PRIORITY, **follow, **controller}))
+        for verb, own in (("simulator", paused | simulator), ("controller", follow | controller)):
+            nodes.start(verb, ["--ros-args", *parameter_options(_PRIORITY | own)])
         rclpy.init()
         try:
             yield Observer(nodes, keep_poses)
@@ -171,14 +173,6 @@ def write_json(options: argparse.Namespace, result: dict[str, object]) -> None:
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(result, indent=2) + "\n")
-
-
-def _arguments(parameters: dict[str, object]) -> list[str]:
-    given = []
-    for name, value in parameters.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        given += ["-p", f"{name}:={text}"]
-    return ["--ros-args", *given]
 
 
 def _stamp(raw: bytes) -> float:

@@ -35,7 +35,7 @@ Solve = tuple[HoldProblem, Vector, SolverSettings]
 
 
 def problems_of(strategy: str) -> list[Solve]:
-    """Return the solves of a strategy on the way to random goals: problem, start, settings."""
+    """Return the solves of a strategy in runs to random goals: problem, start, settings."""
     solves: list[Solve] = []
     solve = HoldSolver.solve
 

@@ -63,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with if_interrupted(remains), _folder(given.out) as folder, own_domain():
             for outcome in chain(
-                _run_trials(trials, _settings(given, folder), console),
+                _run_trials(
+                    trials, SessionSettings(folder, given.rtf, given.seed, given.strategy), console
+                ),
                 _run_machine_faults(machines, console),
             ):
                 outcomes.append(outcome)
@@ -81,7 +83,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc faults",
         description="Run simulator, controller and recorder as separate ROS 2 nodes, cause a "
-        "fault on the way to a goal, and judge how they recover. Exits 0 when every trial was "
+        "fault during a run to a goal, and evaluate the recovery. Exits 0 when every trial was "
         "survived.",
         epilog="groups: " + ", ".join(groups) + "; faults: " + ", ".join(known),
     )
@@ -91,9 +93,10 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--fault", nargs="+", action="extend", default=[], metavar="NAME",
                         choices=[*groups, *known], help="only these faults or groups of faults")
     parser.add_argument("--pairs", nargs="?", type=whole(1), const=_PAIRS, default=0, metavar="N",
-                        help=f"then N pairs at once, drawn by the seed (default: {_PAIRS})")
+                        help="then N pairs of simultaneous faults, drawn by the seed "
+                        f"(default: {_PAIRS})")
     parser.add_argument("--repeat", type=whole(1), default=1, metavar="N",
-                        help="try each fault N times, on the way to other goals")
+                        help="try each fault N times, each time with another goal")
     parser.add_argument("--seed", type=whole(0), default=0,
                         help="of all that is random (default: 0)")
     parser.add_argument("--rtf", type=float, default=2.0, metavar="F",
@@ -122,10 +125,6 @@ def _folder(given: Path | None) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _settings(given: argparse.Namespace, folder: Path) -> SessionSettings:
-    return SessionSettings(folder, given.rtf, given.seed, given.strategy)
 
 
 def _run_trials(

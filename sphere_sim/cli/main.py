@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``sphere_nmpc`` command, which passes the arguments after a verb to its module.
 
-Modules are imported only when their verb is called, so that the command starts at once and
+Modules are imported only when their verb is called, so that the command starts quickly and
 needs no more than what the verb needs. Each verb is an executable of its own too, for
 ``ros2 run``: started by the name of a verb, the command uses that as its first word.
 ``--debug``, before or after the verb, shows the traceback of an error.
@@ -54,14 +54,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     signals, output = Signals(), Output()
     if argv is not None:
         return _run(argv, signals)
-    signals.exit_at_once()
+    signals.exit_immediately()
     output.install()
     # Without matplotlib's messages about its font cache.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         code = _run(of_process(), signals)
     finally:
-        signals.exit_at_once()
+        signals.exit_immediately()
     failure = output.failure()
     if failure:
         print(f"sphere_nmpc: {failure}", file=sys.stderr)
@@ -105,7 +105,7 @@ def _without_debug(argv: Sequence[str]) -> tuple[list[str], bool]:
 
 
 def of_process() -> list[str]:
-    """Return the words of this process: `report ...` stands for `sphere_nmpc report ...`."""
+    """Return the words of this process: `report ...` means `sphere_nmpc report ...`."""
     name = os.path.splitext(os.path.basename(sys.argv[0]))[0]  # on Windows there is a suffix
     return [name, *sys.argv[1:]] if name in VERBS else sys.argv[1:]
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Standard output and standard error whose loss does not end the command.
 
-A pipe whose reader has gone (``| head -1``) or a full disk makes a write fail. The command then
+A pipe whose reader has ended (``| head -1``) or a full disk makes a write fail. The command then
 continues, so that its results are kept, and further output is discarded.
 """
 
@@ -54,7 +54,7 @@ class Output:
         sys.stderr = self._lossy(sys.stderr, 2)
 
     def failure(self) -> str:
-        """Return why standard output was lost; empty if it was not, or if its reader has gone."""
+        """Return why standard output was lost; empty if it was not, or if its reader has ended."""
         sys.stdout.flush()
         error = self._files[0].failure if self._files else None
         if error is None or error.errno == errno.EPIPE:

@@ -21,9 +21,9 @@ _DEPTH = 3
 class Signals:
     """The handlers of a command's process.
 
-    While modules are loaded a signal ends the process at once: nothing has been started yet, and
-    a module may replace a KeyboardInterrupt during its import by another exception. After that a
-    signal raises KeyboardInterrupt. Where that would be lost, the signal is repeated a little
+    While modules are loaded a signal ends the process immediately: nothing has been started yet,
+    and a module may replace a KeyboardInterrupt during its import by another exception. After that
+    a signal raises KeyboardInterrupt. Where that would be lost, the signal is repeated a little
     later: in a finaliser, which cannot raise, and in CasADi's bindings, which replace an exception
     while they convert arguments. A signal that is ignored from the start, as in the background of
     a shell script, stays ignored.
@@ -35,7 +35,7 @@ class Signals:
         self.ended = False
         """Whether the verb has ended, after which signals are ignored."""
 
-    def exit_at_once(self) -> None:
+    def exit_immediately(self) -> None:
         """End the process on a signal from now on: before the work has begun, or after its end."""
         for number in STOPPING:
             if signal.getsignal(number) is not signal.SIG_IGN:

@@ -21,15 +21,15 @@ DISTURBED_CASE = 4
 PROCESS_NOISE = 3e-4
 """Standard deviation of W(k) in case 4 [m, -].
 
-The paper does not print its own. With this one its controller does what the paper says, it keeps
-the sphere near the goal; with 1e-3 it does not.
+The paper does not give its value. With this one Algorithm 1 keeps the sphere near the goal, as in
+the paper; with 1e-3 it does not.
 """
 PERTURBATION = 0.03
 """Largest relative error of a parameter in case 4."""
 HOLD = 2.0
 """How long the error has to stay below the tolerance for a run to have arrived [s]."""
 LINGER = 10.0
-"""How long a disturbed run goes on after it has arrived [s]."""
+"""How long a disturbed run continues after it has arrived [s]."""
 NEIGHBOURHOOD = 0.05
 """A disturbed run has arrived when its error stays below this [mixed units]."""
 ARRIVED = 1e-2
@@ -67,7 +67,7 @@ class DemoPlan:
     disturbed : bool
         Whether there is noise, under which the error does not settle below `ARRIVED`.
     linger : float
-        How long the run goes on after it has arrived [s, simulated].
+        How long the run continues after it has arrived [s, simulated].
     """
 
     scenario_title: str

@@ -16,7 +16,7 @@ from sphere_sim.recording.run import Run
 
 
 def neighbourhood(run: Run, plan: DemoPlan) -> dict[str, float | None]:
-    """Return from when on the error stayed within the plan's tolerance, and how large it was.
+    """Return the time of arrival within the plan's tolerance, and the error from then on.
 
     Returns
     -------
@@ -84,12 +84,12 @@ def _how(name: str, plan: DemoPlan) -> str:
 
 def _words(run: Run, plan: DemoPlan) -> list[tuple[str, str]]:
     metrics, near = _measured(run), neighbourhood(run, plan)
-    settled = f"{metrics.settle_time_s:.2f} s" if metrics.settled else "not below to the end"
+    settled = f"{metrics.settle_time_s:.2f} s" if metrics.settled else "not settled"
     rows = [("settling time (error < 1e-2)", settled)]
     if plan.disturbed:
         # Under noise the error does not settle below 1e-2, but it stays in a neighbourhood.
         since, usual, most = near["within_s"], near["p95_error_after"], near["max_error_after"]
-        words = "not to the end" if since is None else f"{since:.2f} s"
+        words = "not settled" if since is None else f"{since:.2f} s"
         rows = [(f"error < {plan.tolerance:g} from", words)]
         for name, value in (("95th percentile", usual), ("largest error", most)):
             rows.append((f"{name} from then on", "-" if value is None else f"{value:.3f}"))

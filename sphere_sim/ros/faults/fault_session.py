@@ -23,7 +23,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.faults.monitor import FaultMonitor
 from sphere_sim.ros.faults.proxy import REMAPPED, FaultProxy
-from sphere_sim.ros.session.child_process import module_command, verb_command
+from sphere_sim.ros.session.child_process import module_command, parameter_options, verb_command
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
@@ -115,9 +115,9 @@ class FaultSession:
         }
         if name == "recorder":
             parameters[name]["output"] = str(next(self._bags))
-        given = [f"{key}:={_text(value)}" for key, value in parameters[name].items()]
-        remapped = [f"{old}:={new}" for old, new in REMAPPED.get(name, {}).items()]
-        return ["--ros-args", *_each("-p", given), *_each("-r", remapped)]
+        remapped = REMAPPED.get(name, {}).items()
+        remappings = [part for old, new in remapped for part in ("-r", f"{old}:={new}")]
+        return ["--ros-args", *parameter_options(parameters[name]), *remappings]
 
     def start(self, name: str) -> None:
         """Start a node, for the first time or again."""
@@ -219,11 +219,3 @@ def fault_session(settings: SessionSettings) -> Iterator[FaultSession]:
             session.close()
     finally:
         rclpy.try_shutdown()
-
-
-def _each(option: str, values: list[str]) -> list[str]:
-    return [part for value in values for part in (option, value)]
-
-
-def _text(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphere_sim.faults.outcome import Outcome
-from sphere_sim.ros.faults.scratch_home import RunningCommand, ScratchHome
+from sphere_sim.ros.faults.scratch_home import ScratchHome
 
 NOWHERE = "/dev/null"
 """A file: no folder can be created below it, not even by root."""
@@ -215,7 +215,8 @@ def _foreign_page(home: ScratchHome) -> Complaints:
         _send_garbage(int(port))
         if _status(int(port), path or "/", "") not in _SERVED:
             found.append("no page after garbage")
-        return found + _after_interrupt(viewer)
+        viewer.interrupt()
+        return found + viewer.result().complaints(0)
 
 
 def _handshakes(port: int, path: str) -> Complaints:
@@ -244,11 +245,6 @@ def _send_garbage(port: int) -> None:
     for garbage in (b"\x00" * 64, b"GET / HTTP/9.9\r\n\r\n", os.urandom(2000), b"\r\n\r\n"):
         with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
             link.sendall(garbage)
-
-
-def _after_interrupt(command: RunningCommand) -> Complaints:
-    command.interrupt()
-    return command.result().complaints(0)
 
 
 def _far_start(home: ScratchHome) -> Complaints:

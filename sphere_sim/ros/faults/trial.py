@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One trial: a fault on the way to a goal, and the judgement of what followed."""
+"""One trial: a fault during a run to a goal, and the evaluation of the recovery."""
 
 import math
 import time
@@ -18,7 +18,7 @@ from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.goal_run import GoalRun, wait_until_settled
 
 UNDER_WAY = 1.5
-"""Simulated time on the way to the goal before the fault [s]."""
+"""Simulated time from the confirmation of the goal to the beginning of the fault [s]."""
 _DEADLINE = 90.0
 """Simulated time from the end of the fault after which the goal is given up [s]."""
 _STALL_TIMEOUT = 60.0
@@ -32,7 +32,7 @@ instant detects that, the ramp follows. On a busy machine this takes longer.
 
 
 class Trial:
-    """A trial of one fault, or of several at once.
+    """A trial of one fault, or of several together.
 
     Parameters
     ----------

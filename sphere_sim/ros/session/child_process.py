@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ _LAST_LINES = 12
 def verb_command(verb: str, *arguments: str) -> list[str]:
     """Return the command line of ``sphere_nmpc VERB ARGUMENTS`` as a child of this process.
 
-    The process ends when this one dies, however that happens.
+    The process ends when this one ends, for whatever reason.
     """
     return module_command("sphere_sim.cli.child", verb, *arguments)
 
@@ -34,7 +34,16 @@ def module_command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-m", module, str(os.getpid()), *arguments]
 
 
-class ChildDiedError(SphereNmpcError):
+def parameter_options(parameters: Mapping[str, object]) -> list[str]:
+    """Return the ROS arguments ``-p NAME:=VALUE`` of parameters."""
+    texts = {
+        name: str(value).lower() if isinstance(value, bool) else str(value)
+        for name, value in parameters.items()
+    }
+    return [part for name, text in texts.items() for part in ("-p", f"{name}:={text}")]
+
+
+class ChildEndedError(SphereNmpcError):
     """A child process ended unexpectedly.
 
     Parameters
@@ -63,7 +72,7 @@ class ChildProcess:
     command : sequence of str
         Program and arguments, see `verb_command`.
     log : Path
-        File for standard error, and for standard output unless `options` say where that goes.
+        File for standard error, and for standard output unless `options` redirect it.
     append : bool, optional
         Whether to keep what an earlier object has written to the log.
     **options
@@ -158,15 +167,15 @@ class ChildProcess:
 
         Raises
         ------
-        ChildDiedError
+        ChildEndedError
             With the last lines of its output.
         """
         if self.code is not None:
-            raise ChildDiedError(self)
+            raise ChildEndedError(self)
 
 
 def stop_together(processes: Sequence[ChildProcess]) -> None:
-    """End several processes at the same time, and wait until they are gone."""
+    """End several processes at the same time, and wait for their end."""
     for process in processes:
         process.send(signal.SIGCONT)  # a stopped process would not handle what follows
     for number, patience in _STOPPING:

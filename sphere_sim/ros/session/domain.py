@@ -31,7 +31,7 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
     Parameters
     ----------
     loopback : bool, optional
-        Whether to use the loopback alone, rather than what the environment says.
+        Whether to use the loopback alone, rather than the network that the environment selects.
     domains : sequence of int, optional
         Candidates where it is not set, in this order.
 

@@ -31,7 +31,7 @@ participant finds them within 0.3 s, or else after the 3 s between two announcem
 of 30 participants 18 were quick, so that several participants are better than a long search.
 """
 _NAMES = 0.2
-"""How long a search goes on after the first publisher was found, to name all of them [s]."""
+"""How long a search continues after its first publisher was found, to name all [s]."""
 _PERIOD = 0.02
 FOUND = 3
 """Exit code where publishers were found."""
@@ -74,7 +74,7 @@ def find_publishers(namespace: str = "/", topics: Sequence[str] = TOPICS) -> lis
 def _search(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
     start_ros([], quiet=True)
     try:
-        node = rclpy.create_node("lookout", namespace=namespace, start_parameter_services=False)
+        node = rclpy.create_node("search", namespace=namespace, start_parameter_services=False)
         try:
             end, found = time.monotonic() + seconds, False
             while (now := time.monotonic()) < end:

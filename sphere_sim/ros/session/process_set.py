@@ -13,7 +13,7 @@ from sphere_sim.ros.session.child_process import ChildProcess, stop_together, ve
 class ProcessSet:
     """Child processes by name, all of which are ended when the context is left.
 
-    A second Ctrl-C while they are being ended is ignored, as it would leave orphans.
+    A second Ctrl-C while they are being ended is ignored, as it would leave processes behind.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class ProcessSet:
 
         Raises
         ------
-        ChildDiedError
+        ChildEndedError
             With the last lines of its output.
         """
         for process in self:

@@ -73,8 +73,8 @@ class CommandReceiver:
         simulator = self._simulator
         try:
             epoch = self._epoch()
-            at_once = 0 if self._zero_is_time else epoch + simulator.now
-            hold = hold_from_trajectory(message, at_once, epoch)
+            unstamped = 0 if self._zero_is_time else epoch + simulator.now
+            hold = hold_from_trajectory(message, unstamped, epoch)
         except InvalidInputError as error:
             self._fault_log.report("rotor_trajectory refused", str(error))
             return
@@ -96,7 +96,7 @@ class CommandReceiver:
             return
         fastest = max(np.abs(hold.speeds).max(), np.abs(simulator.speed_reference).max())
         if hold.end < simulator.time - 1e-9 and fastest > _NEGLIGIBLE_SPEED:
-            # It may be a delayed ramp to rest: the command that it replaces must not go on.
+            # It may be a delayed ramp to rest: the command that it replaces must not continue.
             self._fault_log.report(
                 "rotor_trajectory late",
                 f"given an end {simulator.time - hold.end:.6g} s ago; the rotors ramp to rest",

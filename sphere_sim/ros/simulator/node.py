@@ -125,7 +125,7 @@ class SimulatorNode(RunnableNode):
         return self._scheduling.settings.thread_priority if is_slow else 0
 
     def work(self, executor: Executor) -> None:
-        """Advance to the next instant if it is due, and call the executor now and then."""
+        """Advance to the next instant if it is due, and call the executor at intervals."""
         wall = time.monotonic()
         timeouts = self._simulated_clock.timeouts
         wait = self._simulated_clock.wait(self.simulator.now, wall, self._controller_found)
@@ -198,7 +198,7 @@ class SimulatorNode(RunnableNode):
         self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
-            f"{self._settings.lockstep_timeout:g} s; time goes on without it",
+            f"{self._settings.lockstep_timeout:g} s; time continues without it",
         )
 
     def _change(self, settings: SimulatorSettings) -> None:

@@ -146,7 +146,7 @@ def main(argv):
     end = time.monotonic() + 60.0
     state, speeds = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (np.zeros(2), np.ones(2))
     while time.monotonic() < end:
-        # The next signal comes as soon as this is read, and must not be met before the `try`.
+        # The next signal is sent once this line is read; it must not arrive before the `try`.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         print("up", flush=True)
         try:
@@ -170,7 +170,7 @@ def test_no_signal_is_lost_in_the_bindings_of_casadi(roll) -> None:
 
 
 def test_signal_that_is_ignored_from_the_start_stays_ignored(roll) -> None:
-    # It goes on until its standard input is closed, which is after the signal.
+    # It runs until its standard input is closed, which is after the signal.
     source = WAITING.format(during_import="import sys", call="sys.stdin.read()")
     ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)}
     process = roll(source, stdin=subprocess.PIPE, **ignoring)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A strategy that goes wrong on demand never gets a command beyond the limits through."""
+"""A strategy that fails on demand never causes a command beyond the limits."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ GOAL = np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.8])
     [("", Mode.TRACKING), ("raise", Mode.FALLBACK), ("nan", Mode.FALLBACK),
      ("nothing", Mode.FALLBACK), ("wild", Mode.TRACKING), ("late", Mode.TRACKING)],
 )
-def test_controller_says_what_it_does_and_keeps_the_limits(tmp_path, mode, expected) -> None:
+def test_controller_reports_its_mode_and_keeps_the_limits(tmp_path, mode, expected) -> None:
     mode_file = tmp_path / "mode"
     controller = Controller(
         SETTINGS, ROBOT, BadStrategy(make_strategy(SETTINGS, ROBOT), mode_file)

@@ -51,7 +51,7 @@ def test_faults_are_selected_by_their_names_and_groups() -> None:
     assert names == ["pose_nan", "goal_burst", "goal_unreachable", "goal_malformed"]
 
 
-def test_pairs_are_those_of_the_seed_and_none_comes_twice() -> None:
+def test_pairs_are_those_of_the_seed_and_none_is_drawn_twice() -> None:
     drawn = pairs(FAULTS.values(), 20, seed=5)
     assert drawn == pairs(FAULTS.values(), 20, seed=5)
     assert drawn != pairs(FAULTS.values(), 20, seed=6)

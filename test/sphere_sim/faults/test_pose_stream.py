@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Each disturbance changes the poses as its name says, and nothing else."""
+"""Each disturbance changes the poses according to its name, and nothing else."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def sample(number: int) -> PoseSample:
 
 
 def passed(*given: dict, seed: int = 1) -> list[tuple[int, PoseSample]]:
-    """Return what comes out, each with the number of the period in which it does."""
+    """Return the samples that leave the stream, each with the number of its period."""
     stream = PoseStream(np.random.default_rng(seed))
     stream.disturbances.extend(make_disturbance(options) for options in given)
     out = []
@@ -52,7 +52,7 @@ def test_shuffled_samples_overtake_each_other_and_none_is_lost() -> None:
     assert sorted(stamps) == [number * PERIOD for number in range(COUNT)]
 
 
-def test_duplicated_samples_come_at_once() -> None:
+def test_duplicated_samples_arrive_at_the_same_time() -> None:
     out = passed({"disturbance": "duplicated", "times": 3})
     assert out == [(number, sample(number)) for number in range(COUNT) for _ in range(3)]
 
@@ -64,9 +64,9 @@ def test_stamps_are_moved_ahead() -> None:
 
 def test_one_number_of_a_share_is_not_finite() -> None:
     out = passed({"disturbance": "not_finite", "share": 0.3})
-    spoilt = [np.count_nonzero(~np.isfinite(left.values)) for _, left in out]
-    assert set(spoilt) == {0, 1}
-    assert 30 <= sum(spoilt) <= 90
+    corrupted = [np.count_nonzero(~np.isfinite(left.values)) for _, left in out]
+    assert set(corrupted) == {0, 1}
+    assert 30 <= sum(corrupted) <= 90
 
 
 def test_flipped_quaternions_are_the_same_rotation() -> None:

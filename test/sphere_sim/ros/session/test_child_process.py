@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from sphere_sim.ros.session.child_process import (
-    ChildDiedError,
+    ChildEndedError,
     ChildProcess,
     module_command,
     verb_command,
@@ -35,7 +35,7 @@ if "spawning" in words:
     print("child", subprocess.Popen(["sleep", "60"]).pid)
 print("up", *words, flush=True)
 if "fail" in words:
-    raise ValueError("as asked")
+    raise ValueError("on demand")
 time.sleep(60)
 """
 
@@ -148,7 +148,8 @@ def test_unexpected_end_of_a_verb_quotes_its_output(tmp_path) -> None:
         node = processes.start("simulator", ["--nonsense"])
         processes.start("simulator", ["--help"], within=["nice"], name="helper")
         node.wait(PATIENCE)
-        with pytest.raises(ChildDiedError, match=r"simulator ended, exit code 2.*\n.*--nonsense"):
+        assert processes["helper"].wait(PATIENCE) == 0
+        with pytest.raises(ChildEndedError, match=r"simulator ended, exit code 2.*\n.*--nonsense"):
             processes.check()
 
 

@@ -73,7 +73,7 @@ def test_a_domain_that_is_set_and_empty_is_taken() -> None:
         assert domain == SESSION
 
 
-def test_a_domain_that_is_none_is_refused(monkeypatch) -> None:
+def test_a_domain_that_is_not_a_number_is_refused(monkeypatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
     with pytest.raises(RosEnvironmentError, match="given 'abc'"), own_domain():
         pass

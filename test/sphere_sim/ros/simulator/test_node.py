@@ -116,7 +116,7 @@ def test_rotors_ramp_to_rest_when_commands_stop(graph) -> None:
     assert commanded[-1] - commanded[0] == pytest.approx(0.5 + 0.15, abs=0.05)
 
 
-def test_trajectory_goes_first_and_names_are_matched(graph) -> None:
+def test_trajectory_takes_precedence_and_names_are_matched(graph) -> None:
     simulator(graph, real_time_factor=5.0)
     joints = graph.collect(JointState, "joint_states")
     commands = graph.publisher(Float64MultiArray, "rotor_commands")

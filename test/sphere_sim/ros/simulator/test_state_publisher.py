@@ -20,9 +20,9 @@ def test_transform_is_published_if_there_is_a_subscriber(graph, monkeypatch) -> 
                 self.header, self.child_frame_id = transforms[0].header, "base_link"
 
     monkeypatch.setattr(state_publisher, "TFMessage", StandIn)
-    world = StatePublisher(graph.probe, 0.3)
+    publisher = StatePublisher(graph.probe, 0.3)
     received = graph.collect(TransformStamped, "/tf")
-    graph.until(lambda: world._transforms.get_subscription_count() > 0)
-    world.publish(Simulator(SimulatorSettings(), RobotParameters()))
+    graph.until(lambda: publisher._transforms.get_subscription_count() > 0)
+    publisher.publish(Simulator(SimulatorSettings(), RobotParameters()))
     graph.until(lambda: received)
     assert (received[0].header.frame_id, received[0].child_frame_id) == ("world", "base_link")

@@ -239,6 +239,11 @@ def test_unbalanced_robot_falls_over():
     assert angle_error(trimmed.state, ORIGIN) < 1e-6
 
 
+def test_shell_too_light_to_balance_the_robot_is_refused():
+    with pytest.raises(InvalidParameterError, match="shell_inertia"):
+        RigidBodyPlant(RobotParameters(shell_mass=0.01, rotor_mass=2.0), ORIGIN)
+
+
 def test_diverged_state_is_an_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
     plant = RigidBodyPlant(ROBOT, ORIGIN)

@@ -1,19 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The exported model against the robot's parameters."""
+"""The shipped URDF against its generator and the robot's parameters."""
 
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from robot_description import FILE, make_urdf
 
-from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.world.plant.rigid_body.bodies import build_mechanism
-from sphere_sim.world.plant.rigid_body.urdf import make_urdf
 
-ROOT = Path(__file__).parents[4]
 ROBOT = RobotParameters()
 
 
@@ -22,8 +18,8 @@ def numbers(element, name):
 
 
 def test_shipped_file_is_what_the_generator_writes():
-    shipped = (ROOT / "urdf" / "sphere.urdf").read_text()
-    assert shipped == make_urdf(ROBOT), "run python -m sphere_sim.world.plant.rigid_body.urdf"
+    expected = make_urdf(ROBOT)
+    assert FILE.read_text() == expected, "run python bench/documents/robot_description.py"
 
 
 @pytest.mark.parametrize("robot", [ROBOT, RobotParameters(rotor_mass=0.8, shell_inertia=0.05)])
@@ -65,8 +61,3 @@ def test_links_make_one_tree_below_the_base():
     children = [joint.find("child").get("link") for joint in root.iter("joint")]
     assert len(children) == len(set(children))
     assert links - set(children) == {"base_link"}
-
-
-def test_shell_too_light_for_the_trim_is_refused():
-    with pytest.raises(InvalidParameterError, match="shell_inertia"):
-        build_mechanism(RobotParameters(shell_mass=0.01, rotor_mass=2.0))

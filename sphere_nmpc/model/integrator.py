@@ -86,6 +86,30 @@ def step_function() -> ca.Function:
     return ca.Function("cf4_step", [x, u_start, u_end, h, p], [x_end])
 
 
+@cache
+def tangent_step_function(directions: int) -> ca.Function:
+    """Return the CasADi function of one step with its derivatives along D = `directions`.
+
+    Signature ``(q, u_start, u_end, h, p, dq, du_start, du_end) -> (dxy, q_end, ddxy, dq_end)``;
+    the seeds dq (4, D), du_start and du_end (2, D) and the derivatives have one column for each
+    direction. The motion does not depend on the position.
+    """
+    q, p, h = ca.SX.sym("q", 4), ca.SX.sym("p", 4), ca.SX.sym("h")
+    u_start, u_end = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2)
+    dq = ca.SX.sym("dq", 4, directions)
+    du_start = ca.SX.sym("du_start", 2, directions)
+    du_end = ca.SX.sym("du_end", 2, directions)
+    displacement, q_end = cf4_step(q, u_start, u_end, h, p)
+    variables = ca.vertcat(q, u_start, u_end)
+    seeds = ca.vertcat(dq, du_start, du_end)
+    tangent = ca.jtimes(ca.vertcat(displacement, q_end), variables, seeds)
+    return ca.Function(
+        "tangent_step",
+        [q, u_start, u_end, h, p, dq, du_start, du_end],
+        [displacement, q_end, tangent[0:2, :], tangent[2:6, :]],
+    )
+
+
 def integrate(
     state: Vector,
     u_start: Vector,

@@ -87,9 +87,10 @@ static int dense_step(workspace *w, double damping, int64_t size)
     return 1;
 }
 
-/* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 6 x 6 system (Woodbury's
- * formula). */
-static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end, int64_t size)
+/* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 6 x 6 system
+ * (Woodbury's formula). */
+static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end,
+                       int64_t size)
 {
     double small[6 * 6], error[6], *z = w->solved;
     for (int l = 0; l < 6; l++)

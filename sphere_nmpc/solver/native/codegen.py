@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""C code of the integration step, generated from the CasADi expressions of the reference.
+"""C code of the integration step, generated from the CasADi expressions of the model.
 
 CasADi's code generator supports one number type. Here a nominal value is a ``double`` and a
 derivative a ``tangent``, a few vector registers that hold the derivatives along all directions, so
@@ -11,7 +11,7 @@ is only ever added to a tangent or scaled by a number. ``vectors.h`` defines the
 
 import casadi as ca
 
-from sphere_nmpc.solver.reference.shooting import tangent_step_function
+from sphere_nmpc.model.integrator import tangent_step_function
 
 _NOMINAL_INPUTS = 5
 """q, u_start, u_end, h, p come first in `tangent_step_function`; the seeds follow."""

@@ -122,7 +122,7 @@ def compile_library(commands: list[list[str]], sources: dict[str, str], folder: 
     failures: list[str] = []
     with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as name:
         work = Path(name)
-        # A full disk is found out here, as each compiler reports it in words of its own.
+        # A full disk is detected here, as compilers report it in different ways.
         trial = work / "space"
         trial.write_bytes(bytes(_DISK_SPACE))
         trial.unlink()

@@ -47,7 +47,6 @@ _GENERATORS = (
     ("sphere_nmpc.model", "symbolic_rotation.py"),
     ("sphere_nmpc.model", "dynamics.py"),
     ("sphere_nmpc.model", "integrator.py"),
-    ("sphere_nmpc.solver.reference", "shooting.py"),
     ("sphere_nmpc.solver.native", "codegen.py"),
 )
 """Modules that decide the text of ``kernels.h``."""

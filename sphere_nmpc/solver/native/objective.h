@@ -1,7 +1,7 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Cost, gradient and Gauss-Newton Hessian, as in reference/objective.py.
+ * Cost, gradient and Gauss-Newton Hessian, as in sphere_nmpc/solver/reference/objective.py.
  *
  * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 6 plus D, tridiagonal
  * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed.
@@ -24,7 +24,8 @@ static double slew_excess(const problem *p, const double *inputs, int64_t i)
     return (change - clip(change, -limit, limit)) / p->input_scale;
 }
 
-static double cost_of(const problem *p, const double *v, const double *inputs, const double *states)
+static double cost_of(const problem *p, const double *v, const double *inputs,
+                      const double *states)
 {
     const int64_t n = p->intervals;
     double terminal = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;

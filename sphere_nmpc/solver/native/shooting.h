@@ -39,7 +39,8 @@ void hold_roll_out(int64_t intervals, double max_step, const double *constants,
 /* Direction `d` alone. */
 static tangent unit(int d)
 {
-    const double lanes[DIRECTIONS] = {d == 0, d == 1, d == 2, d == 3, d == 4, d == 5, d == 6, d == 7};
+    const double lanes[DIRECTIONS] = {d == 0, d == 1, d == 2, d == 3,
+                                      d == 4, d == 5, d == 6, d == 7};
     tangent t;
     memcpy(&t, lanes, sizeof t);
     return t;

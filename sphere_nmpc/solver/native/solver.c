@@ -1,8 +1,9 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The Levenberg-Marquardt iteration of numpy_backend/levenberg_marquardt.py in C, with the same
- * steps; that file explains the method. Nothing is allocated: the caller provides the memory.
+ * The Levenberg-Marquardt iteration of solver/numpy_backend/levenberg_marquardt.py in C,
+ * with the same steps; that file explains the method. Nothing is allocated: the caller provides
+ * the memory.
  *
  * problem.h and kernels.h are generated, by layout.py and codegen.py.
  */
@@ -104,8 +105,8 @@ void hold_solve(problem *p)
     p->solve_time = now() - began;
 }
 
-/* For tests of the derivatives: cost, gradient (2 N), Hessian (2 N x 2 N) and sensitivities ((N + 1) x 6 x 2 N, by
- * scaled inputs) at the start. */
+/* For tests of the derivatives: cost, gradient (2 N), Hessian (2 N x 2 N) and sensitivities
+ * ((N + 1) x 6 x 2 N, by scaled inputs) at the initial guess. */
 void hold_expand(problem *p, double *gradient, double *hessian, double *sensitivities)
 {
     workspace w;

@@ -47,8 +47,8 @@ class Horizon:
     columns : ndarray, shape (S, COLUMN)
         What `shooting_function` is given for each step.
     shooting : Shooting
-        Results of the last call of `states`; shared by the horizons of a thread whose number of
-        steps is rounded_size to the same size.
+        Results of the last call of `states`; shared by the horizons of a thread whose numbers of
+        steps have the same `rounded_size`.
     """
 
     def __init__(self, durations: Vector, constants: Vector, max_step: float) -> None:

@@ -5,7 +5,6 @@
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.numpy_backend.quadratic_model import DenseModel
 from sphere_nmpc.solver.problem import HoldProblem
 from sphere_nmpc.solver.reference.shooting import roll_out, roll_out_with_sensitivity
 
@@ -41,8 +40,8 @@ def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:
     return excess
 
 
-def expand(problem: HoldProblem, scaled: Vector) -> DenseModel:
-    """Return gradient and Gauss-Newton Hessian of the cost at scaled knots v, shape (2 N,).
+def expand(problem: HoldProblem, scaled: Vector) -> tuple[Vector, Vector]:
+    """Return gradient, (2 N,), and Gauss-Newton Hessian, (2 N, 2 N), of the cost at v, (2 N,).
 
     Second derivatives of the states are left out.
     """
@@ -60,7 +59,7 @@ def expand(problem: HoldProblem, scaled: Vector) -> DenseModel:
             hessian += 2.0 * weights[m - 1] * jacobian.T @ jacobian
     if problem.slew_weight > 0.0:
         _add_slew(problem, inputs, gradient, hessian)
-    return DenseModel(gradient, hessian)
+    return gradient, hessian
 
 
 def _add_slew(problem: HoldProblem, inputs: Vector, gradient: Vector, hessian: Vector) -> None:

@@ -2,41 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Single shooting: states and sensitivities along a first-order hold, on CasADi's VM."""
 
-from functools import cache
-
-import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.integrator import cf4_step, steps_for
+from sphere_nmpc.model.integrator import steps_for, tangent_step_function
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.solver.problem import HoldProblem
 
 DIRECTIONS = 8
 """Derivative directions of one interval: its quaternion (4) and its two knots (2 + 2)."""
-
-
-@cache
-def tangent_step_function(directions: int) -> ca.Function:
-    """Return one integration step with its derivative along some directions.
-
-    Signature ``(q, u_start, u_end, h, p, dq, du_start, du_end) -> (dxy, q_end, ddxy, dq_end)``;
-    the seeds dq (4, D), du_start and du_end (2, D) and the derivatives carry one column per
-    direction, D = `directions`. The motion does not depend on the position.
-    """
-    q, p, h = ca.SX.sym("q", 4), ca.SX.sym("p", 4), ca.SX.sym("h")
-    u_start, u_end = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2)
-    dq = ca.SX.sym("dq", 4, directions)
-    du_start = ca.SX.sym("du_start", 2, directions)
-    du_end = ca.SX.sym("du_end", 2, directions)
-    displacement, q_end = cf4_step(q, u_start, u_end, h, p)
-    variables = ca.vertcat(q, u_start, u_end)
-    seeds = ca.vertcat(dq, du_start, du_end)
-    tangent = ca.jtimes(ca.vertcat(displacement, q_end), variables, seeds)
-    return ca.Function(
-        "tangent_step",
-        [q, u_start, u_end, h, p, dq, du_start, du_end],
-        [displacement, q_end, tangent[0:2, :], tangent[2:6, :]],
-    )
 
 
 def roll_out(problem: HoldProblem, inputs: Vector) -> Vector:

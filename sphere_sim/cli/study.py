@@ -51,7 +51,8 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sphere_sim.scenario.scenarios import draw_scenarios, read_scenarios
+    from sphere_sim.scenario.csv_file import read_scenarios
+    from sphere_sim.scenario.scenarios import draw_scenarios
     from sphere_sim.study.best_known import best_known_times
     from sphere_sim.study.progress import StudyProgress
     from sphere_sim.study.study import Study

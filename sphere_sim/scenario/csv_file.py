@@ -11,12 +11,13 @@ import math
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import TextIO
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
 from sphere_sim.scenario.errors import ScenarioFileError
+from sphere_sim.scenario.scenarios import Scenario
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
@@ -31,18 +32,8 @@ LARGEST_SEED = 2**31 - 1
 """Largest seed."""
 
 
-class ScenarioRow(NamedTuple):
-    """Row of the file; its attributes are those of `sphere_sim.scenario.scenarios.Scenario`."""
-
-    start: Vector
-    goal: Vector
-    seed: int
-    extra: dict[str, str]
-    given: dict[str, str]
-
-
-def read_rows(path: Path) -> list[ScenarioRow]:
-    """Read all rows of a scenario file, at least one.
+def read_scenarios(path: Path) -> list[Scenario]:
+    """Read all scenarios of a file, at least one.
 
     Raises
     ------
@@ -91,7 +82,7 @@ def _lines(path: Path, file: TextIO) -> Iterator[str]:
         yield line
 
 
-def _rows(path: Path, file: TextIO) -> Iterator[ScenarioRow]:
+def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
     reader = csv.reader(_lines(path, file), strict=True)
     header: list[str] | None = None
     number = 0
@@ -130,11 +121,11 @@ def _header(path: Path, line: int, names: list[str]) -> list[str]:
     return names
 
 
-def _row(path: Path, line: int, fields: dict[str, str], number: int) -> ScenarioRow:
+def _row(path: Path, line: int, fields: dict[str, str], number: int) -> Scenario:
     given = {name: fields.pop(name).strip() for name in STATE_COLUMNS}
     seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), number)
     start, goal = (_state(path, line, given, names) for names in (START_COLUMNS, GOAL_COLUMNS))
-    return ScenarioRow(start, goal, seed, fields, given)
+    return Scenario(start, goal, seed, extra=fields, given=given)
 
 
 def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...]) -> Vector:

@@ -1,14 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios of runs: the paper's cases, from files, and random ones."""
+"""Scenarios of runs: the paper's cases and random ones."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from sphere_nmpc.model.state import Vector, as_state
-from sphere_sim.scenario.csv_file import read_rows
 from sphere_sim.scenario.draws import DRAWS
 
 
@@ -70,16 +68,3 @@ def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scena
         start, goal = DRAWS[kind](rng)
         scenarios.append(Scenario(start, goal, seed=int(rng.integers(2**31))))
     return scenarios
-
-
-def read_scenarios(path: Path) -> list[Scenario]:
-    """Read scenarios from a CSV file in the format of `sphere_sim.scenario.csv_file`.
-
-    Raises
-    ------
-    ScenarioFileError
-        If the file cannot be read or is invalid.
-    """
-    return [
-        Scenario(row.start, row.goal, row.seed, row.extra, row.given) for row in read_rows(path)
-    ]

@@ -22,6 +22,7 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.best_known_cache import BestKnownCache
 from sphere_sim.study.progress import shown
@@ -44,8 +45,6 @@ _STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1)
 """Factors of the duration that are tried in turn on a finer grid [-]."""
 _LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
 """Share of the duration by which a motion is shortened, at first and at last [-]."""
-_SETTLED_ERROR = 1e-2
-"""Error below which a start counts as settled at the goal: the best known time is 0 [mixed]."""
 
 
 def best_known_time(scenario: Scenario, robot: RobotParameters) -> float:
@@ -58,7 +57,7 @@ def best_known_time(scenario: Scenario, robot: RobotParameters) -> float:
     robot : RobotParameters
         Parameters and limits of the robot that moves.
     """
-    if state_error(scenario.start, scenario.goal) < _SETTLED_ERROR:
+    if state_error(scenario.start, scenario.goal) < SETTLED_ERROR:
         return 0.0
     robot = within_torque(robot)
     goal = nearer_sign(scenario.goal, scenario.start)

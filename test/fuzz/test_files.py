@@ -14,7 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_rows
+from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
+from sphere_sim.scenario.errors import ScenarioFileError
 
 HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()
 ROW = b"2,-3,1,0,0,0,0,0,0,1,0,0,7"
@@ -28,13 +29,13 @@ SAME_FILE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture]
 def read_or_refuse(path: Path, data: bytes) -> None:
     path.write_bytes(data)
     try:
-        rows = read_rows(path)
+        scenarios = read_scenarios(path)
     except ScenarioFileError as error:
         assert str(path) in str(error) and "given" in str(error) and "\n" not in str(error)
         return
-    for row in rows:
-        assert np.all(np.isfinite(row.start)) and np.all(np.isfinite(row.goal))
-        assert np.linalg.norm(row.goal[2:]) == pytest.approx(1.0)
+    for scenario in scenarios:
+        assert np.all(np.isfinite(scenario.start)) and np.all(np.isfinite(scenario.goal))
+        assert np.linalg.norm(scenario.goal[2:]) == pytest.approx(1.0)
 
 
 @SAME_FILE

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphere_sim.scenario.csv_file import LARGEST_FILE, STATE_COLUMNS
+from sphere_sim.scenario.csv_file import LARGEST_FILE, STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.errors import ScenarioFileError
-from sphere_sim.scenario.scenarios import PAPER_CASES, read_scenarios
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 HEADER = ",".join(STATE_COLUMNS)
 ROW = "1,2,1,0,0,0,0,0,0,0,0,1"

@@ -13,8 +13,8 @@ import pytest
 
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.result_folder import ResultFolderError
-from sphere_sim.scenario.csv_file import STATE_COLUMNS
-from sphere_sim.scenario.scenarios import Scenario, draw_scenarios, read_scenarios
+from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
+from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
 from sphere_sim.study.record import RESULT_COLUMNS, TIMING_COLUMNS, RunRecord
@@ -77,6 +77,11 @@ def test_table_has_a_row_a_run_in_order(done) -> None:
     assert [row["settled"] for row in found] == ["False", "False", "True"]
     assert [row["settle_time_s"] for row in found] == ["", "", "0.0"]
     assert [float(row["final_error"]) > SETTLED_ERROR for row in found] == [True, True, False]
+
+
+def test_document_explains_each_column() -> None:
+    document = (Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8")
+    assert [name for name in RESULT_COLUMNS if f"`{name}`" not in document] == []
 
 
 def test_inputs_are_knots_of_each_run(done) -> None:

@@ -69,7 +69,7 @@ class Acados:
         self.close = weakref.finalize(self, child.communicate)
         message = self._answers.readline().decode(errors="replace")
         if message != "\n":
-            raise RuntimeError(f"{python} says: {message.strip() or 'nothing, it has ended'}")
+            raise RuntimeError(f"{python}: {message.strip() or 'ended without an answer'}")
 
     def start(self, goal: Vector) -> None:
         """See `BenchmarkedSolver`."""

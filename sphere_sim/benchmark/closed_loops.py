@@ -152,7 +152,8 @@ def set_up(
             missing[name] = f"not installed ({error.name or error})"
         except Exception as error:
             # The others are benchmarked all the same.
-            missing[name] = f"could not be set up: {str(error).splitlines()[0][:120]}"
+            first_line, *_ = str(error).splitlines() or [type(error).__name__]
+            missing[name] = f"could not be set up: {first_line[:120]}"
         else:
             records[name] = SolverRecord(setup_s=time.perf_counter() - began)
     return solvers, records, missing

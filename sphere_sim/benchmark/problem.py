@@ -21,7 +21,6 @@ ROBOT = RobotParameters()
 CONSTANTS = ROBOT.lumped.as_array()
 LIMIT = ROBOT.max_rotor_speed
 
-
 _BOUND = np.full((HORIZON, INPUT_SIZE), LIMIT)
 _MINUS_BOUND = -_BOUND
 _DURATIONS = np.full(HORIZON, SAMPLE_PERIOD)

@@ -92,8 +92,8 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
     rate = report.get("control_rate_hz")
     if rate:
         console.print(
-            f"Control rate this machine can hold: {rate['p99']:.0f} Hz at the 99th percentile, "
-            f"{rate['max']:.0f} Hz at the slowest solve seen."
+            f"Control rate of this machine: {rate['p99']:.0f} Hz at the 99th percentile, "
+            f"{rate['max']:.0f} Hz at the slowest solve."
         )
     if "floor_us" in report:
         parts = ", ".join(f"{k.replace('_', ' ')} {v:.1f}" for k, v in report["floor_us"].items())

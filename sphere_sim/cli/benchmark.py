@@ -40,8 +40,8 @@ _FIRST_SOLVE = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; return the exit code.
 
-    Numbers are written first. If the first use cannot be measured or the figure cannot be drawn,
-    a warning says so.
+    Numbers are written first. A first use that cannot be measured and a figure that cannot be
+    drawn are warnings.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def _write(path: Path, report: dict[str, Any]) -> None:
 
 
 def _keep(path: Path, report: dict[str, Any]) -> str:
-    """Write the numbers so far and return a message that says where.
+    """Write the numbers so far and return a message that names the file.
 
     The file lies beside `path`, which may hold the numbers of a complete benchmark.
     """

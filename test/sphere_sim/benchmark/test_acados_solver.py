@@ -92,7 +92,7 @@ def test_interpreter_without_acados_is_reported():
 
 
 def test_program_that_is_no_interpreter_is_reported(tmp_path):
-    with pytest.raises(RuntimeError, match="says: nothing, it has ended"):
+    with pytest.raises(RuntimeError, match="python: ended without an answer"):
         Acados("sqp", script(tmp_path, "pass"))
 
 

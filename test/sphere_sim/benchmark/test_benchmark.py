@@ -91,9 +91,17 @@ def test_solver_that_cannot_be_set_up_is_reported():
     def broken():
         raise OSError("no disc")
 
-    _, records, missing = set_up({"a": absent, "b": broken, "c": Idle}, lambda name: None)
-    assert missing == {"a": "not installed (absent)", "b": "could not be set up: no disc"}
-    assert list(records) == ["c"]
+    def silent():
+        raise AssertionError
+
+    makers = {"a": absent, "b": broken, "c": silent, "d": Idle}
+    _, records, missing = set_up(makers, lambda name: None)
+    assert missing == {
+        "a": "not installed (absent)",
+        "b": "could not be set up: no disc",
+        "c": "could not be set up: AssertionError",
+    }
+    assert list(records) == ["d"]
 
 
 def test_failures_are_counted_and_never_settling_is_none():

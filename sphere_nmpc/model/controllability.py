@@ -19,15 +19,11 @@ from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product
 
-DIMENSION = 5
-"""Degrees of freedom: two of position, three of orientation."""
-
 RANK_TOLERANCE = 1e-6
 """Singular values below this share of the largest count as zero; 2e-5 rad from Gamma."""
 
 THIRD_ORDER = 5
-FOURTH_ORDER = 8
-"""Columns of the bracket matrix made from up to three and up to four fields."""
+"""Number of the first columns of the bracket matrix that are made from up to three fields."""
 
 
 @dataclass(frozen=True)

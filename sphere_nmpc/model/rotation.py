@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotations as unit quaternions **wxyz** (scalar first), on NumPy arrays.
 
-A quaternion takes body vectors to world ones. Functions that say shape (..., 4) work on one
-quaternion or on many, one a row. `sphere_nmpc.model.symbolic_rotation` has the CasADi operations.
+A quaternion takes body vectors to world ones. Functions with arguments of shape (..., 4) work on
+one quaternion or on many, one a row. `sphere_nmpc.model.symbolic_rotation` has the operations on
+CasADi expressions.
 """
 
 import numpy as np

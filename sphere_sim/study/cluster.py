@@ -35,7 +35,7 @@ def run_on_cluster(
     Raises
     ------
     WorkersError
-        If a call raises, its worker dies again and again, or the scheduler ends.
+        If a call raises, its worker process ends repeatedly, or the scheduler ends.
     """
     waiting = iter(tasks)
     names: dict[Any, Any] = {}

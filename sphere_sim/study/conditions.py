@@ -43,7 +43,7 @@ class StudyConditions:
         0.0, "%", "Largest error of each of the robot's parameters", minimum=0.0, maximum=90.0
     )
     latency: float = quantity(
-        0.0, "s", "Age of the newest pose at a sample instant", minimum=0.0, maximum=10.0
+        0.0, "s", "Age of the newest pose at a sampling instant", minimum=0.0, maximum=10.0
     )
     controller: ControllerSettings = field(default_factory=ControllerSettings)
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)

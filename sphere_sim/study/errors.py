@@ -26,4 +26,4 @@ class NotWrittenError(SphereNmpcError):
 
 
 class WorkersError(SphereNmpcError):
-    """Processes or cluster cannot be started or reached, or a worker process died."""
+    """Processes or cluster cannot be started or reached, or a worker process ended."""

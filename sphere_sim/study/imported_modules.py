@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Modules of this package that a module imports, directly or indirectly, as its source says."""
+"""Modules of the project that a module imports, directly or indirectly, found in its source."""
 
 import ast
 from collections.abc import Collection, Iterator

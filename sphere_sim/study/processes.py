@@ -3,7 +3,7 @@
 """Pool of processes on this machine, none of which outlives its parent.
 
 The pool of `concurrent.futures` is not used: its processes outlive a parent that is killed, and
-when one of them dies it does not report during which call, and cancels all calls.
+when one of them ends unexpectedly it does not report during which call, and cancels all calls.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.worker_process import serve
 
 TRIES = 3
-"""How often a call is made whose process dies during it."""
+"""Largest number of attempts at a call whose process ends during it."""
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -35,8 +35,8 @@ class Processes:
     """Make calls in processes; a context manager, at whose end all of them are killed.
 
     Processes are started when they are needed. They ignore Ctrl-C, which the parent handles, and
-    end when the parent does, however that happens. A call whose process dies is made again in
-    another one.
+    end when the parent does, however that happens. A call whose process ends during it is made
+    again in another one.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Processes:
         Raises
         ------
         WorkersError
-            If no process can be started, a call raises, or its process dies `TRIES` times.
+            If no process can be started, a call raises, or its process ends in `TRIES` attempts.
         """
         waiting = deque(tasks)
         if min(self._jobs, len(waiting)) <= 1:
@@ -93,7 +93,7 @@ class Processes:
 
         def hand_out(link: Connection) -> None:
             busy[link] = waiting.popleft()
-            # That a process has died is found out when its answer is read.
+            # If the process has ended, reading its answer fails.
             with contextlib.suppress(OSError):
                 link.send((call, busy[link][1]))
 
@@ -151,7 +151,7 @@ class Processes:
         return parent_end
 
     def _remove(self, link: Connection) -> str:
-        """Remove a process that has died and return how it died."""
+        """Remove a process that has ended and return how it ended."""
         process = self._processes.pop(link)
         link.close()
         process.join()

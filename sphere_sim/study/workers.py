@@ -68,7 +68,7 @@ class Workers:
         ------
         WorkersError
             If processes cannot be started, the scheduler cannot be reached, its workers run other
-            code, a call raises, or a worker dies again and again over the same call.
+            code, a call raises, or its worker process ends repeatedly.
         """
         if self._address is None:
             yield from self._processes.run(call, tasks, what)

@@ -12,7 +12,7 @@ _LARGEST_DELAY = 0.1
 
 
 class SimulatedClock:
-    """Clock that says how long to wait [s, steady clock] before simulated time [ns] goes on.
+    """Clock of the simulation: how long to wait [s, steady clock] before time [ns] advances.
 
     On a machine that is too slow time is lost, rather than caught up in a burst that no
     controller can follow; `achieved` returns the real-time factor that was achieved.
@@ -20,18 +20,18 @@ class SimulatedClock:
     Parameters
     ----------
     pose_period, sample_period : int
-        Spacing of the instants at which something is published, and of sample instants [ns].
+        Spacing of the instants at which something is published, and of sampling instants [ns].
     real_time_factor : float
         Simulated over wall time; 0 is as fast as possible.
     lockstep : bool
-        Whether time stands still at each sample instant until its command has arrived.
+        Whether time stops at each sampling instant until its command has arrived.
     lockstep_timeout : float
         Longest such wait [s, wall].
     paused : bool
-        Whether time stands still at first.
+        Whether time is stopped at first.
     keeps_up : bool
-        Whether lost time is caught up at once: on the system clock time goes on, also while the
-        simulating process is held up.
+        Whether lost time is caught up in one step: the system clock also advances while the
+        simulating process is delayed.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class SimulatedClock:
         self._measured_from = (0, 0.0)
 
     def next_sample(self, now: int) -> int:
-        """Return the sample instant after `now` [ns]."""
+        """Return the sampling instant after `now` [ns]."""
         return (now // self._sample_period + 1) * self._sample_period
 
     def upcoming(self, now: int) -> int:
@@ -88,7 +88,7 @@ class SimulatedClock:
         self._last = (now, wall)
 
     def set_pace(self, real_time_factor: float, now: int, wall: float) -> None:
-        """Go on with another real-time factor."""
+        """Continue with another real-time factor."""
         self._factor = real_time_factor
         self.restart(now, wall)
 
@@ -98,14 +98,14 @@ class SimulatedClock:
         self._stop_at = None
 
     def resume(self, now: int, wall: float) -> None:
-        """Let time go on; in lockstep a sample instant waits for a command sent from now on."""
+        """Let time advance; in lockstep a sampling instant waits for a command sent afterwards."""
         self.paused = False
         self._stop_at = None
         self.restart(now, wall)
         self._hold_at_sample(now, wall)
 
     def step(self, now: int, wall: float) -> int:
-        """Let time go on to the next sample instant and pause there; return it [ns]."""
+        """Let time advance to the next sampling instant and pause there; return it [ns]."""
         self.resume(now, wall)
         self._stop_at = self.next_sample(now)
         return self._stop_at
@@ -117,7 +117,7 @@ class SimulatedClock:
             self.restart(stamp, wall)
 
     def wait(self, now: int, wall: float, controller_found: bool = True) -> float:
-        """Return how long to wait before going on from `now` [ns]; 0 when it is time.
+        """Return how long to wait before time advances from `now` [ns]; 0 if it is due.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class SimulatedClock:
         wall : float
             Steady clock [s].
         controller_found : bool, optional
-            Whether there is a node that sends commands; otherwise lockstep waits for ever.
+            Whether there is a node that sends commands; otherwise lockstep waits without limit.
         """
         if self.paused:
             return math.inf
@@ -157,7 +157,7 @@ class SimulatedClock:
             self._hold_at_sample(now, wall)
 
     def achieved(self, now: int, wall: float) -> float:
-        """Return simulated over wall time since the last call; 0 while time stands still."""
+        """Return simulated over wall time since the last call; 0 while time is stopped."""
         then, wall_then = self._measured_from
         self._measured_from = (now, wall)
         return (now - then) / NANOSECONDS / max(wall - wall_then, 1e-9)

@@ -145,8 +145,8 @@ class RigidBodyPlant:
     @property
     def rotor_torques(self) -> Vector:
         """Torques of the drives [N m], shape (2,), at the present instant."""
-        wanted = self._gain * (self._data.act - self._data.qvel[_SPEEDS])
-        return np.clip(wanted, -self._settings.torque_limit, self._settings.torque_limit)
+        unlimited = self._gain * (self._data.act - self._data.qvel[_SPEEDS])
+        return np.clip(unlimited, -self._settings.torque_limit, self._settings.torque_limit)
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step of `duration` [s] in which the reference ramps to `speeds_end` [rad/s].

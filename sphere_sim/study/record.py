@@ -36,10 +36,7 @@ RESULT_COLUMNS = (
     "stability_violations",
     "crash",
 )
-"""Columns of runs.csv with results, in order."""
-
-TIMING_COLUMNS = ("solve_ms_p50", "solve_ms_p99", "solve_ms_max")
-"""The columns that depend on the machine and its load."""
+"""Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
 
 
 @dataclass(frozen=True, eq=False)

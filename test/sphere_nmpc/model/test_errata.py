@@ -157,7 +157,7 @@ ANGLES = [(a, f) for a in (0.3, 1.7, 4.4) for f in (-2.5, -0.6, 0.9, 2.2)]
 
 
 @pytest.mark.parametrize(("alpha", "phi"), ANGLES)
-def test_box_1_needs_a_minus_to_be_the_product_it_stands_for(alpha: float, phi: float) -> None:
+def test_box_1_needs_a_minus_to_equal_its_product(alpha: float, phi: float) -> None:
     about = Rotation.from_rotvec(np.pi / 2 * np.array([-np.sin(phi), np.cos(phi), 0.0]))
     product = (Rotation.from_rotvec([0, 0, alpha]) * about).as_quat()[[3, 0, 1, 2]]
 

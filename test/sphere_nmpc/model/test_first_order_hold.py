@@ -142,7 +142,7 @@ def test_limited_hold_keeps_both_limits_for_any_hold(hold: FirstOrderHold) -> No
 
 
 @given(hold=holds())
-def test_hold_within_the_limits_is_left_alone(hold: FirstOrderHold) -> None:
+def test_hold_within_the_limits_is_unchanged(hold: FirstOrderHold) -> None:
     same = hold.limited(300.0, 1.01 * largest_slope(hold) + 1.0)
     np.testing.assert_array_equal(same.speeds, hold.speeds)
 

@@ -17,7 +17,7 @@ from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
-from sphere_sim.study.record import RESULT_COLUMNS, TIMING_COLUMNS, RunRecord
+from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
 
@@ -39,7 +39,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 def repeatable(row: dict[str, str]) -> dict[str, str]:
-    return {name: cell for name, cell in row.items() if name not in TIMING_COLUMNS}
+    return {name: cell for name, cell in row.items() if not name.startswith("solve_ms_")}
 
 
 def stop_after(runs: int):

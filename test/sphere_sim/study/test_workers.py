@@ -14,7 +14,7 @@ from sphere_sim.study import cluster as cluster_module
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.processes import Processes
-from sphere_sim.study.record import TIMING_COLUMNS, RunRecord
+from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import Workers, cores
 
@@ -29,7 +29,7 @@ def make(workers: Workers) -> dict[int, RunRecord]:
     with workers:
         made = dict(workers.run(run_scenario, TASKS, "run"))
     for record in made.values():
-        for name in TIMING_COLUMNS:
+        for name in [name for name in record.results if name.startswith("solve_ms_")]:
             del record.results[name]
     return made
 

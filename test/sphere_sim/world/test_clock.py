@@ -86,7 +86,7 @@ def test_step_runs_to_the_next_sample_and_pauses() -> None:
     assert clock.paused
 
 
-def test_lockstep_waits_for_the_answer_to_its_instant() -> None:
+def test_lockstep_waits_for_the_command_of_its_instant() -> None:
     clock = clock_at_zero(lockstep=True, real_time_factor=0.0)
     clock.resume(0, 0.0)
     assert clock.wait(0, 1.0) == pytest.approx(4.0)
@@ -100,14 +100,14 @@ def test_lockstep_waits_for_the_answer_to_its_instant() -> None:
     assert clock.awaited == SAMPLE
 
 
-def test_lockstep_gives_up_after_its_timeout() -> None:
+def test_wait_in_lockstep_ends_after_its_timeout() -> None:
     clock = clock_at_zero(lockstep=True, lockstep_timeout=2.0, real_time_factor=0.0)
     clock.resume(0, 0.0)
     assert clock.wait(0, 2.0) == 0.0
     assert clock.timeouts == 1
 
 
-def test_lockstep_without_a_controller_waits_for_ever() -> None:
+def test_lockstep_without_a_controller_waits_without_limit() -> None:
     clock = clock_at_zero(lockstep=True, lockstep_timeout=2.0)
     clock.resume(0, 0.0)
     assert clock.wait(0, 100.0, controller_found=False) == math.inf
@@ -115,7 +115,7 @@ def test_lockstep_without_a_controller_waits_for_ever() -> None:
     assert clock.timeouts == 0
 
 
-def test_lockstep_asks_again_after_a_pause() -> None:
+def test_lockstep_waits_for_a_new_command_after_a_pause() -> None:
     clock = clock_at_zero(lockstep=True, paused=True)
     clock.command_received(0, 0.0)
     clock.resume(0, 5.0)

@@ -128,7 +128,7 @@ class ControllerSettings:
         100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0
     )
     lockstep: bool = quantity(
-        False, "-", "Solve when the pose of the sample instant arrives, not when a timer fires"
+        False, "-", "Solve when the pose of the sampling instant arrives, not when a timer fires"
     )
 
     def __post_init__(self) -> None:

@@ -44,7 +44,7 @@ class ClockedSchedule:
 
     @property
     def missed(self) -> int:
-        """Sample instants that passed without a tick."""
+        """Sampling instants that passed without a tick."""
         return self._grid.missed
 
     @property
@@ -70,7 +70,7 @@ class ClockedSchedule:
         return Actions(observe=pose)
 
     def tick(self, now: float, wall: float) -> Actions:
-        """Return the request for the sample instant of a tick, with a pose that was kept.
+        """Return the request for the sampling instant of a tick, with a pose that was kept.
 
         A pose that is still ahead of the clock is refused: it would count as fresh until the
         clock reaches its stamp.
@@ -129,7 +129,7 @@ class ClockedSchedule:
         self.goal_changed()
 
     def disabled(self, now: float | None) -> Actions:
-        """Return a request for now: a stop does not wait for the next sample instant."""
+        """Return a request for now: a stop does not wait for the next sampling instant."""
         return NOTHING if now is None else Actions(plan=self.final_request(now))
 
     def clock_jumped(self, simulated: bool | None = None) -> None:

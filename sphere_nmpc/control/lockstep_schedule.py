@@ -17,7 +17,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class LockstepSchedule:
-    """Scheduler of one plan for each pose of a sample instant, all of which are answered.
+    """Scheduler of one plan for each pose of a sampling instant, all of which are answered.
 
     A plan may take any wall time, so that results are repeatable. The clock of the node is
     ignored: the stamp of the pose is the time.
@@ -43,7 +43,7 @@ class LockstepSchedule:
         return math.nan
 
     def pose_received(self, pose: TimedPose, now: float | None, wall: float) -> Actions:
-        """Return the request for the sample instant of a pose; between instants nothing is done.
+        """Return the request for the sampling instant of a pose; between instants nothing is done.
 
         The simulator repeats the pose while it waits. The plan of an instant is made once, its
         command is then sent again.
@@ -66,7 +66,7 @@ class LockstepSchedule:
         return None
 
     def command_time(self, request: PlanRequest, elapsed: float) -> float:
-        """Return the sample instant: no control time passes while a plan is made."""
+        """Return the sampling instant: no control time passes while a plan is made."""
         return request.now
 
     def command(
@@ -87,10 +87,10 @@ class LockstepSchedule:
         self._answered = None
 
     def enabled(self) -> None:
-        """Do nothing: the robot moves from the next sample instant on."""
+        """Do nothing: the robot moves from the next sampling instant on."""
 
     def disabled(self, now: float | None) -> Actions:
-        """Return no action: the robot stops from the next sample instant on."""
+        """Return no action: the robot stops from the next sampling instant on."""
         return NOTHING
 
     def clock_jumped(self, simulated: bool | None = None) -> None:

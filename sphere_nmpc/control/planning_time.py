@@ -29,7 +29,7 @@ class PlanningTime:
     Parameters
     ----------
     control_period : float
-        Control time between two sample instants [s].
+        Control time between two sampling instants [s].
     simulated : bool
         Whether the pace of control time has to be measured; otherwise it is 1.
     """
@@ -69,7 +69,7 @@ class PlanningTime:
             readings.popleft()
 
     def budget(self, instant: float, now: float) -> float:
-        """Return the wall time [s] that the plan of a sample instant may take.
+        """Return the wall time [s] that the plan of a sampling instant may take.
 
         It is requested at `now`; both `instant` and `now` are control times [s].
         """
@@ -90,7 +90,7 @@ class PlanningTime:
 
     @property
     def lead(self) -> float:
-        """How far beyond a sample instant to plan [s, control time].
+        """How far beyond a sampling instant to plan [s, control time].
 
         A plan that takes effect at the instant it was made for is followed exactly. A command
         that is late has to start from the rotor speeds at that time, and departs from its plan.

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sample instants reconstructed from the times at which a timer fires late."""
+"""Sampling instants reconstructed from the times at which a timer fires late."""
 
 import math
 
@@ -35,7 +35,7 @@ class SampleGrid:
         self._last = 0
 
     def instant(self, now: float) -> float:
-        """Return the sample instant of a tick at `now` [s], and count those missed before it."""
+        """Return the sampling instant of a tick at `now` [s], and count those missed before it."""
         if self._origin is None:
             self._origin = now
             return now

@@ -89,7 +89,7 @@ class Schedule(Protocol):
 
     @property
     def missed(self) -> int:
-        """Sample instants that passed without a tick."""
+        """Sampling instants that passed without a tick."""
 
     def pose_age(self, time: float, now: float | None) -> float:
         """Return the age at `now` of a pose of control time `time` [s]; nan if irrelevant."""

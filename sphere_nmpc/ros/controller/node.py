@@ -124,8 +124,8 @@ class ControllerNode(RunnableNode):
         self._background.close()
 
     def _subscribe(self) -> None:
-        # In lockstep the pose of a sample instant must not get lost; it is the last one published
-        # before time stands still, so that a depth of one keeps it.
+        # In lockstep the pose of a sampling instant must not get lost; it is the last one before
+        # simulated time stops, so that a depth of one keeps it.
         newest = QoSProfile(
             depth=1,
             reliability=ReliabilityPolicy.BEST_EFFORT if self._schedule.is_real_time

@@ -44,7 +44,7 @@ _KEPT = 1000
 _STATUS_EVERY = 0.0499
 """Shortest control time between two statuses of the same mode [s]: 20 Hz."""
 _LONGEST_SILENCE = 0.4
-"""Wall time after which a status is published also where there was no sample instant [s]."""
+"""Wall time after which a status is published also where there was no sampling instant [s]."""
 
 
 class ControllerReports:
@@ -57,7 +57,7 @@ class ControllerReports:
     controller : Controller
         The controller that is reported on.
     schedule : Schedule
-        Counts missed sample instants.
+        Counts missed sampling instants.
     fault_log : FaultLog
         Logs and counts faults.
     robot : RobotParameters
@@ -111,7 +111,7 @@ class ControllerReports:
 
     @property
     def _mode(self) -> Mode:
-        """Mode at present, also between sample instants."""
+        """Mode at present, also between sampling instants."""
         if math.isnan(self._monitor.time):
             return Mode.NO_CLOCK
         if self._monitor.stands_still:

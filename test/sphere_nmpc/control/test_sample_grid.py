@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sample instants from late ticks of a timer."""
+"""Sampling instants from late ticks of a timer."""
 
 import pytest
 

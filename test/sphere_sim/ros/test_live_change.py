@@ -25,7 +25,7 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SAMPLE = round(STRATEGIES["time_optimal"].sample_period * 1e9)
-"""Spacing of the sample instants [ns]."""
+"""Spacing of the sampling instants [ns]."""
 CHANGED_AT = 8 * SAMPLE
 COMPARED_UNTIL = 20 * SAMPLE
 """Before the arrival, at which a run ends [ns]."""

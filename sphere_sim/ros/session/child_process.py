@@ -7,8 +7,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from sphere_nmpc.errors import SphereNmpcError
 
 _STOPPING = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 2.0))
 """Signals that end a process, in this order, and the wait after each [s]."""
+_ASKING = (signal.SIGINT, signal.SIGTERM)
+"""Signals that a process can handle or ignore."""
 _KILLED_WITHIN = 5.0
 """Longest wait for a process after SIGKILL [s]."""
 _LAST_LINES = 12
@@ -63,7 +66,8 @@ class ChildProcess:
 
     It can be started again after its end; the log then continues. Signals go to the whole group,
     so that what the command has started is ended too, and a Ctrl-C of the terminal does not reach
-    it: the parent decides when it ends.
+    it: the parent decides when it ends. Signals that the parent ignores, as in the background of a
+    script, have their default action in the child.
 
     Parameters
     ----------
@@ -128,9 +132,10 @@ class ChildProcess:
         self.stop()
         with self.log.open("ab" if self._append else "wb") as output:
             streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": output}
-            self._process = subprocess.Popen(
-                [*self.command, *extra], start_new_session=True, **{**streams, **self._options}
-            )
+            with _default_in_children():
+                self._process = subprocess.Popen(
+                    [*self.command, *extra], start_new_session=True, **{**streams, **self._options}
+                )
         self._append = True
 
     def send(self, number: signal.Signals) -> None:
@@ -186,3 +191,21 @@ def stop_together(processes: Sequence[ChildProcess]) -> None:
         for process in running:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(max(0.0, end - time.monotonic()))
+
+
+@contextlib.contextmanager
+def _default_in_children() -> Iterator[None]:
+    """Handle, without effect, signals that this process ignores.
+
+    A child inherits ignored signals and would ignore the request to end; handled ones have their
+    default action in it.
+    """
+    may_change = threading.current_thread() is threading.main_thread()
+    ignored = [n for n in _ASKING if may_change and signal.getsignal(n) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, lambda *_: None)
+    try:
+        yield
+    finally:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)

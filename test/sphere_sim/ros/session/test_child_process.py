@@ -210,3 +210,13 @@ def test_verb_ends_with_its_parent(tmp_path) -> None:
 def test_command_of_a_verb_names_the_parent() -> None:
     assert verb_command("goal", "1", "2")[-4:] == [str(os.getpid()), "goal", "1", "2"]
     assert Path(verb_command("goal")[0]) == Path(sys.executable)
+
+
+def test_child_of_a_process_that_ignores_interrupts_can_be_interrupted(tmp_path) -> None:
+    script = "import signal; print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"
+    process = ChildProcess("child", [sys.executable, "-c", script], tmp_path / "child.log")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    process.start()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    assert process.wait(PATIENCE) == 0
+    assert process.output.strip() == "False"

@@ -90,7 +90,7 @@ class PlanningTime:
 
     @property
     def lead(self) -> float:
-        """How far beyond a sampling instant to plan [s, control time].
+        """Lead of a plan: predicted delay of its command behind the instant [s, control time].
 
         A plan that takes effect at the instant it was made for is followed exactly. A command
         that is late has to start from the rotor speeds at that time, and departs from its plan.

@@ -51,7 +51,7 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class Actions:
-    """What an event leads to, to be carried out in the order of the attributes.
+    """Reactions to an event, to be carried out in the order of the attributes.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ class GraphFault:
 
 @dataclass(frozen=True)
 class GraphState:
-    """What a controller observes of the ROS graph at one moment.
+    """Observations of the ROS graph by a controller at one moment.
 
     Attributes
     ----------

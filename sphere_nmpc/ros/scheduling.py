@@ -17,7 +17,7 @@ _OF_SESSION = Path("/proc/self/autogroup")
 
 @dataclass(frozen=True)
 class SchedulingSettings:
-    """How the threads of a node are scheduled.
+    """Scheduling of the threads of a node.
 
     Raises
     ------

@@ -79,7 +79,7 @@ class HoldProblem:
 
 
 class SolveStatus(Enum):
-    """How a solve ended."""
+    """Outcome of a solve."""
 
     CONVERGED = "converged"
     CAPPED = "iteration cap"
@@ -89,7 +89,7 @@ class SolveStatus(Enum):
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """When the iteration stops.
+    """Stopping criteria of the iteration.
 
     Attributes
     ----------

@@ -72,11 +72,11 @@ class Acados:
             raise RuntimeError(f"{python}: {message.strip() or 'ended without an answer'}")
 
     def start(self, goal: Vector) -> None:
-        """See `BenchmarkedSolver`."""
+        """Start a run without a warm start; see `BenchmarkedSolver`."""
         self._goal, self._start = goal, 1.0
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `BenchmarkedSolver`."""
+        """Return the next rotor speeds; see `BenchmarkedSolver`."""
         request = np.concatenate(([self._start], state, self._goal, input_in_force))
         assert request.size == REQUEST_SIZE
         self._start = 0.0

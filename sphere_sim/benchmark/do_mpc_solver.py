@@ -28,7 +28,7 @@ class DoMpc:
         self._do_mpc: Any = do_mpc
 
     def start(self, goal: Vector) -> None:
-        """See `BenchmarkedSolver`."""
+        """Start a run without a warm start; see `BenchmarkedSolver`."""
         model = self._do_mpc.model.Model("discrete", "SX")
         state = model.set_variable("_x", "state", (6, 1))
         last = model.set_variable("_x", "last", (2, 1))
@@ -52,7 +52,7 @@ class DoMpc:
         self._has_guess = False
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `BenchmarkedSolver`."""
+        """Return the next rotor speeds; see `BenchmarkedSolver`."""
         x = np.concatenate((state, input_in_force)).reshape(-1, 1)
         if not self._has_guess:
             self._controller.x0 = x

@@ -51,12 +51,12 @@ class WarmStarted:
     """Receding horizon around a solver: parameters, warm start, scaling."""
 
     def start(self, goal: Vector) -> None:
-        """See `BenchmarkedSolver`."""
+        """Start a run without a warm start; see `BenchmarkedSolver`."""
         self._goal = goal
         self._warm: Vector = np.zeros(SIZE)
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `BenchmarkedSolver`."""
+        """Return the next rotor speeds; see `BenchmarkedSolver`."""
         p = np.concatenate((state, self._goal, input_in_force))
         v, solved = self.minimise(self._warm, p)
         finite = bool(np.all(np.isfinite(v)))

@@ -19,14 +19,14 @@ class BothSigns:
         self._solvers = plan_keeping_solvers()
 
     def start(self, goal: Vector) -> None:
-        """See `BenchmarkedSolver`."""
+        """Start a run without a warm start; see `BenchmarkedSolver`."""
         self._goal = goal
         rest: Vector = np.zeros((HORIZON, INPUT_SIZE))
         self._starts = (rest, rest)
         self._followed = 0
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `BenchmarkedSolver`."""
+        """Return the next rotor speeds; see `BenchmarkedSolver`."""
         problem = paper_problem(state, self._goal, input_in_force)
         answer = solve_both_signs(self._solvers, problem, self._starts, self._followed)
         self._starts = (shifted(answer.inputs_for(0)), shifted(answer.inputs_for(1)))
@@ -42,12 +42,12 @@ class AlgorithmOne:
         self._solver = HoldSolver(SolverSettings(max_iterations=100))
 
     def start(self, goal: Vector) -> None:
-        """See `BenchmarkedSolver`."""
+        """Start a run without a warm start; see `BenchmarkedSolver`."""
         self._goal = goal
         self._start: Vector = np.zeros((HORIZON, INPUT_SIZE))
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """See `BenchmarkedSolver`."""
+        """Return the next rotor speeds; see `BenchmarkedSolver`."""
         problem = paper_problem(state, self._goal, input_in_force)
         solution = self._solver.solve(problem, self._start)
         self._start = shifted(solution.inputs)

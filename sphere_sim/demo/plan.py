@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo runs: scenario, parameters of its nodes and when it ends."""
+"""Plan of a demo: scenario, parameters of its nodes, and its end."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ class DemoPlan:
 
     @property
     def title(self) -> str:
-        """What is run, with the strategy."""
+        """Title of the run: scenario and strategy."""
         return f"{self.scenario_title}, strategy {self.strategy}"
 
     @property

@@ -90,7 +90,7 @@ class DenseModel:
         self.gradient, self.hessian = gradient, hessian
 
     def step(self, damping: float, free: Mask, held: Vector) -> Vector | None:
-        """See `QuadraticModel`."""
+        """Minimise the damped model over the free components; see `QuadraticModel`."""
         right = -(self.gradient + self.hessian @ held) * free
         matrix = self.hessian * np.outer(free, free)
         matrix.reshape(-1)[:: right.size + 1] += np.where(free, damping, 1.0)
@@ -98,11 +98,11 @@ class DenseModel:
         return None if info else step + held
 
     def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
-        """See `QuadraticModel`."""
+        """Return the step within bounds; see `QuadraticModel`."""
         return bounded_step(self, damping, down, up)
 
     def decrease(self, step: Vector) -> float:
-        """See `QuadraticModel`."""
+        """Return the predicted decrease; see `QuadraticModel`."""
         return -float(self.gradient @ step + 0.5 * step @ (self.hessian @ step))
 
 
@@ -138,7 +138,7 @@ class LowRankModel:
         self._right = np.empty((jacobian.shape[0] + 1, partial_gradient.size))
 
     def step(self, damping: float, free: Mask, held: Vector) -> Vector | None:
-        """See `QuadraticModel`."""
+        """Minimise the damped model over the free components; see `QuadraticModel`."""
         right, residual = self._right, self._residual
         right[:-1], right[-1] = self._jacobian, self._partial_gradient
         if held.any():
@@ -161,7 +161,7 @@ class LowRankModel:
         return step
 
     def bounded_step(self, damping: float, down: Vector, up: Vector) -> Vector | None:
-        """See `QuadraticModel`."""
+        """Return the step within bounds; see `QuadraticModel`."""
         if self._subdiagonal.any():
             return bounded_step(self, damping, down, up)
         return diagonal_step(
@@ -170,7 +170,7 @@ class LowRankModel:
         )
 
     def decrease(self, step: Vector) -> float:
-        """See `QuadraticModel`."""
+        """Return the predicted decrease; see `QuadraticModel`."""
         end = self._jacobian @ step
         square = self._weight * float(end @ end) + float(step @ self._banded(step))
         return -float(self.gradient @ step) - 0.5 * square

@@ -28,7 +28,7 @@ Limits = Mapping[int, int]
 
 @dataclass(frozen=True)
 class CommandResult:
-    """How a command ended.
+    """Outcome of a command.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class RunningCommand:
 
     @property
     def errors(self) -> str:
-        """What it has written to standard error so far."""
+        """Its output to standard error so far."""
         return self._process.output
 
     def interrupt(self) -> None:

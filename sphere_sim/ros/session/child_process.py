@@ -110,7 +110,7 @@ class ChildProcess:
 
     @property
     def ending(self) -> str:
-        """How it ended, in words."""
+        """Description of its end."""
         code = self.code
         if code is None:
             return f"{self.name} has not ended"
@@ -119,7 +119,7 @@ class ChildProcess:
 
     @property
     def output(self) -> str:
-        """What is in its log so far."""
+        """Content of its log so far."""
         return self.log.read_text(encoding="utf-8", errors="replace") if self.log.exists() else ""
 
     @property

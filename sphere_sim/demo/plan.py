@@ -181,7 +181,11 @@ def make_plan(
         hold=HOLD,
         duration=duration,
         simulator=simulator,
-        controller={"use_sim_time": True, "lockstep": lockstep, "strategy": strategy},
+        # Another controller in the domain must not continue to the goal of a demo, nor this one
+        # to an old goal.
+        controller={
+            "use_sim_time": True, "lockstep": lockstep, "strategy": strategy, "goal_memory": 0.0,
+        },
         recorder={"use_sim_time": True, "output": str(folder / "bag")},
         viewer=viewer,
         stays=viewer and interactive and not lockstep,

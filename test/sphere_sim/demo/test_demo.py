@@ -3,6 +3,7 @@
 """The demo: its arguments, its results, and the end of its processes."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 
+from sphere_nmpc.cache import cache_folder
 from sphere_sim.cli.demo import parse
 from sphere_sim.demo.plan import NEIGHBOURHOOD, PROCESS_NOISE
 from sphere_sim.recording.run_reader import read_run
@@ -31,6 +33,8 @@ EVERY_TOPIC = {
     "/controller/active_goal", "/controller/predicted_path", "/controller/status",
     "/diagnostics", "/clock",
 }
+STORED_GOAL = cache_folder() / "goals" / f"{os.environ['ROS_DOMAIN_ID']}.controller.json"
+"""Goal that a controller of this domain keeps for the next one."""
 PATIENCE = 120.0
 """How long a busy machine may take [s]."""
 
@@ -94,6 +98,7 @@ def test_wrong_arguments_exit_with_2(arguments, message, capsys) -> None:
 @pytest.fixture(scope="module")
 def lockstep_run(tmp_path_factory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("demo") / "out [/b]"
+    STORED_GOAL.unlink(missing_ok=True)
     done = subprocess.run(
         [*DEMO, "--rtf", "0", "--out", str(folder)], capture_output=True, text=True, timeout=120,
         check=False,
@@ -117,6 +122,11 @@ def test_case_1_arrives_and_leaves_its_folder(lockstep_run) -> None:
     assert (folder / "panels.svg").stat().st_size > 20_000
     assert (folder / "comparison.png").stat().st_size > 20_000
     assert "time_optimal" in output and "paper" in output
+
+
+@pytest.mark.slow
+def test_no_goal_is_left_for_another_controller(lockstep_run) -> None:
+    assert not STORED_GOAL.exists()
 
 
 @pytest.mark.slow

@@ -38,7 +38,10 @@ SIMULATOR = (
     "-p", "initial_state:=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]", "-p", "real_time_factor:=2.0",
     "-p", "plant:=rigid_body",  # accepts pushes
 )
-CONTROLLER = ("-p", "use_sim_time:=true", "-p", "strategy:=time_optimal")
+CONTROLLER = (
+    "-p", "use_sim_time:=true", "-p", "strategy:=time_optimal",
+    "-p", "goal_memory:=0.0",  # no goal of a controller of another test
+)
 RADIUS = 0.3
 
 

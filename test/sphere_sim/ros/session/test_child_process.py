@@ -3,6 +3,7 @@
 """Child processes are killed, stopped, restarted and ended together, and their output is kept."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -31,9 +32,11 @@ signal.signal(signal.SIGINT, lambda *_: sys.exit(7))
 if "ignoring" in words:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+line = ["up", *words]
 if "spawning" in words:
-    print("child", subprocess.Popen(["sleep", "60"]).pid)
-print("up", *words, flush=True)
+    line += ["child", str(subprocess.Popen(["sleep", "60"]).pid)]
+sys.stdout.write(" ".join(line) + "\\n")  # in one piece, also where unbuffered
+sys.stdout.flush()
 if "fail" in words:
     raise ValueError("on demand")
 time.sleep(60)
@@ -58,9 +61,12 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def start(process: ChildProcess, *extra: str) -> None:
-    before = process.output.count("up")
+    def lines() -> int:
+        return len(re.findall(r"^up.*\n", process.output, re.MULTILINE))
+
+    before = lines()
     process.start(extra)
-    until(lambda: process.output.count("up") > before)
+    until(lambda: lines() > before)
 
 
 def test_killed_process_names_the_signal_and_can_be_started_again(process) -> None:
@@ -110,7 +116,7 @@ def test_process_that_ignores_sigint_and_sigterm_is_killed(process, monkeypatch)
 
 def test_kill_ends_what_the_process_has_started(process) -> None:
     start(process, "spawning")
-    grandchild = psutil.Process(int(process.output.split()[1]))
+    grandchild = psutil.Process(int(process.output.split()[-1]))
     process.kill()
     until(lambda: not grandchild.is_running() or grandchild.status() == psutil.STATUS_ZOMBIE)
 

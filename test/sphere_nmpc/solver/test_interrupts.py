@@ -52,7 +52,10 @@ def send():
 
 signal.signal(signal.SIGINT, interrupt)
 sender = threading.Thread(target=send, daemon=True)
-sender.start()
+try:
+    sender.start()
+except KeyboardInterrupt:
+    seen += 1
 while handled < 50:
     before = handled
     try:

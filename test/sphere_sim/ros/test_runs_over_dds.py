@@ -95,11 +95,11 @@ def test_lockstep_repeats_itself_at_any_pace_and_the_run_without_ros(graph, stra
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pace", [1.0, 5.0])
 @pytest.mark.parametrize(("strategy", "duration"), [("time_optimal", 20.0), ("paper", 25.0)])
-def test_goal_is_reached_at_each_pace_of_time(graph, strategy, duration, pace) -> None:
-    # Without lockstep: on a busy machine some commands are late, and the motion is another one.
-    poses, _ = run(graph, duration, strategy, real_time_factor=pace)
+def test_goal_is_reached_without_lockstep(graph, strategy, duration) -> None:
+    # In real time: on a busy machine some commands are late, and the motion is another one; at a
+    # faster pace too many would be.
+    poses, _ = run(graph, duration, strategy, real_time_factor=1.0)
     last = [np.array(state) for stamp, state in poses.items() if stamp > (duration - 1.0) * 1e9]
     assert last
     assert max(state_error(state, CASE.goal) for state in last) < 1e-2

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _HERE = Path(__file__).parent
 # Modules that tests share, and the scripts of bench/, some of which are tested.
 _SCRIPTS = _HERE.parent / "bench"
-sys.path += map(str, (_HERE, _HERE / "support", _SCRIPTS, _SCRIPTS / "documents"))
+# Not this folder: its sphere_nmpc/ and sphere_sim/ would hide an editable installation.
+sys.path += map(str, (_HERE / "support", _SCRIPTS, _SCRIPTS / "documents"))
 
 
 def _lock_domain() -> int:

@@ -5,6 +5,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from integrator_convergence import runge_kutta_step
 
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.integrator import (
@@ -42,18 +43,6 @@ def over_one_period(step: ca.Function, steps: int) -> Vector:
         there = u_start + (u_end - u_start) * ((i + 1) / steps)
         x = np.array(many(x, here, there, PERIOD / steps, P))
     return x
-
-
-def runge_kutta_step() -> ca.Function:
-    x, p, h = ca.SX.sym("x", 6), ca.SX.sym("p", 4), ca.SX.sym("h")
-    u_start, u_end = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2)
-    middle = 0.5 * (u_start + u_end)
-    k1 = state_rate(x, u_start, p)
-    k2 = state_rate(x + 0.5 * h * k1, middle, p)
-    k3 = state_rate(x + 0.5 * h * k2, middle, p)
-    k4 = state_rate(x + h * k3, u_end, p)
-    end = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("rk4_step", [x, u_start, u_end, h, p], [end])
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,10 @@ body's inertia D - m k k^T about that point, k the world vertical in body axes, 
     (D - m k k^T) omega = -I1 [u1, u2, 0]^T,   D = diag(It1 + m, It1 + m, It2 + m),  m = Mt Rs^2,
 
 solved for omega by the Sherman-Morrison formula, so that only the four lumped constants
-``p = [Rs, c1, r1, r3]`` remain. The paper's Eqs. (4) and (12) carry misprints; see
+``p = [Rs, c1, r1, r3]`` remain. With momentum the right-hand side is I1 (h_b - [u1, u2, 0]^T), h_b
+the momentum over I1 in body axes: the rotors act as if their speeds were lower by h_b, and no
+further constant is needed, as I1 / (It2 + m) = c1 r3 / r1. `sphere_nmpc.model.drift` has the
+equations of the momentum. The paper's Eqs. (4) and (12) carry misprints; see
 ``msg_docs/conventions.md``.
 
 Every function takes and returns CasADi expressions (SX, MX or DM columns).
@@ -16,6 +19,7 @@ Every function takes and returns CasADi expressions (SX, MX or DM columns).
 
 import casadi as ca
 
+from sphere_nmpc.model.drift import GRAVITY
 from sphere_nmpc.model.symbolic_rotation import (
     Expression,
     quaternion_product,
@@ -41,6 +45,57 @@ def body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
     shared = along / (1 - r1 * (k[0] * k[0] + k[1] * k[1]) - r3 * k[2] * k[2])
     return -c1 * ca.vertcat(
         u[0] + r1 * k[0] * shared, u[1] + r1 * k[1] * shared, r3 * k[2] * shared
+    )
+
+
+def body_rate_with_momentum(
+    q: Expression, u: Expression, p: Expression, momentum: Expression
+) -> Expression:
+    """Return the angular velocity of the shell [rad/s; body frame], shape (3,).
+
+    Parameters
+    ----------
+    q, u, p
+        As in `body_rate`, which this is without momentum.
+    momentum : expression, shape (3,)
+        h, the angular momentum about the contact point over I1 [rad/s; world frame].
+    """
+    c1, r1, r3 = p[1], p[2], p[3]
+    turn = rotation_matrix(q)
+    k = turn[2, :].T
+    held = ca.mtimes(turn.T, momentum)
+    w = ca.vertcat(u[0] - held[0], u[1] - held[1], -r3 / r1 * held[2])
+    along = k[0] * w[0] + k[1] * w[1] + k[2] * w[2]
+    shared = along / (1 - r1 * (k[0] * k[0] + k[1] * k[1]) - r3 * k[2] * k[2])
+    return -c1 * ca.vertcat(
+        w[0] + r1 * k[0] * shared, w[1] + r1 * k[1] * shared, w[2] + r3 * k[2] * shared
+    )
+
+
+def momentum_rate(
+    q: Expression, world: Expression, shell_radius: Expression, torques: Expression
+) -> Expression:
+    """Return dh/dt [rad/s^2; world frame], shape (3,); `sphere_nmpc.model.drift` has the equation.
+
+    Parameters
+    ----------
+    q : expression, shape (4,)
+        Unit quaternion wxyz, body to world.
+    world : expression, shape (3,)
+        Angular velocity of the shell [rad/s; world frame].
+    shell_radius : expression
+        Rs [m].
+    torques : expression, shape (5,)
+        [s, a]: torque of the slope over I1 [rad/s^2; world frame] and imbalance Mt g c / I1
+        [rad/s^2; body frame].
+    """
+    a = ca.mtimes(rotation_matrix(q), torques[2:5])
+    velocity = rolling_velocity(world, shell_radius)
+    turning = ca.cross(world, a) / GRAVITY
+    return ca.vertcat(
+        torques[0] - a[1] - velocity[1] * turning[2],
+        torques[1] + a[0] + velocity[0] * turning[2],
+        velocity[1] * turning[0] - velocity[0] * turning[1],
     )
 
 

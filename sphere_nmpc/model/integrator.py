@@ -13,7 +13,13 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.dynamics import body_rate, rolling_velocity
+from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.dynamics import (
+    body_rate,
+    body_rate_with_momentum,
+    momentum_rate,
+    rolling_velocity,
+)
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.symbolic_rotation import (
     Expression,
@@ -70,6 +76,61 @@ def cf4_step(
     return h / 6 * (v1 + 2 * v2 + 2 * v3 + v4), q_end
 
 
+def cf4_drift_step(
+    q: Expression,
+    momentum: Expression,
+    u_start: Expression,
+    u_end: Expression,
+    h: Expression,
+    p: Expression,
+    torques: Expression,
+) -> tuple[Expression, Expression, Expression]:
+    """Advance one step of the model with momentum; on the momentum the method is Runge-Kutta 4.
+
+    Parameters
+    ----------
+    q, u_start, u_end, h, p
+        As in `cf4_step`.
+    momentum : expression, shape (3,)
+        Momentum over I1 at the start of the step [rad/s; world frame].
+    torques : expression, shape (5,)
+        As in `momentum_rate`.
+
+    Returns
+    -------
+    displacement : expression, shape (2,)
+        Displacement of the centre [m; world frame].
+    q_end : expression, shape (4,)
+        Quaternion at the end of the step.
+    momentum_end : expression, shape (3,)
+        Momentum over I1 at the end of the step [rad/s; world frame].
+    """
+    u_middle = 0.5 * (u_start + u_end)
+
+    def rates(
+        quaternion: Expression, u: Expression, held: Expression
+    ) -> tuple[Expression, Expression, Expression]:
+        body = body_rate_with_momentum(quaternion, u, p, held)
+        world = ca.mtimes(rotation_matrix(quaternion), body)
+        change = momentum_rate(quaternion, world, p[0], torques)
+        return body, rolling_velocity(world, p[0]), change
+
+    def turned(quaternion: Expression, rotation: Expression) -> Expression:
+        return quaternion_product(quaternion, quaternion_exponential(rotation))
+
+    w1, v1, m1 = rates(q, u_start, momentum)
+    q2 = turned(q, 0.5 * h * w1)
+    w2, v2, m2 = rates(q2, u_middle, momentum + 0.5 * h * m1)
+    q3 = turned(q, 0.5 * h * w2)
+    w3, v3, m3 = rates(q3, u_middle, momentum + 0.5 * h * m2)
+    q4 = turned(q2, h * (w3 - 0.5 * w1))
+    w4, v4, m4 = rates(q4, u_end, momentum + h * m3)
+    first = turned(q, h / 12 * (3 * w1 + 2 * w2 + 2 * w3 - w4))
+    q_end = turned(first, h / 12 * (-w1 + 2 * w2 + 2 * w3 + 3 * w4))
+    displacement = h / 6 * (v1 + 2 * v2 + 2 * v3 + v4)
+    return displacement, q_end, momentum + h / 6 * (m1 + 2 * m2 + 2 * m3 + m4)
+
+
 def steps_for(duration: float, max_step: float = DEFAULT_MAX_STEP) -> int:
     """Return the number of integration steps of an interval of `duration` [s], at least one."""
     # The tolerance keeps 0.5 / 0.1 at 5 steps if 0.5 is the difference of two clock readings.
@@ -108,6 +169,68 @@ def tangent_step_function(directions: int) -> ca.Function:
         [q, u_start, u_end, h, p, dq, du_start, du_end],
         [displacement, q_end, tangent[0:2, :], tangent[2:6, :]],
     )
+
+
+@cache
+def drift_step_function() -> ca.Function:
+    """Return (x, momentum, u_start, u_end, h, p, torques) -> (x_end, momentum_end) of one step."""
+    x, momentum, p = ca.SX.sym("x", 6), ca.SX.sym("momentum", 3), ca.SX.sym("p", 4)
+    u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
+    torques = ca.SX.sym("torques", 5)
+    displacement, q_end, momentum_end = cf4_drift_step(
+        x[2:6], momentum, u_start, u_end, h, p, torques
+    )
+    x_end = ca.vertcat(x[0:2] + displacement, q_end)
+    arguments = [x, momentum, u_start, u_end, h, p, torques]
+    return ca.Function("cf4_drift_step", arguments, [x_end, momentum_end])
+
+
+@cache
+def tangent_drift_step_function(directions: int) -> ca.Function:
+    """Return the function of one step with momentum and its derivatives along D = `directions`.
+
+    Signature ``(q, momentum, u_start, u_end, h, p, torques, dq, dmomentum, du_start, du_end) ->
+    (dxy, q_end, momentum_end, ddxy, dq_end, dmomentum_end)``; seeds and derivatives have one
+    column for each direction.
+    """
+    q, momentum, p = ca.SX.sym("q", 4), ca.SX.sym("momentum", 3), ca.SX.sym("p", 4)
+    u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
+    torques = ca.SX.sym("torques", 5)
+    sizes = {"dq": 4, "dmomentum": 3, "du_start": 2, "du_end": 2}
+    seeds = [ca.SX.sym(name, size, directions) for name, size in sizes.items()]
+    ends = cf4_drift_step(q, momentum, u_start, u_end, h, p, torques)
+    variables = ca.vertcat(q, momentum, u_start, u_end)
+    tangent = ca.jtimes(ca.vertcat(*ends), variables, ca.vertcat(*seeds))
+    return ca.Function(
+        "tangent_drift_step",
+        [q, momentum, u_start, u_end, h, p, torques, *seeds],
+        [*ends, tangent[0:2, :], tangent[2:6, :], tangent[6:9, :]],
+    )
+
+
+def integrate_with_drift(
+    state: Vector,
+    drift: Drift,
+    u_start: Vector,
+    u_end: Vector,
+    duration: float,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> tuple[Vector, Vector]:
+    """Return state (6,) and momentum (3,) [rad/s] after one interval; see `integrate`.
+
+    `drift` is that at the start of the interval.
+    """
+    steps = steps_for(duration, max_step)
+    step, h = drift_step_function(), duration / steps
+    torques = np.concatenate((drift.slope, drift.imbalance))
+    x, momentum = state, drift.momentum
+    for i in range(steps):
+        here = u_start + (u_end - u_start) * (i / steps)
+        there = u_start + (u_end - u_start) * ((i + 1) / steps)
+        ends = step(x, momentum, here, there, h, constants, torques)
+        x, momentum = (np.array(end).ravel() for end in ends)
+    return x, momentum
 
 
 def integrate(

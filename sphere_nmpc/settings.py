@@ -93,6 +93,9 @@ class ControllerSettings:
     learning: bool = quantity(
         True, "-", "Estimate the plant's constants from its motion", live=True
     )
+    momentum: bool = quantity(
+        True, "-", "Estimate momentum, slope and imbalance, and plan with them", live=True
+    )
     pose_position_noise: float = quantity(
         0.0, "m",
         "Standard deviation of measured positions; with 0 in both noises poses count as exact",

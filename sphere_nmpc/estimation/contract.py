@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -53,11 +54,14 @@ class Estimate:
     covariance : ndarray of shape (5, 5), or None
         Covariance of the error state: position [m; world frame], rotation vector [rad; body
         frame]. None where poses are trusted exactly.
+    drift : Drift
+        Momentum at the sampling instant, slope and imbalance; `NO_DRIFT` without evidence of any.
     """
 
     state: Vector
     plant: PlantEstimate
     covariance: Vector | None = None
+    drift: Drift = NO_DRIFT
 
     @property
     def uncertainty(self) -> float:

@@ -3,11 +3,13 @@
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, integrate_with_drift
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.roll_out import roll_out
 
@@ -97,19 +99,44 @@ class SentInputs:
         max_step : float, optional
             Longest integration step [s].
         """
-        times: list[float] = []
-        speeds: list[Vector] = []
-        for hold, since, until in self._in_force(start, end):
-            # Where one hold replaces another the speed may jump: two values at one time.
-            here = [since, *_between(hold, since, until), until]
-            times += here
-            speeds += [hold.at(t) for t in here]
+        times, speeds = self._knots(start, end)
         if not times:
             return state
         predicted: Vector = roll_out(
             state, np.array(speeds), np.diff(times), constants, max_step
         )[-1]
         return predicted
+
+    def predict_with_drift(
+        self,
+        state: Vector,
+        drift: Drift,
+        start: float,
+        end: float,
+        constants: Vector,
+        max_step: float = DEFAULT_MAX_STEP,
+    ) -> tuple[Vector, Drift]:
+        """Return state and drift at `end`, predicted from those at `start`; see `predict`.
+
+        With momentum the sphere also moves before the first hold, with its rotors at rest.
+        """
+        if drift.is_zero:
+            return self.predict(state, start, end, constants, max_step), drift
+        if end <= start:
+            return state, drift
+        times, speeds = self._knots(start, end)
+        if not times or times[0] > start:
+            idle = [start, times[0] if times else end]
+            times, speeds = [*idle, *times], [np.zeros(INPUT_SIZE)] * 2 + speeds
+        for here, there, since, until in zip(
+            speeds[:-1], speeds[1:], times[:-1], times[1:], strict=True
+        ):
+            if until > since:
+                state, momentum = integrate_with_drift(
+                    state, drift, here, there, until - since, constants, max_step
+                )
+                drift = replace(drift, momentum=momentum)
+        return state, drift
 
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
         """Return the speeds sent between two times as straight pieces.
@@ -143,6 +170,19 @@ class SentInputs:
         if newest is None:
             return False
         return bool(newest.at(time).any() or newest.speeds[newest.times > time].any())
+
+    def _knots(self, start: float, end: float) -> tuple[list[float], list[Vector]]:
+        """Return the times [s] between two times at which the speeds (2,) have a knot, and these.
+
+        Where one hold replaces another the speed may jump: two values at one time.
+        """
+        times: list[float] = []
+        speeds: list[Vector] = []
+        for hold, since, until in self._in_force(start, end):
+            here = [since, *_between(hold, since, until), until]
+            times += here
+            speeds += [hold.at(t) for t in here]
+        return times, speeds
 
     def _in_force(self, start: float, end: float) -> list[tuple[FirstOrderHold, float, float]]:
         """Return the holds in force between two times, in order, each with start and end [s]."""

@@ -2,13 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -157,3 +161,30 @@ def test_prediction_over_a_short_time_reads_few_holds_of_a_long_history(
     # Ten holds are in force in these 10 ms, each is read at most three times; 2048 are kept.
     assert 10 <= len(reads) <= 40
     assert sent.at(0.5) == pytest.approx([0.0, 0.0])  # beyond the history
+
+
+def test_prediction_with_drift_also_covers_the_time_before_the_first_hold() -> None:
+    sent = SentInputs()
+    sent.record(FirstOrderHold(np.array([1.0, 2.0]), np.array([[0.0, 0.0], [40.0, -20.0]])))
+    drift = Drift(np.array([5.0, -3.0, 0.5]), np.array([2.0, 1.0]), np.array([0.5, -1.0, 2.0]))
+    start = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
+    state, after = sent.predict_with_drift(start, drift, 0.5, 2.0, P, 0.05)
+    rest = np.zeros(2)
+    before = integrate_with_drift(start, drift, rest, rest, 0.5, P, 0.05)
+    end = integrate_with_drift(
+        before[0], replace(drift, momentum=before[1]), rest, np.array([40.0, -20.0]), 1.0,
+        P, 0.05,
+    )
+    # The same integrator and steps: rounding.
+    np.testing.assert_allclose(state, end[0], atol=1e-9)
+    np.testing.assert_allclose(after.momentum, end[1], atol=1e-8)
+    np.testing.assert_array_equal(after.as_array()[3:], drift.as_array()[3:])
+
+
+def test_prediction_without_drift_is_that_of_the_paper() -> None:
+    sent = SentInputs()
+    sent.record(FirstOrderHold(np.array([0.0, 1.0]), np.array([[0.0, 0.0], [40.0, -20.0]])))
+    start = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
+    state, after = sent.predict_with_drift(start, NO_DRIFT, 0.0, 1.0, P)
+    np.testing.assert_array_equal(state, sent.predict(start, 0.0, 1.0, P))
+    assert after is NO_DRIFT

@@ -33,6 +33,7 @@ from printed_model import PrintedModel
 
 from sphere_nmpc.model.dynamics import rotor_torque
 from sphere_nmpc.model.state import angle_error, position_error
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -62,9 +63,13 @@ class Study:
         self.figure, self.axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
 
     def compare(
-        self, name: str, settings: RigidBodySettings, alter: Alteration | None = None
+        self,
+        name: str,
+        settings: RigidBodySettings,
+        alter: Alteration | None = None,
+        disturbances: DisturbanceSettings | None = None,
     ) -> Comparison:
-        result = compare(self.sequences, self.reference, settings, alter)
+        result = compare(self.sequences, self.reference, settings, alter, disturbances)
         print(result.row(name), flush=True)
         return result
 
@@ -149,20 +154,24 @@ class Study:
         return "### Options of the engine (ideal drives, default contact, 2 ms)\n\n" + table(rows)
 
     def floor(self) -> str:
-        def of(**changes: Any) -> RigidBodySettings:
-            return replace(DEFAULT, **changes)
-
-        settings = {f"friction {mu:g}": of(friction=mu) for mu in (0.8, 0.4, 0.3, 0.2, 0.1)}
+        floors: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {}
+        for mu in (0.8, 0.4, 0.3, 0.2, 0.1):
+            floors[f"friction {mu:g}"] = {"friction": mu}, {}
         for value in (1e-5, 1e-4, 1e-3):
-            settings[f"rolling friction {1e3 * value:g} mm"] = of(rolling_friction=value)
+            floors[f"rolling friction {1e3 * value:g} mm"] = {}, {"rolling_friction": value}
         for value in (1e-5, 1e-4, 1e-3):
-            settings[f"torsional friction {1e3 * value:g} mm"] = of(torsional_friction=value)
+            floors[f"torsional friction {1e3 * value:g} mm"] = {}, {"torsional_friction": value}
         for value in (1e-5, 1e-4, 1e-3):
             name = f"roughness {1e3 * value:g} mm, bumps 0.5 m apart"
-            settings[name] = of(floor_roughness=value)
-        settings["slope 0.1 degree"] = of(slope=math.radians(0.1))
-        settings["slope 1 degree"] = of(slope=math.radians(1.0))
-        rows = [self.compare(name, given).row(name) for name, given in settings.items()]
+            floors[name] = {"floor_roughness": value}, {}
+        for degrees in (0.1, 1):
+            floors[f"slope {degrees} degree"] = {}, {"slope": math.radians(degrees)}
+        rows = [
+            self.compare(
+                name, replace(DEFAULT, **contact), disturbances=DisturbanceSettings(**momentum)
+            ).row(name)
+            for name, (contact, momentum) in floors.items()
+        ]
         return "### Floors (default drives, open loop)\n\n" + table(rows)
 
     def erratum(self) -> str:
@@ -280,7 +289,8 @@ class Study:
 
     def slope(self) -> str:
         plant = RigidBodyPlant(
-            ROBOT, np.array([0, 0, 1.0, 0, 0, 0]), replace(DEFAULT, slope=math.radians(1.0))
+            ROBOT, np.array([0, 0, 1.0, 0, 0, 0]), DEFAULT,
+            DisturbanceSettings(slope=math.radians(1.0)),
         )
         plant.advance(np.zeros(2), 5.0)
         gain = ROBOT.total_mass * 9.81 * math.sin(math.radians(1.0)) * ROBOT.shell_radius

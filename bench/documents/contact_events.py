@@ -25,6 +25,7 @@ from sphere_sim.evaluation.metrics import (
     state_errors,
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
@@ -58,6 +59,7 @@ class Event:
     case: int
     world: dict[str, Any] = field(default_factory=dict)
     modelled: dict[str, Any] = field(default_factory=dict)
+    slope: float = 0.0
     impulse: float = 0.0
     when: float = math.inf
 
@@ -77,15 +79,18 @@ EVENTS = (
     Event("push of 1 N s at rest, at 12 s", 3, impulse=1.0, when=12.0),
     Event("push of 1 N s in motion, at 2 s", 1, impulse=1.0, when=2.0),
     Event("push of 0.1 N s in motion, at 2 s", 1, impulse=0.1, when=2.0),
-    Event("slope of 0.1 degree", 1, {"slope": math.radians(0.1)}),
-    Event("slope of 1 degree", 1, {"slope": math.radians(1.0)}),
+    Event("slope of 0.1 degree", 1, slope=math.radians(0.1)),
+    Event("slope of 1 degree", 1, slope=math.radians(1.0)),
 )
 
 
 def run(event: Event, strategy: str, duration: float) -> str:
     """Return the row of a run."""
     scenario = PAPER_CASES[event.case]
-    plant = PushedPlant(ROBOT, scenario.start, RigidBodySettings(**event.world))
+    plant = PushedPlant(
+        ROBOT, scenario.start, RigidBodySettings(**event.world),
+        DisturbanceSettings(slope=event.slope),
+    )
     plant.impulse, plant.when = event.impulse, event.when
     world = SimulatorSettings(initial_state=tuple(float(v) for v in scenario.start))
     settings = ControllerSettings(strategy=strategy)

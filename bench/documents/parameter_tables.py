@@ -16,6 +16,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
 
@@ -26,6 +27,7 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     "simulator": (
         ("", "Scheduling of the process.", SchedulingSettings()),
         ("", "Push by the service `~/push`.", PushSettings()),
+        ("", "Slope, centre of mass and friction, in both plants.", DisturbanceSettings()),
         ("rigid_body", "The plant `rigid_body`.", RigidBodySettings()),
     ),
     "controller": (("", "Scheduling of the process.", SchedulingSettings()),),

@@ -11,6 +11,7 @@ import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
@@ -124,9 +125,10 @@ def compare(
     reference: list[np.ndarray],
     settings: RigidBodySettings,
     alter: Alteration | None = None,
+    disturbances: DisturbanceSettings | None = None,
 ) -> Comparison:
     """Compare runs of all sequences on the plant with contact with those of the ideal plant."""
-    plant = RigidBodyPlant(ROBOT, sequences[0].start, settings)
+    plant = RigidBodyPlant(ROBOT, sequences[0].start, settings, disturbances)
     if alter is not None:
         alter(plant._model)
     distances, slips, wall = [], [], 0.0

@@ -11,6 +11,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity, validate
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 
@@ -31,6 +32,8 @@ class StudyConditions:
         Nominal parameters of the robot, which the controller has.
     rigid_body : RigidBodySettings
         Settings of the plant ``rigid_body``.
+    disturbances : DisturbanceSettings
+        Slope, offset of the centre of mass and friction in both plants.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class StudyConditions:
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
     robot: RobotParameters = field(default_factory=RobotParameters)
     rigid_body: RigidBodySettings = field(default_factory=RigidBodySettings)
+    disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
 
     def __post_init__(self) -> None:
         validate(self)
@@ -60,7 +64,7 @@ class StudyConditions:
         ----------
         assignments : iterable of (str, str)
             Names and values as text. A name that occurs in only one of controller, simulator,
-            robot and rigid_body needs no prefix such as in ``simulator.sample_period``.
+            robot, rigid_body and disturbances needs no prefix such as in ``simulator.sample_period``.
 
         Raises
         ------
@@ -101,6 +105,7 @@ _GROUPS: dict[str, Any] = {
     "simulator": SimulatorSettings,
     "robot": RobotParameters,
     "rigid_body": RigidBodySettings,
+    "disturbances": DisturbanceSettings,
 }
 
 

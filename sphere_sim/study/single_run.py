@@ -38,7 +38,9 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
     # Streams 0, 1 and 3 of this seed belong to the simulator.
     rng = np.random.default_rng([scenario.seed, 2])
     robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
-    plant = make_plant(simulation.plant, robot, scenario.start, conditions.rigid_body)
+    plant = make_plant(
+        simulation.plant, robot, scenario.start, conditions.rigid_body, conditions.disturbances
+    )
     return Simulator(simulation, robot, plant), Controller(conditions.controller, conditions.robot)
 
 

@@ -27,6 +27,7 @@ from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -70,13 +71,18 @@ class SimulatorNode(RunnableNode):
         declared = DeclaredSettings(self, SimulatorSettings(), on_change=self._change)
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
         body = DeclaredSettings(self, RigidBodySettings(), prefix="rigid_body")
+        disturbances = DeclaredSettings(self, DisturbanceSettings(), on_change=self._tilt)
         self._push_settings = DeclaredSettings(self, PushSettings())
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        parts = (declared, robot, body, self._push_settings, self._scheduling)
+        parts = (
+            declared, robot, body, disturbances, self._push_settings, self._scheduling,
+        )
         warn_of_unknown(self, [name for part in parts for name in part.names])
         settings = self._settings = declared.settings
         start = as_state(settings.initial_state)
-        plant = make_plant(settings.plant, robot.settings, start, body.settings)
+        plant = make_plant(
+            settings.plant, robot.settings, start, body.settings, disturbances.settings
+        )
         self.simulator = Simulator(settings, robot.settings, plant)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / self._settings.pose_rate),
@@ -207,6 +213,9 @@ class SimulatorNode(RunnableNode):
             self._simulated_clock.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
         self.simulator.change(settings)
+
+    def _tilt(self, disturbances: DisturbanceSettings) -> None:
+        self.simulator.plant.tilt(disturbances.slope, disturbances.slope_direction)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.simulator.reset()

@@ -4,6 +4,8 @@
 
 from typing import Protocol
 
+from numpy.typing import ArrayLike
+
 from sphere_nmpc.model.state import Vector
 
 
@@ -23,6 +25,11 @@ class Plant(Protocol):
     @property
     def velocity(self) -> Vector:
         """Velocity of the centre [m/s; world frame], shape (3,)."""
+        ...
+
+    @property
+    def momentum(self) -> Vector:
+        """Angular momentum about the contact point [N m s; world frame], shape (3,)."""
         ...
 
     @property
@@ -58,5 +65,13 @@ class Plant(Protocol):
         ...
 
     def displace(self, state: Vector) -> None:
-        """Put the sphere at `state`, shape (6,), keeping its rotors (process noise)."""
+        """Put the sphere at `state`, keeping its rotors and its momentum (process noise)."""
+        ...
+
+    def push(self, impulse: ArrayLike) -> None:
+        """Apply a horizontal impulse [N s; world frame], shape (2,), at the centre."""
+        ...
+
+    def tilt(self, slope: float, direction: float) -> None:
+        """Change the inclination of the floor and its downhill direction [rad]."""
         ...

@@ -5,6 +5,7 @@
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -17,6 +18,7 @@ def make_plant(
     robot: RobotParameters,
     state: Vector,
     settings: RigidBodySettings | None = None,
+    disturbances: DisturbanceSettings | None = None,
 ) -> Plant:
     """Return a new plant.
 
@@ -30,6 +32,8 @@ def make_plant(
         Initial state; the sphere starts at rest.
     settings : RigidBodySettings, optional
         Settings of ``rigid_body``; ``rolling`` has none.
+    disturbances : DisturbanceSettings, optional
+        Slope, offset of the centre of mass and friction; none by default.
 
     Raises
     ------
@@ -39,7 +43,7 @@ def make_plant(
         If ``rigid_body`` is chosen and MuJoCo is not installed.
     """
     if name == "rolling":
-        return RollingPlant(robot, state)
+        return RollingPlant(robot, state, disturbances)
     if name == "rigid_body":
-        return RigidBodyPlant(robot, state, settings)
+        return RigidBodyPlant(robot, state, settings, disturbances)
     raise InvalidParameterError("plant", name, " or ".join(PLANTS))

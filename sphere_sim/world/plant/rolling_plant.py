@@ -5,15 +5,20 @@
 Written independently of the controller's model on purpose, quaternion algebra included, as a test
 compares the two. The inertia about the contact point is the sum of the bodies' inertias (Eqs. 8
 to 11), the momentum balance is solved as a 3 x 3 system, the orientation follows Eqs. (3) and (7),
-and the integrator is the classical Runge-Kutta method with short steps.
+and the integrator is the classical Runge-Kutta method with short steps. That is without angular
+momentum; `sphere_sim.world.plant.momentum_balance` has the equations with it.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.momentum_balance import MomentumBalance
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s]: error of a 0.5 s interval at full speed below 1e-6."""
@@ -30,14 +35,22 @@ class RollingPlant:
         True parameters of the robot; those of the controller may differ.
     state : ndarray, shape (6,)
         Initial state; the sphere and its rotors start at rest.
+    disturbances : DisturbanceSettings, optional
+        Slope, offset of the centre of mass and friction; none by default.
     """
 
-    def __init__(self, robot: RobotParameters, state: Vector) -> None:
+    def __init__(
+        self,
+        robot: RobotParameters,
+        state: Vector,
+        disturbances: DisturbanceSettings | None = None,
+    ) -> None:
         self._robot = robot
         self._radius = robot.shell_radius
         self._rotor_inertia = robot.rotor_axial_inertia
         self._rolling_inertia = robot.total_mass * robot.shell_radius**2
         self._central_inertia = _inertia_about_centre(robot)
+        self._disturb(DisturbanceSettings() if disturbances is None else disturbances)
         self.reset(state)
 
     def reset(self, state: Vector) -> None:
@@ -46,10 +59,32 @@ class RollingPlant:
         self._speeds = (0.0, 0.0)
         self._acceleration = (0.0, 0.0)
         self._angles = (0.0, 0.0)
+        self._momentum: _Numbers = (0.0, 0.0, 0.0)
+        self._has_momentum = self._is_disturbed
 
     def displace(self, state: Vector) -> None:
-        """Put the sphere at `state`, shape (6,), keeping its rotors."""
+        """Put the sphere at `state`, shape (6,), keeping its rotors and its momentum."""
         self._y = tuple(float(value) for value in state)
+
+    def push(self, impulse: ArrayLike) -> None:
+        """Apply a horizontal impulse [N s; world frame], shape (2,), at the centre."""
+        east, north = (float(value) for value in np.asarray(impulse))
+        hx, hy, hz = self._momentum
+        self._momentum = (hx - self._radius * north, hy + self._radius * east, hz)
+        self._has_momentum = True
+
+    def tilt(self, slope: float, direction: float) -> None:
+        """Change the inclination of the floor and its downhill direction [rad]."""
+        self._disturb(replace(self._disturbances, slope=slope, slope_direction=direction))
+        # Once there may be momentum it may stay on a level floor.
+        self._has_momentum = self._has_momentum or self._is_disturbed
+
+    def _disturb(self, disturbances: DisturbanceSettings) -> None:
+        self._disturbances = disturbances
+        self._balance = MomentumBalance(
+            self._robot, self._central_inertia, disturbances, MAX_STEP
+        )
+        self._is_disturbed = replace(disturbances, slope_direction=0.0) != DisturbanceSettings()
 
     @property
     def state(self) -> Vector:
@@ -59,13 +94,23 @@ class RollingPlant:
     @property
     def body_rate(self) -> Vector:
         """Angular velocity of the shell [rad/s; body frame], shape (3,)."""
+        if self._has_momentum:
+            return np.array(self._balance.body_rate((*self._y, *self._momentum), *self._speeds))
         return np.array(self._body_rate(self._y, self._speeds[0], self._speeds[1]))
 
     @property
     def velocity(self) -> Vector:
         """Velocity of the centre [m/s; world frame], shape (3,)."""
-        rate = self._rate(self._y, self._speeds[0], self._speeds[1])
+        if self._has_momentum:
+            rate = self._balance.rate((*self._y, *self._momentum), *self._speeds)
+        else:
+            rate = self._rate(self._y, self._speeds[0], self._speeds[1])
         return np.array([rate[0], rate[1], 0.0])
+
+    @property
+    def momentum(self) -> Vector:
+        """Angular momentum about the contact point [N m s; world frame], shape (3,)."""
+        return np.array(self._momentum)
 
     @property
     def rotor_angles(self) -> Vector:
@@ -80,6 +125,11 @@ class RollingPlant:
     @property
     def rotor_torques(self) -> Vector:
         """Motor torques [N m], shape (2,) (Eq. 45), at the present instant."""
+        if self._has_momentum:
+            y = (*self._y, *self._momentum)
+            shell = self._balance.angular_acceleration(y, self._speeds, self._acceleration)
+            torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
+            return torques
         # The momentum balance differentiated once: the vertical turns in the body at k x omega.
         k1, k2, k3 = self._vertical(self._y)
         w1, w2, w3 = self._body_rate(self._y, *self._speeds)
@@ -102,17 +152,23 @@ class RollingPlant:
         self._angles = (self._angles[0] + half * (a1 + b1), self._angles[1] + half * (a2 + b2))
         self._acceleration = ((b1 - a1) / duration, (b2 - a2) / duration)
         self._speeds = (b1, b2)
-        if a1 == a2 == b1 == b2 == 0.0:
-            return  # without inputs the ideal sphere is at rest
+        has_momentum = self._has_momentum
+        if not has_momentum and a1 == a2 == b1 == b2 == 0.0:
+            return  # without inputs and momentum the ideal sphere is at rest
         steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
         h = duration / steps
+        step = self._balance.step if has_momentum else self._step
+        y = (*self._y, *self._momentum) if has_momentum else self._y
         for i in range(steps):
             here, there = i / steps, (i + 1) / steps
-            self._y = self._step(
-                self._y,
+            y = step(
+                y,
                 a1 + (b1 - a1) * here, a2 + (b2 - a2) * here,
                 a1 + (b1 - a1) * there, a2 + (b2 - a2) * there, h,
             )
+        self._y = y[:6]
+        if has_momentum:
+            self._momentum = y[6:]
 
     def _step(
         self, y: _Numbers, a1: float, a2: float, b1: float, b2: float, h: float

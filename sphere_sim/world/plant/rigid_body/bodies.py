@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigid bodies of the robot, from which both MJCF and URDF are written."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +57,11 @@ class Mechanism:
         return (self.shell, *self.rotors, *self.counterweights)
 
 
-def build_mechanism(robot: RobotParameters, balanced: bool = True) -> Mechanism:
+def build_mechanism(
+    robot: RobotParameters,
+    balanced: bool = True,
+    mass_offset: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Mechanism:
     """Return the bodies of Fig. 1.
 
     Two corrections allow independent errors of the parameters. A rotor whose axial inertia exceeds
@@ -72,6 +77,8 @@ def build_mechanism(robot: RobotParameters, balanced: bool = True) -> Mechanism:
         Parameters of the robot.
     balanced : bool, optional
         Whether to move the shell's centre of mass.
+    mass_offset : sequence of float, optional
+        How far the common centre of mass is moved beyond that [m; body frame], by the shell's.
 
     Raises
     ------
@@ -100,10 +107,12 @@ def build_mechanism(robot: RobotParameters, balanced: bool = True) -> Mechanism:
     ]
     carried = [body for body, _ in (*rotors, *counterweights)]
     left = np.sum([excess for _, excess in (*rotors, *counterweights)], axis=0)
-    trim = np.zeros(3)
+    trim: Vector = np.zeros(3)
     if balanced:
         moments = [body.mass * body.position for body in carried]
         trim = -np.sum(moments, axis=0) / robot.shell_mass
+    if any(mass_offset):
+        trim = trim + robot.total_mass / robot.shell_mass * np.asarray(mass_offset)
     shell_inertia = robot.shell_inertia * np.eye(3) - left - _point_inertia(robot.shell_mass, trim)
     principal = np.linalg.eigvalsh(shell_inertia)
     if principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:

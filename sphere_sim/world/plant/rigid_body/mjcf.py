@@ -2,19 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """MJCF, the model of robot and floor for MuJoCo."""
 
-import math
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.bodies import Body, build_mechanism
 from sphere_sim.world.plant.rigid_body.floor import RoughFloor
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
 
 _IMPEDANCE_RATIO = 10
 """Ratio of the impedances of friction and normal force [-]."""
@@ -24,7 +21,10 @@ _FLOOR_BASE = 0.5
 
 
 def make_mjcf(
-    robot: RobotParameters, settings: RigidBodySettings, floor: RoughFloor | None = None
+    robot: RobotParameters,
+    settings: RigidBodySettings,
+    disturbances: DisturbanceSettings,
+    floor: RoughFloor | None = None,
 ) -> str:
     """Return the model of the robot on its floor.
 
@@ -34,6 +34,8 @@ def make_mjcf(
         True parameters of the robot.
     settings : RigidBodySettings
         Drives, floor, contact and integration.
+    disturbances : DisturbanceSettings
+        Slope, offset of the centre of mass and friction.
     floor : RoughFloor, optional
         Rough floor, whose heights the caller puts into the compiled model; a plane by default.
 
@@ -49,7 +51,7 @@ def make_mjcf(
         root,
         "option",
         timestep=_text(settings.time_step),
-        gravity=_gravity(settings),
+        gravity=_text(*disturbances.gravity),
         # Runge-Kutta: with the gyroscopic forces of fast rotors first-order methods drift.
         integrator="RK4",
         cone="elliptic",
@@ -70,7 +72,7 @@ def make_mjcf(
     _add(world, "geom", name="plane", type="plane", size="0 0 1")
     if floor is not None:
         _add(world, "geom", name="floor", type="hfield", hfield="floor")
-    _add_robot(world, robot, settings)
+    _add_robot(world, robot, settings, disturbances)
     actuators = _add(root, "actuator")
     gain = servo_gain(robot, settings)
     for i in (1, 2):
@@ -100,15 +102,18 @@ def servo_gain(robot: RobotParameters, settings: RigidBodySettings) -> float:
 
 
 def _add_robot(
-    world: ElementTree.Element, robot: RobotParameters, settings: RigidBodySettings
+    world: ElementTree.Element,
+    robot: RobotParameters,
+    settings: RigidBodySettings,
+    disturbances: DisturbanceSettings,
 ) -> None:
-    mechanism = build_mechanism(robot, settings.balanced)
+    mechanism = build_mechanism(robot, settings.balanced, disturbances.mass_offset)
     base = _add(world, "body", name="base_link", pos=_text(0.0, 0.0, robot.shell_radius))
     _add(base, "freejoint", name="base_joint")
     _add_inertial(base, mechanism.shell, mechanism.shell.position)
     # Without torsional friction, as in the rolling model, the contact transmits forces alone.
-    spinning, rolling = settings.torsional_friction > 0.0, settings.rolling_friction > 0.0
-    condim = 6 if rolling else 4 if spinning else 3
+    spinning, rolling = disturbances.torsional_friction, disturbances.rolling_friction
+    condim = 6 if rolling > 0.0 else 4 if spinning > 0.0 else 3
     _add(
         base,
         "geom",
@@ -117,7 +122,7 @@ def _add_robot(
         size=_text(robot.shell_radius),
         priority="1",
         condim=str(condim),
-        friction=_text(settings.friction, settings.torsional_friction, settings.rolling_friction),
+        friction=_text(settings.friction, spinning, rolling),
         solref=_text(settings.contact_time_constant, 1.0),
         solimp=_text(settings.contact_impedance, settings.contact_impedance, 0.001),
     )
@@ -141,15 +146,6 @@ def _add_inertial(parent: ElementTree.Element, body: Body, position: Iterable[fl
             "fullinertia": _text(*np.diag(full), full[0, 1], full[0, 2], full[1, 2]),
         }
     _add(parent, "inertial", pos=_text(*position), mass=_text(body.mass), **inertia)
-
-
-def _gravity(settings: RigidBodySettings) -> str:
-    along = GRAVITY * math.sin(settings.slope)
-    return _text(
-        along * math.cos(settings.slope_direction),
-        along * math.sin(settings.slope_direction),
-        -GRAVITY * math.cos(settings.slope),
-    )
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.errors import MissingEngineError, PlantDivergedError
 from sphere_sim.world.plant.rigid_body.floor import make_floor
 from sphere_sim.world.plant.rigid_body.mjcf import make_mjcf, servo_gain
@@ -33,6 +34,8 @@ class RigidBodyPlant:
         Initial state; the sphere and its rotors start at rest.
     settings : RigidBodySettings, optional
         Drives, floor, contact and integration.
+    disturbances : DisturbanceSettings, optional
+        Slope, offset of the centre of mass and friction; none by default.
 
     Raises
     ------
@@ -43,7 +46,11 @@ class RigidBodyPlant:
     """
 
     def __init__(
-        self, robot: RobotParameters, state: Vector, settings: RigidBodySettings | None = None
+        self,
+        robot: RobotParameters,
+        state: Vector,
+        settings: RigidBodySettings | None = None,
+        disturbances: DisturbanceSettings | None = None,
     ) -> None:
         self._mj = _load_engine()
         self._settings = RigidBodySettings() if settings is None else settings
@@ -52,7 +59,8 @@ class RigidBodyPlant:
         bandwidth = self._gain / robot.rotor_axial_inertia
         self._lead = 1.0 / bandwidth if self._settings.drive_feedforward else 0.0
         self._floor = make_floor(self._settings)
-        mjcf = make_mjcf(robot, self._settings, self._floor)
+        disturbances = DisturbanceSettings() if disturbances is None else disturbances
+        mjcf = make_mjcf(robot, self._settings, disturbances, self._floor)
         self._model = self._mj.MjModel.from_xml_string(mjcf)
         if self._floor is not None:
             self._model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
@@ -97,6 +105,11 @@ class RigidBodyPlant:
         given = np.asarray(impulse, dtype=float)
         force[: given.size] = given
         self._data.qvel[:] += np.linalg.solve(self._mass_matrix(), force)
+
+    def tilt(self, slope: float, direction: float) -> None:
+        """Change the inclination of the floor and its downhill direction [rad]."""
+        tilted = DisturbanceSettings(slope=slope, slope_direction=direction)
+        self._model.opt.gravity[:] = tilted.gravity
 
     @property
     def state(self) -> Vector:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the plant ``rigid_body``: drives, floor, contact and integration."""
 
-import math
 from dataclasses import dataclass
 
 from sphere_nmpc.errors import InvalidParameterError
@@ -44,26 +43,6 @@ class RigidBodySettings:
         "Coefficient of sliding friction between shell and floor",
         minimum=1e-3,
         maximum=10.0,
-    )
-    torsional_friction: float = quantity(
-        0.0,
-        "m",
-        "Friction torque against spinning on the spot over normal force",
-        minimum=0.0,
-        maximum=1.0,
-    )
-    rolling_friction: float = quantity(
-        0.0, "m", "Friction torque against rolling over normal force", minimum=0.0, maximum=1.0
-    )
-    slope: float = quantity(
-        0.0,
-        "rad",
-        "Inclination of the floor; x and y are measured in the floor",
-        minimum=0.0,
-        maximum=0.5,
-    )
-    slope_direction: float = quantity(
-        0.0, "rad", "Downhill direction: angle from the x axis", minimum=-math.pi, maximum=math.pi
     )
     floor_roughness: float = quantity(
         0.0,

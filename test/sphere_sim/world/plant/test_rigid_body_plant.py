@@ -12,6 +12,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.dynamics import rotor_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, angle_error, position_error
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.errors import PlantDivergedError
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -189,11 +190,11 @@ def test_push_first_slips_then_rolls_on():
 
 
 def test_slope_rolls_the_sphere_downhill():
-    settings = RigidBodySettings(slope=np.radians(1.0), slope_direction=0.5 * np.pi)
-    plant = RigidBodyPlant(ROBOT, ORIGIN, settings)
+    slope = DisturbanceSettings(slope=np.radians(1.0), slope_direction=0.5 * np.pi)
+    plant = RigidBodyPlant(ROBOT, ORIGIN, disturbances=slope)
     plant.advance(REST, 1.0)
     inertia = ROBOT.transverse_inertia + ROBOT.rolling_inertia
-    acceleration = ROBOT.rolling_inertia * 9.81 * np.sin(settings.slope) / inertia
+    acceleration = ROBOT.rolling_inertia * 9.81 * np.sin(slope.slope) / inertia
     np.testing.assert_allclose(plant.velocity[:2], [0.0, acceleration], atol=1e-3)
 
 
@@ -204,7 +205,7 @@ def test_slippery_floor_lets_the_shell_slip():
 
 
 def test_rolling_friction_brings_the_sphere_to_rest():
-    plant = RigidBodyPlant(ROBOT, ORIGIN, RigidBodySettings(rolling_friction=5e-3))
+    plant = RigidBodyPlant(ROBOT, ORIGIN, None, DisturbanceSettings(rolling_friction=5e-3))
     plant.push([0.5, 0.0])
     plant.advance(REST, 2.0)
     assert np.linalg.norm(plant.velocity) < 1e-3
@@ -212,7 +213,8 @@ def test_rolling_friction_brings_the_sphere_to_rest():
 
 def test_spin_friction_takes_momentum_about_the_vertical():
     start, speeds = draw(8, knots=2)
-    plant = run(RigidBodyPlant(ROBOT, start, RigidBodySettings(torsional_friction=5e-3)), speeds)
+    friction = DisturbanceSettings(torsional_friction=5e-3)
+    plant = run(RigidBodyPlant(ROBOT, start, None, friction), speeds)
     assert abs(plant.momentum[2]) > 1e-3
 
 

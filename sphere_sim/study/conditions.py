@@ -64,7 +64,8 @@ class StudyConditions:
         ----------
         assignments : iterable of (str, str)
             Names and values as text. A name that occurs in only one of controller, simulator,
-            robot, rigid_body and disturbances needs no prefix such as in ``simulator.sample_period``.
+            robot, rigid_body and disturbances needs no prefix such as in
+            ``simulator.sample_period``.
 
         Raises
         ------

@@ -5,6 +5,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from sphere_nmpc.model.state import Vector
+
 HOLDING = "holding"
 """Status of a plan that has reached the goal and holds the sphere there."""
 
@@ -42,12 +46,21 @@ class SolveStatus:
 def solve_status(values: Mapping[str, str]) -> SolveStatus:
     """Return the solve that the key-value pairs of a status message report."""
     return SolveStatus(
-        _number(values, "time_s"), _number(values, "solve_time_s"), _number(values, "cost"),
-        _number(values, "arrival_s"), values.get("plan", ""),
+        number(values, "time_s"), number(values, "solve_time_s"), number(values, "cost"),
+        number(values, "arrival_s"), values.get("plan", ""),
     )
 
 
-def _number(values: Mapping[str, str], key: str) -> float:
+def reported_momentum(values: Mapping[str, str]) -> Vector:
+    """Return the momentum that a status reports [N m s; world frame], shape (3,).
+
+    It is zero where the controller finds none, and nan where it does not report any.
+    """
+    return np.array([number(values, f"momentum_{axis}") for axis in "xyz"])
+
+
+def number(values: Mapping[str, str], key: str) -> float:
+    """Return a value as a number; nan where it is missing or none."""
     try:
         return float(values.get(key, "nan"))
     except ValueError:

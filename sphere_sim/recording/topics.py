@@ -4,7 +4,8 @@
 
 ``goal_pose`` is not recorded by default: ``ros2 topic pub --once`` publishes to its first matched
 subscription and ends, so that with a recorder among the subscribers the goal may never reach the
-controller. Accepted goals are on ``controller/active_goal``, refused ones in ``/rosout``.
+controller. Accepted goals are on ``controller/active_goal``, refused ones in ``/rosout``. For the
+same reason pushes are recorded from ``simulator/pushed``.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ DEFAULT_TOPICS = (
     "rotor_trajectory",
     "rotor_commands",
     "controller/*",
-    "simulator/*",
+    "simulator/pushed",
     "/clock",
     "/diagnostics",
     "/parameter_events",
@@ -34,6 +35,7 @@ KNOWN_TYPES = {
     "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",
     "rotor_commands": "std_msgs/msg/Float64MultiArray",
     "controller/active_goal": "geometry_msgs/msg/PoseStamped",
+    "simulator/pushed": "geometry_msgs/msg/Vector3Stamped",
     "/clock": "rosgraph_msgs/msg/Clock",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }

@@ -55,7 +55,13 @@ class ControlPanel:
             self._seek = gui.add_slider("time [s]", 0.0, 1.0, 1e-3, 0.0, visible=False)
             self._speed = gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1)
             self._reset = gui.add_button("Reset", hint="Return to the start")
-            self._push = gui.add_button("Push")
+        with gui.add_folder("Disturbance", visible=False) as self._disturbance:
+            self._impulse = gui.add_number("impulse [N s]", 0.5, min=0.0, max=20.0, step=0.1)
+            self._direction = gui.add_number(
+                "direction [°]", 0.0, min=-360.0, max=360.0, step=15.0,
+                hint="From the x axis; 90 is along the y axis",
+            )
+            push = gui.add_button("Push")
         with gui.add_folder("Strategy", visible=live):
             self._strategy = gui.add_dropdown("strategy", ("-",), initial_value="-")
         find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
@@ -68,7 +74,7 @@ class ControlPanel:
         self._on_click(self._pause, lambda: Pause(True))
         self._on_click(self._resume, lambda: Pause(False))
         self._on_click(self._reset, Reset)
-        self._on_click(self._push, Push)
+        self._on_click(push, self._make_push)
         self._on_choice(self._preset, lambda name: name if name in GOAL_PRESETS else None)
         self._on_choice(self._speed, lambda f: SetSpeed(f) if math.isfinite(f) else None)
         self._on_choice(
@@ -118,7 +124,7 @@ class ControlPanel:
             (self._pause, capabilities.pause and not capabilities.paused),
             (self._resume, capabilities.pause and capabilities.paused),
             (self._reset, capabilities.reset),
-            (self._push, capabilities.push),
+            (self._disturbance, capabilities.push),
             (self._speed, capabilities.speed is not None),
             (self._seek, capabilities.duration is not None),
         ):
@@ -141,8 +147,19 @@ class ControlPanel:
         self._sought_at = time.monotonic()
         return Seek(moment) if math.isfinite(moment) else None
 
-    def _on_click(self, button: Any, make: Callable[[], Request | str]) -> None:
-        button.on_click(lambda _: self.put(make()))
+    def _make_push(self) -> Push | None:
+        impulse, direction = self._impulse.value, math.radians(self._direction.value)
+        if not (math.isfinite(impulse) and math.isfinite(direction)):
+            return None
+        return Push((impulse * math.cos(direction), impulse * math.sin(direction)))
+
+    def _on_click(self, button: Any, make: Callable[[], Request | str | None]) -> None:
+        def click(_: viser.GuiEvent) -> None:
+            request = make()
+            if request is not None:
+                self.put(request)
+
+        button.on_click(click)
 
     def _on_choice(self, handle: Any, make: Callable[[Any], Request | str | None]) -> None:
         def choose(event: viser.GuiEvent) -> None:

@@ -72,6 +72,9 @@ class Frame:
         Value of the optimal control problem, unless that is a time.
     to_go : float
         Time until the plan reaches the goal [s].
+    momentum : ndarray, shape (3,)
+        Angular momentum about the contact point that the controller estimates [N m s; world
+        frame].
     strategy, mode : str
         Strategy and mode of the controller.
     alerts : tuple of str
@@ -94,6 +97,7 @@ class Frame:
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")
+    momentum: Vector = field(default_factory=lambda: np.full(3, np.nan))
     strategy: str = ""
     mode: str = ""
     alerts: tuple[str, ...] = ()

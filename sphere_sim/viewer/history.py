@@ -11,7 +11,7 @@ from sphere_sim.viewer.frame import Frame
 
 NAMES = (
     "time", "distance", "angle", "speed_1", "speed_2", "torque_1", "torque_2", "cost", "to_go",
-    "solve_ms",
+    "solve_ms", "momentum_x", "momentum_y", "momentum_z",
 )
 
 
@@ -46,6 +46,7 @@ class History:
             np.nan if goal is None else angle_error(frame.state, goal),
             *map(float, frame.rotor_speeds), *map(float, frame.rotor_torques),
             frame.cost, frame.to_go, 1e3 * frame.solve_time,
+            *map(float, frame.momentum),
         ))
         while self._rows[0][0] < frame.time - self._window:
             self._rows.popleft()

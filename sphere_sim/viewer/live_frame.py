@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector
-from sphere_sim.recording.controller_status import HOLDING, solve_status
+from sphere_sim.recording.controller_status import HOLDING, reported_momentum, solve_status
 from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
 from sphere_sim.viewer.liveness import Liveness
 
@@ -30,6 +30,7 @@ class LiveFrame:
         """Newest values, without alerts."""
         self._liveness = Liveness()
         self._stamp_changed_at = now
+        self._giving_up = ""
 
     @property
     def paused(self) -> bool:
@@ -49,7 +50,8 @@ class LiveFrame:
         """
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
         self._liveness.controllers = controllers
-        return replace(frame, alerts=self._liveness.alerts(now))
+        alerts = self._liveness.alerts(now)
+        return replace(frame, alerts=(*alerts, self._giving_up) if self._giving_up else alerts)
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         """Update the state.
@@ -93,6 +95,7 @@ class LiveFrame:
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""
+        self._giving_up = values.get("giving_up", "")
         solve = solve_status(values)
         to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
         self.frame = replace(
@@ -101,6 +104,7 @@ class LiveFrame:
             cost=solve.cost if np.isnan(to_go) else float("nan"),
             to_go=to_go,
             solve_time=solve.duration if solve.duration > 0.0 else float("nan"),
+            momentum=reported_momentum(values),
             strategy=values.get("strategy", ""),
             mode=values.get("mode", ""),
         )

@@ -30,7 +30,8 @@ Range = tuple[float, float]
 class Chart:
     """Series of the history in one plot, with labels and colours.
 
-    `least` is the smallest range of the vertical axis, so that small changes look small.
+    `least` is the smallest range of the vertical axis, so that small changes look small. A chart
+    of `disturbances` is only shown while a value is not zero.
     """
 
     title: str
@@ -39,6 +40,7 @@ class Chart:
     colours: tuple[Colour, ...]
     least: Range
     logarithmic: bool = False
+    disturbances: bool = False
 
 
 CHARTS = (
@@ -48,6 +50,10 @@ CHARTS = (
           colours.ROTORS, (-100.0, 100.0)),
     Chart("rotor torques [N m]", ("torque_1", "torque_2"), ("rotor 1", "rotor 2"),
           colours.ROTORS, (-2.0, 2.0)),
+    Chart("momentum about the contact point [N m s]",
+          ("momentum_x", "momentum_y", "momentum_z"), ("x", "y", "z"),
+          (colours.BLUE, colours.VERMILION, colours.INK), (-0.2, 0.2),
+          disturbances=True),
     Chart("value of the control problem: time to go [s]", ("to_go",), ("time to go",),
           (colours.BLUE,), (0.0, 2.0)),
     Chart("value of the control problem, log10", ("cost",), ("value",), (colours.BLUE,),
@@ -80,7 +86,7 @@ class Plots:
         times = series["time"]
         for order, chart in enumerate(CHARTS):
             lines = [_drawable(series[name], chart) for name in chart.names]
-            has_values = len(times) >= 2 and any(np.any(np.isfinite(line)) for line in lines)
+            has_values = len(times) >= 2 and any(_is_shown(line, chart) for line in lines)
             handle = self._drawn.get(chart)
             if handle is None:
                 # Created only with values: a plot that is created hidden keeps a width of 0.
@@ -137,6 +143,12 @@ def axis_range(lines: Sequence[Vector], least: Range) -> Range:
 
 def _scales(vertical: Range) -> dict[str, uplot.Scale]:
     return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=vertical)}
+
+
+def _is_shown(values: Vector, chart: Chart) -> bool:
+    """Return whether there is a value to draw."""
+    known = values[np.isfinite(values)]
+    return bool(known.any() if chart.disturbances else known.size)
 
 
 def _drawable(values: Vector, chart: Chart) -> Vector:

@@ -97,6 +97,7 @@ class Replay:
             solve_time=float(run.solves.durations[solve]) if solve >= 0 else float("nan"),
             cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,
             to_go=to_go,
+            momentum=run.momentum.at(moment),
             mode=run.solves.statuses[solve] if solve >= 0 else "",
             restarted=restarted,
             capabilities=Capabilities(

@@ -31,7 +31,9 @@ class Reset:
 
 @dataclass(frozen=True)
 class Push:
-    """Request for a push on the sphere."""
+    """Request for a push on the sphere with an impulse (x, y) [N s; world frame]."""
+
+    impulse: tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,13 @@ from command_checks import Options, WrongCommandError, check_value, settings_of
 TOPICS = Path(__file__).parents[2] / "msg_docs" / "topics.md"
 
 
-def offered() -> dict[str, str]:
-    """Return the type of each documented topic and service, by its full name."""
-    found, node = {}, ""
+def offered() -> dict[str, list[str]]:
+    """Return the types of the documented topics and services, by full name.
+
+    A topic and a service may have the same name.
+    """
+    found: dict[str, list[str]] = {}
+    node = ""
     # A service may be in the text, followed by its type in brackets.
     entry = re.compile(
         r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \||"
@@ -28,7 +32,7 @@ def offered() -> dict[str, str]:
         node = match["node"] or node
         if not match["node"]:
             name = (match["row"] or match["name"]).replace("~", node).lstrip("/")
-            found[f"/{name}"] = match["type"] or match["srv"]
+            found.setdefault(f"/{name}", []).append(match["type"] or match["srv"])
     return found
 
 
@@ -40,9 +44,12 @@ def check_topic(name: str, kind: str | None = None) -> str:
     actual = types.get(full) or types.get(second)
     if actual is None:
         raise WrongCommandError(f"{name}: not in msg_docs/topics.md")
-    if kind is not None and re.sub("/(msg|srv)/", "/", kind) != re.sub("/(msg|srv)/", "/", actual):
-        raise WrongCommandError(f"{name}: given the type {kind}, expected {actual}")
-    return actual
+    if kind is None:
+        return actual[0]
+    for candidate in actual:
+        if re.sub("/(msg|srv)/", "/", kind) == re.sub("/(msg|srv)/", "/", candidate):
+            return candidate
+    raise WrongCommandError(f"{name}: given the type {kind}, expected {' or '.join(actual)}")
 
 
 def fill(message: Any, values: Any) -> None:

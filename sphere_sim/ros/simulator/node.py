@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node: a sphere with two rotors, its drives, its sensor and its clock.
 
-publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics
-subscribes  rotor_trajectory, rotor_commands
-services    ~/reset, ~/pause, ~/step, ~/push where the plant can be pushed
+publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
+            ~/pushed
+subscribes  rotor_trajectory, rotor_commands, ~/push
+services    ~/reset, ~/pause, ~/step, ~/push
 """
 
 import time
@@ -25,11 +26,11 @@ from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
+from sphere_sim.ros.simulator.push_receiver import PushReceiver
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.factory import make_plant
-from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
 from sphere_sim.world.simulator import NANOSECONDS, Simulator
@@ -72,11 +73,9 @@ class SimulatorNode(RunnableNode):
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
         body = DeclaredSettings(self, RigidBodySettings(), prefix="rigid_body")
         disturbances = DeclaredSettings(self, DisturbanceSettings(), on_change=self._tilt)
-        self._push_settings = DeclaredSettings(self, PushSettings())
+        pushes = DeclaredSettings(self, PushSettings())
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        parts = (
-            declared, robot, body, disturbances, self._push_settings, self._scheduling,
-        )
+        parts = (declared, robot, body, disturbances, pushes, self._scheduling)
         warn_of_unknown(self, [name for part in parts for name in part.names])
         settings = self._settings = declared.settings
         start = as_state(settings.initial_state)
@@ -112,8 +111,9 @@ class SimulatorNode(RunnableNode):
             self.create_service(SetBool, "~/pause", self._pause),
             self.create_service(Trigger, "~/step", self._step),
         ]
-        if isinstance(plant, RigidBodyPlant):
-            self._command_services.append(self.create_service(Trigger, "~/push", self._push))
+        self._push_receiver = PushReceiver(
+            self, self.simulator, self._fault_log, lambda: pushes.settings, lambda: self._epoch
+        )
         self._diagnostics = Diagnostics(
             self, lambda: self._epoch + self.simulator.now,
             {"clock": self._report_clock, "commands": self._report_commands},
@@ -247,15 +247,6 @@ class SimulatorNode(RunnableNode):
         until = self._simulated_clock.step(self.simulator.now, time.monotonic())
         self._state_publisher.repeat()
         response.message = f"running as far as t = {until / NANOSECONDS:.3f} s"
-        return response
-
-    def _push(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        impulse = self._push_settings.settings.push_impulse
-        plant = self.simulator.plant
-        response.success = isinstance(plant, RigidBodyPlant)
-        if isinstance(plant, RigidBodyPlant):
-            plant.push(impulse)
-        response.message = f"pushed with {list(impulse)} N s at t = {self.simulator.time:.3f} s"
         return response
 
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:

@@ -4,8 +4,8 @@
 
 subscribes  pose, joint_states, controller/active_goal, controller/predicted_path,
             controller/status, /diagnostics
-publishes   goal_pose
-calls       simulator/pause, simulator/reset, simulator/push and parameters, where available
+publishes   goal_pose, simulator/push
+calls       simulator/pause, simulator/reset and parameters, where available
 """
 
 import time

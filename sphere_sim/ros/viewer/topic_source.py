@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Vector3
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
@@ -40,7 +40,7 @@ class TopicSource:
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 1)
         self._pause = node.create_client(SetBool, "simulator/pause")
         self._reset = node.create_client(Trigger, "simulator/reset")
-        self._push = node.create_client(Trigger, "simulator/push")
+        self._pushes = node.create_publisher(Vector3, "simulator/push", 10)
         self._notices: list[str] = []
         notify = self._notices.append
         self._speed = RemoteParameter(node, "simulator", "real_time_factor", notify)
@@ -60,7 +60,7 @@ class TopicSource:
         return [replace(frame, strategy=strategy)]
 
     def handle(self, request: Request) -> str:
-        """Publish the goal, call the service or set the parameter of a request."""
+        """Publish the goal or push, call the service or set the parameter of a request."""
         if isinstance(request, SetGoal):
             return self._send_goal(request)
         if isinstance(request, Pause):
@@ -68,8 +68,9 @@ class TopicSource:
         if isinstance(request, Reset):
             return self._call(self._reset, Trigger.Request())
         if isinstance(request, Push):
-            return self._call(self._push, Trigger.Request())
-        if isinstance(request, SetSpeed) and self._speed.writable:
+            x, y = request.impulse
+            self._pushes.publish(Vector3(x=x, y=y))
+        elif isinstance(request, SetSpeed) and self._speed.writable:
             self._speed.set(float(request.factor))
         elif isinstance(request, SetStrategy) and self._strategy.writable:
             self._strategy.set(request.name)
@@ -98,7 +99,7 @@ class TopicSource:
         return Capabilities(
             pause=self._pause.service_is_ready(),
             reset=self._reset.service_is_ready(),
-            push=self._push.service_is_ready(),
+            push=self._pushes.get_subscription_count() > 0,
             paused=self.subscriptions.paused,
             speed=float(speed.value) if speed.writable else None,
             strategies=strategy.choices if strategy.writable else (),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Vector3
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -194,6 +194,11 @@ def commands_on_another_clock(graph) -> None:
     sender.publish(hold_to_trajectory(hold, time.time_ns()))
 
 
+def push_from_above(graph) -> None:
+    simulator(graph)
+    graph.publisher(Vector3, "simulator/push").publish(Vector3(z=-1.0))
+
+
 MISTAKES: dict[Callable[..., None], str] = {
     forgotten_use_sim_time: "in simulated time",
     no_simulator: "expected one; start a simulator",
@@ -214,9 +219,10 @@ MISTAKES: dict[Callable[..., None], str] = {
     goal_in_another_frame: ": goal_pose refused: frame",
     lockstep_without_controller: "time waits",
     commands_on_another_clock: "rotor_trajectory refused",
+    push_from_above: "push refused",
 }
 """What a beginner does wrong, and words of the row that documents its warning."""
-OF_THE_SIMULATOR = (lockstep_without_controller, commands_on_another_clock)
+OF_THE_SIMULATOR = (lockstep_without_controller, commands_on_another_clock, push_from_above)
 
 
 def row_of(words: str) -> str:

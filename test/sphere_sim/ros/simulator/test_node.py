@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -284,9 +284,69 @@ def test_plant_with_contact_is_set_by_parameters_and_can_be_pushed(graph) -> Non
     assert abs(pose_from_ros(poses[-1])[0] - start[0]) < 0.05
 
 
-def test_ideal_plant_offers_no_push(graph) -> None:
+@pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
+def test_push_by_topic_gives_its_momentum_and_is_published_with_its_time(graph, plant) -> None:
+    if plant == "rigid_body":
+        pytest.importorskip("mujoco")
+    node = simulator(graph, plant=plant, real_time_factor=2.0)
+    pushed = graph.collect(Vector3Stamped, "simulator/pushed")
+    sender = graph.publisher(Vector3, "simulator/push")
+    graph.until(lambda: node.simulator.now > 0)
+    before = node.simulator.plant.momentum
+    sender.publish(Vector3(x=0.5, y=-0.25))
+    graph.until(lambda: pushed)
+    # Rs e3 x J. The plant with contact settles into its floor, by much less than 1 %.
+    gained = node.simulator.plant.momentum - before
+    np.testing.assert_allclose(gained, 0.3 * np.array([0.25, 0.5, 0.0]), atol=1e-3)
+    impulse, header = pushed[0].vector, pushed[0].header
+    assert (impulse.x, impulse.y, impulse.z) == (0.5, -0.25, 0.0)
+    assert header.frame_id == "world"
+    assert 0 < stamp_from_ros(header.stamp) <= node.simulator.now
+
+
+def test_push_by_service_has_the_impulse_of_the_parameter(graph) -> None:
+    node = simulator(graph, push_impulse=[0.0, 2.0])
+    pushed = graph.collect(Vector3Stamped, "simulator/pushed")
+    answer = graph.call(Trigger, "simulator/push", Trigger.Request())
+    assert answer.success and "[0.0, 2.0] N s" in answer.message
+    np.testing.assert_allclose(node.simulator.plant.momentum, [-0.6, 0.0, 0.0], atol=1e-12)
+    graph.until(lambda: pushed)
+
+
+@pytest.mark.parametrize(
+    ("impulse", "expected"),
+    [
+        ((math.nan, 0.0, 0.0), "a finite number"),
+        ((0.0, math.inf, 0.0), "-1000 to 1000"),
+        ((0.0, 1e300, 0.0), "-1000 to 1000"),
+        ((0.5, 0.0, 0.1), "a horizontal push"),
+        ((0.5, 0.0, math.nan), "a horizontal push"),
+    ],
+)
+def test_wrong_push_moves_nothing_and_is_logged_once(graph, capfd, impulse, expected) -> None:
     node = simulator(graph)
-    assert not any(service.service_name.endswith("push") for service in node.services)
+    sender = graph.publisher(Vector3, "simulator/push")
+    x, y, z = impulse
+    for _ in range(3):
+        sender.publish(Vector3(x=x, y=y, z=z))
+    graph.until(lambda: node._fault_log.counts["push refused"] == 3)
+    assert not node.simulator.plant.momentum.any()
+    lines = [line for line in capfd.readouterr().err.splitlines() if "push refused" in line]
+    assert len(lines) == 1 and "given" in lines[0] and expected in lines[0]
+
+
+def test_slope_is_a_live_parameter_that_gives_momentum(graph) -> None:
+    node = simulator(graph, real_time_factor=5.0)
+    graph.until(lambda: node.simulator.now > 0)
+    assert not node.simulator.plant.momentum.any()
+    node.set_parameters([Parameter("slope", value=0.01)])
+    # Downhill along +x: about +y.
+    graph.until(lambda: node.simulator.plant.momentum[1] > 0.01)
+    node.set_parameters([Parameter("slope", value=0.0)])
+    level = node.simulator.plant.momentum
+    then = node.simulator.now
+    graph.until(lambda: node.simulator.now > then + 500 * MS)
+    np.testing.assert_allclose(node.simulator.plant.momentum, level, rtol=1e-9, atol=1e-12)
 
 
 def test_several_commands_between_two_calls_of_the_executor_are_all_received(graph) -> None:

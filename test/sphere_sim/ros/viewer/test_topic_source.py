@@ -38,9 +38,8 @@ def newest(source):
     return source.frames()[-1]
 
 
-def simulator(plant: str = "rolling") -> SimulatorNode:
-    given = {"initial_state": START.tolist(), "plant": plant}
-    return SimulatorNode([Parameter(name, value=value) for name, value in given.items()])
+def simulator() -> SimulatorNode:
+    return SimulatorNode([Parameter("initial_state", value=START.tolist())])
 
 
 def test_missing_nodes_are_reported(source) -> None:
@@ -77,7 +76,6 @@ def test_pause_speed_and_reset_reach_the_simulator(graph, source) -> None:
     graph.until(lambda: newest(source).capabilities.speed is not None)
     graph.until(lambda: newest(source).capabilities.pause)
     assert newest(source).capabilities.reset
-    assert not newest(source).capabilities.push, "the ideal plant cannot be pushed"
     source.handle(Pause(True))
     graph.until(lambda: newest(source).capabilities.paused)
     source.handle(Pause(False))
@@ -87,14 +85,17 @@ def test_pause_speed_and_reset_reach_the_simulator(graph, source) -> None:
     assert source.handle(Reset()) == ""
 
 
-def test_push_reaches_a_simulator_that_offers_it(graph, source) -> None:
-    pytest.importorskip("mujoco")
-    graph.add(simulator("rigid_body"))
+def test_push_reaches_the_simulator_with_its_direction(graph, source) -> None:
+    assert not newest(source).capabilities.push
+    node = simulator()
+    graph.add(node)
     graph.until(lambda: newest(source).capabilities.push and newest(source).state is not None)
-    at_rest = newest(source).state[0]
-    assert source.handle(Push()) == ""
-    # Along +x, as push_impulse has it.
-    graph.until(lambda: newest(source).state[0] > at_rest + 0.05)
+    at_rest = newest(source).state[:2]
+    assert source.handle(Push((0.3, -0.6))) == ""
+    graph.until(lambda: newest(source).state[1] < at_rest[1] - 0.05)
+    moved = newest(source).state[:2] - at_rest
+    np.testing.assert_allclose(node.simulator.plant.momentum, [0.18, 0.09, 0.0], atol=1e-9)
+    assert moved[0] > 0.0
 
 
 def test_refused_request_gives_one_notice(graph, source) -> None:
@@ -102,9 +103,9 @@ def test_refused_request_gives_one_notice(graph, source) -> None:
         response.success, response.message = False, "the lid is open"
         return response
 
-    graph.probe.create_service(Trigger, "simulator/push", refuse)
-    graph.until(lambda: newest(source).capabilities.push)
-    source.handle(Push())
+    graph.probe.create_service(Trigger, "simulator/reset", refuse)
+    graph.until(lambda: newest(source).capabilities.reset)
+    source.handle(Reset())
     notices: list[str] = []
     graph.until(lambda: notices.extend(newest(source).notices) or notices)
     assert notices == ["the lid is open"] and newest(source).notices == ()

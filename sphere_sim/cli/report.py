@@ -52,10 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _print_results(run: Run) -> None:
     for note in run.notes:
         print(f"report: {run.name}: {note}", file=sys.stderr)
-    metrics = run.metrics()
-    for name, value in results(metrics):
+    for name, value in results(run):
         print(f"{run.name}: {name} {value}")
-    if metrics is None:
+    if run.metrics() is None:
         print(f"{run.name}: no metrics, as no goal was in force at any pose; see the notes")
 
 

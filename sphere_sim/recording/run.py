@@ -44,6 +44,39 @@ class Solves:
 
 
 @dataclass(frozen=True, eq=False)
+class Momentum:
+    """Angular momentum about the contact point that the controller reported, and the pushes.
+
+    Attributes
+    ----------
+    times : ndarray, shape (m,)
+        Times of the reports [s].
+    values : ndarray, shape (m, 3)
+        Estimated momentum [N m s; world frame]; zero where the controller found none.
+    push_times : ndarray, shape (p,)
+        Times at which the simulated sphere was pushed [s].
+    impulses : ndarray, shape (p, 2)
+        Impulses of these pushes [N s; world frame].
+    """
+
+    times: Vector = field(default_factory=lambda: np.empty(0))
+    values: Vector = field(default_factory=lambda: np.empty((0, 3)))
+    push_times: Vector = field(default_factory=lambda: np.empty(0))
+    impulses: Vector = field(default_factory=lambda: np.empty((0, 2)))
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the sphere was not pushed, and no momentum was found."""
+        return not (self.values.any() or self.push_times.size)
+
+    def at(self, time: float) -> Vector:
+        """Return the newest report at a time [s], shape (3,); nan before the first one."""
+        index = int(np.searchsorted(self.times, time, side="right")) - 1
+        newest: Vector = self.values[index] if index >= 0 else np.full(3, np.nan)
+        return newest
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """One run of one robot; times in seconds since its first pose.
 
@@ -71,6 +104,8 @@ class Run:
         Rotor trajectories that the controller sent, knot times in the run's time.
     solves : Solves
         Solves that it reported.
+    momentum : Momentum
+        Momentum that it reported, and pushes.
     robot : RobotParameters
         Robot parameters of the controller, or the defaults where the bag does not have them.
     custom_data : dict of str to str
@@ -91,6 +126,7 @@ class Run:
     goals: Vector
     plans: tuple[FirstOrderHold, ...]
     solves: Solves
+    momentum: Momentum = field(default_factory=Momentum)
     robot: RobotParameters = field(default_factory=RobotParameters)
     custom_data: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

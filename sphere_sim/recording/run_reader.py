@@ -13,6 +13,7 @@ from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.goals import read_goals
 from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.momentum import read_momentum
 from sphere_sim.recording.poses import read_poses
 from sphere_sim.recording.recorded_parameters import recorded_robot
 from sphere_sim.recording.rotors import read_joint_states, read_plans
@@ -27,6 +28,7 @@ _TYPES = {
     "goal_pose": _POSE,
     "active_goal": _POSE,
     "status": "diagnostic_msgs/msg/DiagnosticStatus",
+    "pushed": "geometry_msgs/msg/Vector3Stamped",
 }
 """Message types of the topics that a run consists of."""
 
@@ -69,6 +71,7 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
         goals=goals,
         plans=plans,
         solves=solves,
+        momentum=read_momentum(messages, robot, clock),
         robot=recorded_robot(messages.custom_data, f"{robot}/controller"),
         custom_data=messages.custom_data,
         notes=tuple(messages.notes),

@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solves of a recorded run, from the controller's status messages."""
 
-import math
-
 import numpy as np
 
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.controller_status import solve_status
-from sphere_sim.recording.message_fields import NANOSECONDS
 from sphere_sim.recording.messages import Messages
 from sphere_sim.recording.run import Solves
+from sphere_sim.recording.status_messages import read_statuses
 
 
 def read_solves(messages: Messages, robot: str, clock: BagClock) -> Solves:
@@ -26,19 +24,11 @@ def read_solves(messages: Messages, robot: str, clock: BagClock) -> Solves:
         The run's clock.
     """
     rows: list[tuple[float, float, float, float, str]] = []
-    for topic in sorted(messages.decoded):
-        if not (topic.startswith(f"{robot}/") and topic.endswith("/status")):
-            continue
-        for received, message in messages.decoded[topic]:
-            values = {pair.key: pair.value for pair in message.values}
-            solve = solve_status(values)
-            if "plan" not in values or not solve.duration > 0.0:
-                continue  # nothing was solved at this sample
-            time = clock.time_of_log(received)
-            if math.isfinite(solve.time):
-                # Without simulated time the controller counts from its own start.
-                time = clock.time_of_message(round(solve.time * NANOSECONDS), received)
-            rows.append((time, solve.duration, solve.cost, solve.time_to_go, solve.plan))
+    for time, values in read_statuses(messages, robot, clock):
+        solve = solve_status(values)
+        if "plan" not in values or not solve.duration > 0.0:
+            continue  # nothing was solved at this sample
+        rows.append((time, solve.duration, solve.cost, solve.time_to_go, solve.plan))
     if not rows:
         messages.notes.append("no status of the controller reports a solve; no solve times")
     table = np.array([row[:4] for row in rows], dtype=float).reshape(-1, 4)

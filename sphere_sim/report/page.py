@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from sphere_nmpc import __version__
-from sphere_sim.evaluation.metrics import Metrics
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.recording.run import Run
 
@@ -58,8 +59,13 @@ def write_page(
     )
 
 
-def results(metrics: Metrics | None) -> list[tuple[str, str]]:
-    """Return name and value of each result as text; empty for a run without a goal."""
+def results(run: Run) -> list[tuple[str, str]]:
+    """Return name and value of each result as text; without a goal at most those of momentum."""
+    return [*_motion_results(run), *_momentum_results(run)]
+
+
+def _motion_results(run: Run) -> list[tuple[str, str]]:
+    metrics = run.metrics()
     if metrics is None:
         return []
     settled = _number(metrics.settle_time_s, "s") if metrics.settled else "not settled"
@@ -75,15 +81,32 @@ def results(metrics: Metrics | None) -> list[tuple[str, str]]:
     ]
 
 
+def _momentum_results(run: Run) -> list[tuple[str, str]]:
+    """Return the results of a run with momentum or pushes; empty for others."""
+    momentum = run.momentum
+    if momentum.is_zero:
+        return []
+    rows = [
+        (f"push {i}", f"{np.linalg.norm(impulse):.3g} N s at {time:.3g} s")
+        for i, (time, impulse) in enumerate(
+            zip(momentum.push_times, momentum.impulses, strict=True), start=1
+        )
+    ]
+    if len(momentum.times):
+        final = np.linalg.norm(momentum.values[-1])
+        rows.append(("momentum at the end, estimated", _number(float(final), "N m s")))
+    return rows
+
+
 def _table(runs: Sequence[Run]) -> str:
-    columns = [dict(results(run.metrics())) for run in runs]
+    columns = [dict(results(run)) for run in runs]
     names = list(dict.fromkeys(name for column in columns for name in column))
     if not names:
         return '<p class="note">Without a goal there are no metrics.</p>'
     head = "".join(f'<th scope="col">{escape(run.name)}</th>' for run in runs)
     rows = [
         f'<tr><th scope="row">{escape(name)}</th>'
-        + "".join(f"<td>{escape(column.get(name, 'no goal'))}</td>" for column in columns)
+        + "".join(f"<td>{escape(column.get(name, '–'))}</td>" for column in columns)
         + "</tr>"
         for name in names
     ]

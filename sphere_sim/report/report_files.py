@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.output.printable_path import printable
-from sphere_sim.recording.run import Run
+from sphere_sim.recording.run import Momentum, Run
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison
 from sphere_sim.report.figures.contact_locus import contact_locus
+from sphere_sim.report.figures.momentum import momentum_over_time
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import write_page
@@ -36,6 +37,18 @@ FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
     "value": (analysis.value_function, "Value of the optimal control problem at each sample."),
 }
 """Figures of each run: file name, function that draws it, and caption."""
+_MOMENTUM = {
+    "momentum": (
+        momentum_over_time,
+        "Estimated angular momentum about the contact point; dotted: what a rotor can hold. "
+        "Vertical lines: pushes.",
+    ),
+}
+
+
+def figures_of(run: Run) -> dict[str, tuple[Callable[[Run], Figure], str]]:
+    """Return the figures of a run; that of the momentum where there is any."""
+    return FIGURES if run.momentum.is_zero else {**FIGURES, **_MOMENTUM}
 
 
 def write_report(
@@ -78,7 +91,7 @@ def write_report(
         caption = "Errors, paths, rotor speeds and solve times of all runs."
         figures.append(("Comparison", caption, save(comparison(runs), out, "comparison")[1]))
     for run, prefix in zip(runs, prefixes, strict=True):
-        for name, (draw, caption) in FIGURES.items():
+        for name, (draw, caption) in figures_of(run).items():
             files = save(draw(run), out, f"{prefix}{name}")
             figures.append((run.name, caption, files[1]))
     page = out / "report.html"
@@ -97,4 +110,19 @@ def _summary(run: Run) -> dict[str, object]:
         key: None if isinstance(value, float) and math.isnan(value) else value
         for key, value in values.items()
     }
-    return {"bag": printable(run.path), "metrics": known, "notes": list(run.notes)}
+    entry: dict[str, object] = {"bag": printable(run.path), "metrics": known}
+    if not run.momentum.is_zero:
+        entry["momentum"] = _momentum(run.momentum)
+    return {**entry, "notes": list(run.notes)}
+
+
+def _momentum(momentum: Momentum) -> dict[str, object]:
+    return {
+        "end_nms": momentum.values[-1].tolist() if len(momentum.values) else None,
+        "pushes": [
+            {"time_s": time, "impulse_ns": impulse}
+            for time, impulse in zip(
+                momentum.push_times.tolist(), momentum.impulses.tolist(), strict=True
+            )
+        ],
+    }

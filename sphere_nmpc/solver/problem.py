@@ -2,13 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Optimal control problem of a sample (OCP_N, Eqs. 24 and 25), its solution and its settings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.model.drift import DRIFT_SIZE
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+
+_NO_DRIFT: Vector = np.zeros(DRIFT_SIZE)
+_NO_DRIFT.flags.writeable = False
+_ZERO_INPUT: Vector = np.zeros(INPUT_SIZE)
+_ZERO_INPUT.flags.writeable = False
 
 
 # Treated as immutable, but not frozen: that would take as long as a third of an iteration.
@@ -18,7 +24,8 @@ class HoldProblem:
 
     Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction),
 
-        w_T |x_N - x_d|^2 + w_x sum_{m=1}^{N-1} |x_m - x_d|^2 + w_u sum_{m=1}^{N} |u_m / U|^2
+        w_T |x_N - x_d|^2 + w_x sum_{m=1}^{N-1} |x_m - x_d|^2
+            + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
             + w_s sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
 
     subject to lower <= u_m <= upper. U = `input_scale`; a = `max_acceleration`; h_m the interval
@@ -47,6 +54,10 @@ class HoldProblem:
         a [rad/s^2]; has no effect unless `slew_weight` is positive.
     max_step : float
         Longest integration step [s].
+    drift : ndarray, shape (8,)
+        Drift at the start as an array, `sphere_nmpc.model.drift.Drift.as_array`.
+    input_reference : ndarray, shape (2,)
+        u_ref [rad/s]: rotor speeds that cost nothing.
     """
 
     state: Vector
@@ -63,6 +74,8 @@ class HoldProblem:
     slew_weight: float = 0.0
     max_acceleration: float = np.inf
     max_step: float = DEFAULT_MAX_STEP
+    drift: Vector = field(default_factory=lambda: _NO_DRIFT)
+    input_reference: Vector = field(default_factory=lambda: _ZERO_INPUT)
 
     @property
     def intervals(self) -> int:
@@ -75,6 +88,7 @@ class HoldProblem:
             self.state, goal, self.input_in_force, self.durations, self.constants, self.lower,
             self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
             self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
+            self.drift, self.input_reference,
         )
 
 
@@ -130,6 +144,8 @@ class HoldSolution:
         u_0 (in force) to u_N [rad/s].
     states : ndarray, shape (N + 1, 6)
         x_0 to x_N.
+    momenta : ndarray, shape (N + 1, 3)
+        h at the knots [rad/s; world frame]; zero without drift.
     cost : float
         Value of the objective of `HoldProblem`.
     status : SolveStatus
@@ -144,6 +160,7 @@ class HoldSolution:
 
     inputs: Vector
     states: Vector
+    momenta: Vector
     cost: float
     status: SolveStatus
     iterations: int

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.model.drift import DRIFT_SIZE, NO_DRIFT, Drift
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.backend import resolve_backend
@@ -17,7 +18,7 @@ from sphere_nmpc.solver.native.memory import library
 
 _WORKSPACES = threading.local()
 
-_RollOut = Callable[[Vector, Vector, Vector, Vector, float], Vector]
+_RollOut = Callable[[Vector, Drift, Vector, Vector, Vector, float], tuple[Vector, Vector]]
 
 
 def roll_out(
@@ -26,6 +27,7 @@ def roll_out(
     durations: Vector,
     constants: Vector,
     max_step: float = DEFAULT_MAX_STEP,
+    drift: Drift = NO_DRIFT,
 ) -> Vector:
     """Return the states at the knots of a first-order hold; safe to call from several threads.
 
@@ -43,13 +45,30 @@ def roll_out(
         Lumped constants [Rs, c1, r1, r3].
     max_step : float, optional
         Longest integration step [s].
+    drift : Drift, optional
+        Drift at the first knot.
 
     Returns
     -------
     ndarray, shape (N + 1, 6)
         x_0 ... x_N.
     """
-    return _chosen()(state, inputs, durations, constants, max_step)
+    return _chosen()(state, drift, inputs, durations, constants, max_step)[0]
+
+
+def roll_out_with_momentum(
+    state: Vector,
+    drift: Drift,
+    inputs: Vector,
+    durations: Vector,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> tuple[Vector, Vector]:
+    """Return the states (N + 1, 6) as `roll_out` does and the momenta at the knots.
+
+    The momenta h are (N + 1, 3) [rad/s; world frame].
+    """
+    return _chosen()(state, drift, inputs, durations, constants, max_step)
 
 
 @cache
@@ -62,9 +81,10 @@ def _chosen() -> _RollOut:
 
 
 def roll_out_compiled(
-    state: Vector, inputs: Vector, durations: Vector, constants: Vector, max_step: float
-) -> Vector:
-    """Predict in C; see `roll_out`."""
+    state: Vector, drift: Drift, inputs: Vector, durations: Vector, constants: Vector,
+    max_step: float,
+) -> tuple[Vector, Vector]:
+    """Predict in C; see `roll_out_with_momentum`."""
     n = durations.size
     kept: dict[Any, Any] = _WORKSPACES.__dict__
     workspace: _Workspace | None = kept.get(n)
@@ -73,18 +93,23 @@ def roll_out_compiled(
     workspace.constants[:] = constants
     workspace.durations[:] = durations
     workspace.state[:] = state
+    workspace.drift[:] = drift.as_array()
     workspace.inputs[:] = inputs
     library().hold_roll_out(n, max_step, *workspace.addresses)
-    return workspace.states.copy()
+    return workspace.states.copy(), workspace.momenta.copy()
 
 
 class _Workspace:
-    """Arguments and result of a roll-out over N intervals, at addresses that are kept."""
+    """Arguments and results of a roll-out over N intervals, at addresses that are kept."""
 
     def __init__(self, intervals: int) -> None:
         n = intervals
         self.constants, self.durations = np.empty(4), np.empty(n)
-        self.state, self.inputs = np.empty(6), np.empty((n + 1, 2))
-        self.states = np.empty((n + 1, 6))
-        arrays = (self.constants, self.durations, self.state, self.inputs, self.states)
+        self.state, self.drift = np.empty(6), np.empty(DRIFT_SIZE)
+        self.inputs = np.empty((n + 1, 2))
+        self.states, self.momenta = np.empty((n + 1, 6)), np.empty((n + 1, 3))
+        arrays = (
+            self.constants, self.durations, self.state, self.drift, self.inputs, self.states,
+            self.momenta,
+        )
         self.addresses = [array.ctypes.data for array in arrays]

@@ -12,6 +12,9 @@ from sphere_nmpc.solver.problem import HoldProblem
 
 U_MAX = 100.0  # rad/s
 
+DRIFT = np.array([30.0, -20.0, 15.0, 20.0, -5.0, 3.0, 4.0, -8.0])
+"""Drift as after a push of about 1 N s, on a slope of about 1 degree, centre of mass 2 mm off."""
+
 KINDS: dict[str, dict[str, Any]] = {
     "paper": {"intervals": 4, "stage_weight": 1e-8, "input_weight": 5e-5},
     "terminal": {"intervals": 5, "input_weight": 1e-6},
@@ -25,6 +28,21 @@ KINDS: dict[str, dict[str, Any]] = {
     },
     "stages alone": {"intervals": 3, "stage_weight": 1.0, "terminal_weight": 0.0},
     "one interval": {"intervals": 1, "input_weight": 1e-6},
+    "drift": {
+        "intervals": 9,
+        "input_weight": 1e-4,
+        "slew_weight": 10.0,
+        "max_acceleration": 150.0,
+        "drift": DRIFT,
+        "input_reference": np.array([30.0, -20.0]),
+    },
+    "drift and stages": {
+        "intervals": 4,
+        "stage_weight": 0.3,
+        "input_weight": 1e-4,
+        "drift": DRIFT,
+        "input_reference": np.array([30.0, -20.0]),
+    },
 }
 
 

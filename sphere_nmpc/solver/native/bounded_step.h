@@ -225,9 +225,11 @@ static double projected_gradient(const workspace *w, int64_t size)
     return largest;
 }
 
-static void prepare(const problem *p, workspace *w)
+static void prepare(problem *p, workspace *w)
 {
     divide(w, p->workspace, p->intervals);
+    p->drifts = is_nonzero(p->drift);
+    memset(p->momenta, 0, (size_t)(3 * p->intervals + 3) * sizeof *p->momenta);
     for (int64_t i = 0; i < 2 * p->intervals; i++) {
         w->lower[i] = p->lower[i] / p->input_scale;
         w->upper[i] = p->upper[i] / p->input_scale;

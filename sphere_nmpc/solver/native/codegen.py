@@ -9,38 +9,69 @@ is made of sums, products and quotients alone, and a derivative is linear in its
 is only ever added to a tangent or scaled by a number. ``vectors.h`` defines the tangents.
 """
 
+from collections.abc import Callable
+
 import casadi as ca
 
-from sphere_nmpc.model.integrator import tangent_step_function
+from sphere_nmpc.model.integrator import tangent_drift_step_function, tangent_step_function
 
-_NOMINAL_INPUTS = 5
-"""q, u_start, u_end, h, p come first in `tangent_step_function`; the seeds follow."""
+_PLACES = {
+    "q": ("y", 0), "momentum": ("y", 4), "u_start": ("u_start", 0), "u_end": ("u_end", 0),
+    "h": ("h", 0), "p": ("p", 0), "torques": ("torques", 0),
+    "dq": ("dy", 0), "dmomentum": ("dy", 4), "du_start": ("du_start", 0), "du_end": ("du_end", 0),
+    "dxy": ("dxy", 0), "q_end": ("y_end", 0), "momentum_end": ("y_end", 4),
+    "ddxy": ("ddxy", 0), "dq_end": ("dy_end", 0), "dmomentum_end": ("dy_end", 4),
+}
+"""Array in C, and first index in it, of each argument and result of the steps of
+`sphere_nmpc.model.integrator`: y holds the quaternion and the momentum if there is one."""
+
+_SEED_NAMES = ("dq", "dmomentum", "du_start", "du_end")
+
+_STEP = ("q", "u_start", "u_end", "h", "p", "dq", "du_start", "du_end"), (
+    "dxy", "q_end", "ddxy", "dq_end",
+)
+_DRIFT_STEP = (
+    ("q", "momentum", "u_start", "u_end", "h", "p", "torques",
+     "dq", "dmomentum", "du_start", "du_end"),
+    ("dxy", "q_end", "momentum_end", "ddxy", "dq_end", "dmomentum_end"),
+)
+"""Arguments and results of `tangent_step_function` and `tangent_drift_step_function`."""
 
 _SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}
 
 _INPUTS = (
-    "const double *restrict q, const double *restrict u_start, const double *restrict u_end, "
-    "double h, const double *restrict p"
+    "const double *restrict y, const double *restrict u_start, const double *restrict u_end, "
+    "double h, const double *restrict p, const double *restrict torques"
 )
-_SEEDS = (
-    "const tangent *restrict dq, const tangent *restrict du_start, const tangent *restrict du_end"
-)
-_OUTPUTS = "double *restrict dxy, double *restrict q_end"
-_TANGENTS = "tangent *restrict ddxy, tangent *restrict dq_end"
+_SEEDS = "const {0} *restrict dy, const {0} *restrict du_start, const {0} *restrict du_end"
+_OUTPUTS = "double *restrict dxy, double *restrict y_end"
+_TANGENTS = "{0} *restrict ddxy, {0} *restrict dy_end"
+
+Names = tuple[tuple[str, ...], tuple[str, ...]]
+"""Names of the arguments and of the results of a function."""
 
 Operands = list[tuple[str, bool]]
 """Name of each operand, and whether it is a tangent."""
 
 
 def kernel_source() -> str:
-    """Return the C functions ``nominal_step`` and ``tangent_step``."""
-    value = _without_repetition(tangent_step_function(0))
-    both = _without_repetition(tangent_step_function(1))
+    """Return the C functions ``nominal_step`` and ``tangent_step``, without and with drift."""
+    return _kernels("without_drift", "tangent", tangent_step_function, _STEP) + _kernels(
+        "with_drift", "wide_tangent", tangent_drift_step_function, _DRIFT_STEP
+    )
+
+
+def _kernels(
+    model: str, tangent: str, step_function: Callable[[int], ca.Function], names: Names
+) -> str:
+    value = _body(_without_repetition(step_function(0)), names)
+    both = _body(_without_repetition(step_function(1)), names)
+    seeds, tangents = _SEEDS.format(tangent), _TANGENTS.format(tangent)
     return (
-        f"static void nominal_step({_INPUTS}, {_OUTPUTS})\n{{\n{_body(value)}}}\n\n"
-        f"static void tangent_step({_INPUTS}, {_SEEDS}, {_OUTPUTS}, {_TANGENTS})\n"
-        f"{{\n{_body(both)}}}\n"
+        f"static void nominal_step_{model}({_INPUTS}, {_OUTPUTS})\n{{\n{value}}}\n\n"
+        f"static void tangent_step_{model}({_INPUTS}, {seeds}, {_OUTPUTS}, {tangents})\n"
+        f"{{\n{both}}}\n\n"
     )
 
 
@@ -50,9 +81,10 @@ def _without_repetition(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))
 
 
-def _body(function: ca.Function) -> str:
+def _body(function: ca.Function, arguments_and_results: Names) -> str:
     """Translate CasADi's instructions, one statement each."""
     # CasADi reuses its work vector; here every instruction gets a name of its own.
+    arguments, results = arguments_and_results
     names: dict[int, str] = {}
     is_tangent: dict[int, bool] = {}
     lines: list[str] = []
@@ -61,14 +93,19 @@ def _body(function: ca.Function) -> str:
         sources = function.instruction_input(k)
         targets = function.instruction_output(k)
         if operation == ca.OP_OUTPUT:
-            result = ("dxy", "q_end", "ddxy", "dq_end")[targets[0]]
-            lines.append(f"{result}[{targets[1]}] = {names[sources[0]]};")
+            place = _place(results[targets[0]], targets[1])
+            lines.append(f"{place} = {names[sources[0]]};")
             continue
         target = targets[0]
         name = f"a{k}"
         if operation == ca.OP_INPUT:
-            is_tangent[target] = sources[0] >= _NOMINAL_INPUTS
-            lines.append(_read(name, sources[0], sources[1]))
+            argument = arguments[sources[0]]
+            place = _place(argument, sources[1])
+            is_tangent[target] = argument in _SEED_NAMES
+            lines.append(
+                f"TANGENT_COPY({name}, {place})" if is_tangent[target]
+                else f"const double {name} = {place};"
+            )
         elif operation == ca.OP_CONST:
             is_tangent[target] = False
             # Hexadecimal, so that C reads exactly the same number.
@@ -83,12 +120,9 @@ def _body(function: ca.Function) -> str:
     return "".join(f"    {line}\n" for line in lines)
 
 
-def _read(name: str, argument: int, index: int) -> str:
-    source = ("q", "u_start", "u_end", "h", "p", "dq", "du_start", "du_end")[argument]
-    place = source if source == "h" else f"{source}[{index}]"
-    if argument >= _NOMINAL_INPUTS:
-        return f"TANGENT_COPY({name}, {place})"
-    return f"const double {name} = {place};"
+def _place(name: str, index: int) -> str:
+    array, first = _PLACES[name]
+    return array if array == "h" else f"{array}[{first + index}]"
 
 
 def _nominal_statement(name: str, operation: int, operands: Operands) -> str:

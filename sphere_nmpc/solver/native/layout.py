@@ -38,6 +38,8 @@ FIELDS = (
     Field("double", "goal", 6, "x_d"),
     Field("double", "input_in_force", 2, "u_0 [rad/s]"),
     Field("double", "constants", 4, "Rs, c1, r1, r3"),
+    Field("double", "drift", 8, "h [rad/s], s and a [rad/s^2]"),
+    Field("double", "input_reference", 2, "u_ref [rad/s]"),
     Field("double", "input_scale", 1, "U [rad/s]"),
     Field("double", "terminal_weight", 1, "w_T"),
     Field("double", "stage_weight", 1, "w_x"),
@@ -58,12 +60,14 @@ FIELDS = (
     Field("int64_t", "max_iterations", 1, ""),
     Field("int64_t", "status", 1, "result, as is the next one"),
     Field("int64_t", "iterations", 1, ""),
+    Field("int64_t", "drifts", 1, "whether the drift is not zero; result"),
     Field("const double *", "durations", 1, "N [s]"),
     Field("const double *", "lower", 1, "N x 2 [rad/s]"),
     Field("const double *", "upper", 1, "N x 2 [rad/s]"),
     Field("const double *", "start", 1, "N x 2 [rad/s], the initial guess"),
     Field("double *", "inputs", 1, "(N + 1) x 2 [rad/s], result"),
     Field("double *", "states", 1, "(N + 1) x 6, result"),
+    Field("double *", "momenta", 1, "(N + 1) x 3 [rad/s], result; zero without drift"),
     Field("double *", "workspace", 1, "hold_workspace(N) doubles"),
 )
 

@@ -41,10 +41,12 @@ from sphere_nmpc.solver.native.compiler import (
 from sphere_nmpc.solver.native.layout import problem_header
 
 _C_SOURCES = (
-    "solver.c", "vectors.h", "workspace.h", "shooting.h", "objective.h", "bounded_step.h"
+    "solver.c", "vectors.h", "workspace.h", "models.h", "shooting.h", "objective.h",
+    "bounded_step.h",
 )
 _GENERATORS = (
     ("sphere_nmpc.model", "symbolic_rotation.py"),
+    ("sphere_nmpc.model", "drift.py"),
     ("sphere_nmpc.model", "dynamics.py"),
     ("sphere_nmpc.model", "integrator.py"),
     ("sphere_nmpc.solver.native", "codegen.py"),

@@ -35,7 +35,7 @@ def library() -> ctypes.CDLL:
     address, count = ctypes.c_void_p, ctypes.c_int64
     for name, arguments in {
         "hold_solve": [address],
-        "hold_roll_out": [count, ctypes.c_double, *[address] * 5],
+        "hold_roll_out": [count, ctypes.c_double, *[address] * 7],
         "hold_expand": [address] * 4,
     }.items():
         function = getattr(solver, name)
@@ -65,11 +65,12 @@ class Slot:
         self._durations = np.zeros(n)
         self._lower, self._upper, self._start = np.zeros((3, n, 2))
         self._inputs, self._states = np.zeros((n + 1, 2)), np.zeros((n + 1, 6))
+        self._momenta = np.zeros((n + 1, 3))
         self._workspace = np.zeros(int(library().hold_workspace(n)))
         self._integers[index("intervals")] = n
         arrays = (
             self._durations, self._lower, self._upper, self._start, self._inputs, self._states,
-            self._workspace,
+            self._momenta, self._workspace,
         )
         pointers = [array.ctypes.data for array in arrays]
         self._integers[span("durations", "workspace")] = pointers
@@ -77,6 +78,8 @@ class Slot:
         self._state, self._goal = self._words[span("state")], self._words[span("goal")]
         self._input_in_force = self._words[span("input_in_force")]
         self._constants = self._words[span("constants")]
+        self._drift = self._words[span("drift")]
+        self._input_reference = self._words[span("input_reference")]
         self._scalars = self._words[span("input_scale", "max_step")]
 
     def write_settings(self, settings: SolverSettings) -> None:
@@ -97,6 +100,8 @@ class Slot:
         self._goal[:] = problem.goal
         self._input_in_force[:] = problem.input_in_force
         self._constants[:] = problem.constants
+        self._drift[:] = problem.drift
+        self._input_reference[:] = problem.input_reference
         self._scalars[:] = (
             problem.input_scale,
             problem.terminal_weight,
@@ -118,6 +123,7 @@ class Slot:
         return HoldSolution(
             self._inputs.copy(),
             self._states.copy(),
+            self._momenta.copy(),
             words.item(_COST),
             STATUSES[integers.item(_STATUS)],
             integers.item(_ITERATIONS),

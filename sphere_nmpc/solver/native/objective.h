@@ -24,6 +24,12 @@ static double slew_excess(const problem *p, const double *inputs, int64_t i)
     return (change - clip(change, -limit, limit)) / p->input_scale;
 }
 
+/* Scaled difference of knot component i from the input reference. */
+static double input_excess(const problem *p, const double *v, int64_t i)
+{
+    return v[i] - p->input_reference[i % 2] / p->input_scale;
+}
+
 static double cost_of(const problem *p, const double *v, const double *inputs,
                       const double *states)
 {
@@ -39,8 +45,10 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
                 const double error = states[6 * m + k] - p->goal[k];
                 stages += error * error;
             }
-    for (int64_t i = 0; i < 2 * n; i++)
-        effort += v[i] * v[i];
+    for (int64_t i = 0; i < 2 * n; i++) {
+        const double excess = input_excess(p, v, i);
+        effort += excess * excess;
+    }
     if (p->slew_weight > 0.0)
         for (int64_t i = 0; i < 2 * n; i++) {
             const double excess = slew_excess(p, inputs, i);
@@ -50,72 +58,22 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
            + p->slew_weight * slew;
 }
 
-/* Cost, states and the derivatives of the intervals at v; the results of `expand` are kept. */
+/* Cost, states, momenta and the derivatives of the intervals at v; the results of `expand` are
+ * kept. */
 static double evaluate(const problem *p, const double *v, double *inputs, double *states,
-                       double *jacobians)
+                       double *momenta, double *jacobians)
 {
     memcpy(inputs, p->input_in_force, sizeof p->input_in_force);
     for (int64_t i = 0; i < 2 * p->intervals; i++)
         inputs[i + 2] = p->input_scale * v[i];
-    shoot(p, inputs, states, jacobians);
+    shoot(p, inputs, states, momenta, jacobians);
     return cost_of(p, v, inputs, states);
-}
-
-/* rows_i = d x_N / d v_i, backwards: `sensitivity` is d x_N / d q_m, and d x_N / d xy_m is one. */
-static void terminal_rows(const problem *p, workspace *w)
-{
-    const int64_t n = p->intervals;
-    double sensitivity[4][ROW] = {{0.0}};
-    for (int k = 0; k < 4; k++)
-        sensitivity[k][2 + k] = 1.0;
-    memset(w->rows, 0, (size_t)(2 * n * ROW) * sizeof *w->rows);
-    for (int64_t m = n; m-- > 0;) {
-        const double *a = w->interval + m * 6 * DIRECTIONS;
-        double column[DIRECTIONS][ROW];
-        for (int d = 0; d < DIRECTIONS; d++) {
-            double sum[ROW] = {a[d], a[DIRECTIONS + d]};
-            for (int k = 0; k < 4; k++)
-                for (int l = 0; l < ROW; l++)
-                    sum[l] += a[(2 + k) * DIRECTIONS + d] * sensitivity[k][l];
-            memcpy(column[d], sum, sizeof sum);
-        }
-        memcpy(sensitivity, column, sizeof sensitivity);
-        for (int c = 0; c < 4; c++) {
-            const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
-            if (i < 0)
-                continue;
-            for (int l = 0; l < ROW; l++)
-                w->rows[i * ROW + l] += p->input_scale * column[4 + c][l];
-        }
-    }
-}
-
-/* chain = d x_{m+1} / d v from d x_m / d v, in place, shape 6 x 2 N. */
-static void advance_chain(const problem *p, workspace *w, int64_t m)
-{
-    const int64_t size = 2 * p->intervals;
-    const double *a = w->interval + m * 6 * DIRECTIONS;
-    double *s = w->chain;
-    for (int64_t i = 0; i < 2 * m; i++) {
-        double before[4], after[6] = {s[i], s[size + i], 0.0, 0.0, 0.0, 0.0};
-        for (int k = 0; k < 4; k++)
-            before[k] = s[(2 + k) * size + i];
-        for (int l = 0; l < 6; l++)
-            for (int k = 0; k < 4; k++)
-                after[l] += a[l * DIRECTIONS + k] * before[k];
-        for (int l = 0; l < 6; l++)
-            s[l * size + i] = after[l];
-    }
-    for (int c = 0; c < 4; c++)
-        if (2 * m - 2 + c >= 0)
-            for (int l = 0; l < 6; l++)
-                s[l * size + 2 * m - 2 + c] += p->input_scale * a[l * DIRECTIONS + 4 + c];
 }
 
 static void dense_states_part(const problem *p, workspace *w, const double *states)
 {
     const int64_t n = p->intervals, size = 2 * n;
-    memset(w->chain, 0, (size_t)(6 * size) * sizeof *w->chain);
+    memset(w->chain, 0, (size_t)(LARGEST_STATE * size) * sizeof *w->chain);
     memset(w->hessian, 0, (size_t)(size * size) * sizeof *w->hessian);
     for (int64_t m = 0; m < n; m++) {
         const double weight = 2.0 * (m == n - 1 ? p->terminal_weight : p->stage_weight);
@@ -151,7 +109,7 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     for (int64_t i = 0; i < size; i++) {
         w->diagonal[i] = 2.0 * p->input_weight;
         w->subdiagonal[i] = 0.0;
-        w->partial_gradient[i] = 2.0 * p->input_weight * v[i];
+        w->partial_gradient[i] = 2.0 * p->input_weight * input_excess(p, v, i);
     }
     if (p->slew_weight > 0.0)
         for (int64_t i = 0; i < size; i++) {

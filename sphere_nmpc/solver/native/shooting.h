@@ -1,99 +1,177 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Single shooting: the states along a first-order hold and the derivatives of each interval.
+ * Single shooting: the states along a first-order hold, the derivatives of each interval and their
+ * chain. models.h includes this file once for each model and defines
+ *
+ *     NAME(function)  name of a function of that model
+ *     TANGENT         type of its derivatives
+ *     CARRIED         how many numbers y affect what follows: the quaternion (4), the momentum (3)
+ *
+ * The derivatives of an interval have the rows x, y and those of the carried numbers, and the
+ * columns [carried at its start, first knot, second knot], the rest of a TANGENT being zero.
  */
-static int64_t steps_for(double duration, double max_step)
-{
-    const double steps = ceil(duration / max_step - 1e-6);
-    return steps > 1.0 ? (int64_t)steps : 1;
-}
+#define DIRECTIONS ((int)(sizeof(TANGENT) / sizeof(double)))
+#define DERIVATIVE ((2 + CARRIED) * DIRECTIONS)
+#define MOMENTUM_BYTES ((CARRIED - 4) * sizeof(double))
 
-/* States at the knots of `inputs`, (N + 1) x 2 [rad/s], from `state` on: (N + 1) x 6. */
-void hold_roll_out(int64_t intervals, double max_step, const double *constants,
-                   const double *durations, const double *state, const double *inputs,
-                   double *states)
+static void NAME(roll_out)(int64_t intervals, double max_step, const double *constants,
+                           const double *durations, const double *state, const double *drift,
+                           const double *inputs, double *states, double *momenta)
 {
     memcpy(states, state, 6 * sizeof *states);
+    memcpy(momenta, drift, MOMENTUM_BYTES);
     for (int64_t m = 0; m < intervals; m++) {
         const double *u = inputs + 2 * m, *x = states + 6 * m;
         const int64_t steps = steps_for(durations[m], max_step);
         const double h = durations[m] / (double)steps;
         const double slope[2] = {u[2] - u[0], u[3] - u[1]};
-        double xy[2] = {x[0], x[1]}, q[4] = {x[2], x[3], x[4], x[5]};
+        double xy[2] = {x[0], x[1]}, y[CARRIED];
+        memcpy(y, x + 2, 4 * sizeof *y);
+        memcpy(y + 4, momenta + 3 * m, MOMENTUM_BYTES);
         for (int64_t i = 0; i < steps; i++) {
             const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
             const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
             const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
-            double moved[2], q_end[4];
-            nominal_step(q, here, there, h, constants, moved, q_end);
+            double moved[2], y_end[CARRIED];
+            NAME(nominal_step)(y, here, there, h, constants, drift + 3, moved, y_end);
             xy[0] += moved[0];
             xy[1] += moved[1];
-            memcpy(q, q_end, sizeof q);
+            memcpy(y, y_end, sizeof y);
         }
         memcpy(states + 6 * m + 6, xy, sizeof xy);
-        memcpy(states + 6 * m + 8, q, sizeof q);
+        memcpy(states + 6 * m + 8, y, 4 * sizeof *y);
+        memcpy(momenta + 3 * m + 3, y + 4, MOMENTUM_BYTES);
     }
 }
 
 /* Direction `d` alone. */
-static tangent unit(int d)
+static TANGENT NAME(unit)(int d)
 {
-    const double lanes[DIRECTIONS] = {d == 0, d == 1, d == 2, d == 3,
-                                      d == 4, d == 5, d == 6, d == 7};
-    tangent t;
+    const double lanes[16] = {d == 0, d == 1, d == 2, d == 3, d == 4, d == 5, d == 6, d == 7,
+                              d == 8, d == 9, d == 10};
+    TANGENT t;
     memcpy(&t, lanes, sizeof t);
     return t;
 }
 
 /* Seeds of the inputs a share `b` of the way from an interval's first knot to its second. */
-static void input_seeds(const tangent *first, const tangent *second, double b, tangent *seeds)
+static void NAME(input_seeds)(const TANGENT *first, const TANGENT *second, double b,
+                              TANGENT *seeds)
 {
-    for (int c = 0; c < 2; c++)
-        seeds[c] = tangent_sum(tangent_scaled(1.0 - b, first[c]), tangent_scaled(b, second[c]));
+    for (int c = 0; c < 2; c++) {
+        TANGENT_SCALED(from_first, 1.0 - b, first[c])
+        TANGENT_SCALED(from_second, b, second[c])
+        TANGENT_SUM(sum, from_first, from_second)
+        seeds[c] = sum;
+    }
 }
 
-/* Move `x` over interval m and write the 6 x 8 derivative of its end by its quaternion and its two
- * knots [per rad/s]. */
-static void shoot_interval(const problem *p, int64_t m, const double *u, const double *x,
-                           double *x_end, double *jacobian)
+/* Move state `x` and `momentum` over interval m and write the derivatives [knots: per rad/s]. */
+static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, const double *x,
+                                 const double *momentum, double *x_end, double *momentum_end,
+                                 double *jacobian)
 {
     const int64_t steps = steps_for(p->durations[m], p->max_step);
     const double h = p->durations[m] / (double)steps;
     const double slope[2] = {u[2] - u[0], u[3] - u[1]};
-    const tangent first[2] = {unit(4), unit(5)}, second[2] = {unit(6), unit(7)};
-    const tangent zero = tangent_difference(first[0], first[0]);
-    tangent dxy[2] = {zero, zero}, dq[4] = {unit(0), unit(1), unit(2), unit(3)};
-    double xy[2] = {x[0], x[1]}, q[4] = {x[2], x[3], x[4], x[5]};
+    const TANGENT first[2] = {NAME(unit)(CARRIED), NAME(unit)(CARRIED + 1)};
+    const TANGENT second[2] = {NAME(unit)(CARRIED + 2), NAME(unit)(CARRIED + 3)};
+    TANGENT_DIFFERENCE(zero, first[0], first[0])
+    TANGENT dxy[2] = {zero, zero}, dy[CARRIED];
+    double xy[2] = {x[0], x[1]}, y[CARRIED];
+    for (int k = 0; k < CARRIED; k++)
+        dy[k] = NAME(unit)(k);
+    memcpy(y, x + 2, 4 * sizeof *y);
+    memcpy(y + 4, momentum, MOMENTUM_BYTES);
     for (int64_t i = 0; i < steps; i++) {
         const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
         const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
         const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
-        double moved[2], q_end[4];
-        tangent d_here[2], d_there[2], d_moved[2], dq_end[4];
-        input_seeds(first, second, a, d_here);
-        input_seeds(first, second, b, d_there);
-        tangent_step(q, here, there, h, p->constants, dq, d_here, d_there, moved, q_end, d_moved,
-                     dq_end);
-        memcpy(q, q_end, sizeof q);
-        memcpy(dq, dq_end, sizeof dq);
+        double moved[2], y_end[CARRIED];
+        TANGENT d_here[2], d_there[2], d_moved[2], dy_end[CARRIED];
+        NAME(input_seeds)(first, second, a, d_here);
+        NAME(input_seeds)(first, second, b, d_there);
+        NAME(tangent_step)(y, here, there, h, p->constants, p->drift + 3, dy, d_here, d_there,
+                           moved, y_end, d_moved, dy_end);
+        memcpy(y, y_end, sizeof y);
+        memcpy(dy, dy_end, sizeof dy);
         for (int c = 0; c < 2; c++) {
             xy[c] += moved[c];
-            dxy[c] = tangent_sum(dxy[c], d_moved[c]);
+            TANGENT_SUM(sum, dxy[c], d_moved[c])
+            dxy[c] = sum;
         }
     }
     memcpy(x_end, xy, sizeof xy);
-    memcpy(x_end + 2, q, sizeof q);
+    memcpy(x_end + 2, y, 4 * sizeof *y);
+    memcpy(momentum_end, y + 4, MOMENTUM_BYTES);
     memcpy(jacobian, dxy, sizeof dxy);
-    memcpy(jacobian + 2 * DIRECTIONS, dq, sizeof dq);
+    memcpy(jacobian + 2 * DIRECTIONS, dy, sizeof dy);
 }
 
-/* States at the knots and the derivatives of all intervals. That takes half as much time again as
- * the states alone, but most trial steps are accepted and then need the derivatives. */
-static void shoot(const problem *p, const double *inputs, double *states, double *jacobians)
+/* States and momenta at the knots and the derivatives of all intervals. That takes half as much
+ * time again as the states alone, but most trial steps are accepted and then need them. */
+static void NAME(shoot)(const problem *p, const double *inputs, double *states, double *momenta,
+                        double *jacobians)
 {
     memcpy(states, p->state, sizeof p->state);
+    memcpy(momenta, p->drift, MOMENTUM_BYTES);
     for (int64_t m = 0; m < p->intervals; m++)
-        shoot_interval(p, m, inputs + 2 * m, states + 6 * m, states + 6 * m + 6,
-                       jacobians + m * 6 * DIRECTIONS);
+        NAME(shoot_interval)(p, m, inputs + 2 * m, states + 6 * m, momenta + 3 * m,
+                             states + 6 * m + 6, momenta + 3 * m + 3, jacobians + m * DERIVATIVE);
 }
+
+/* rows_i = d x_N / d v_i, backwards: `sensitivity` is d x_N / d y_m, and d x_N / d xy_m is one. */
+static void NAME(terminal_rows)(const problem *p, workspace *w)
+{
+    const int64_t n = p->intervals;
+    double sensitivity[CARRIED][ROW] = {{0.0}};
+    for (int k = 0; k < 4; k++)
+        sensitivity[k][2 + k] = 1.0;
+    memset(w->rows, 0, (size_t)(2 * n * ROW) * sizeof *w->rows);
+    for (int64_t m = n; m-- > 0;) {
+        const double *a = w->interval + m * DERIVATIVE;
+        double column[CARRIED + 4][ROW];
+        for (int d = 0; d < CARRIED + 4; d++) {
+            double sum[ROW] = {a[d], a[DIRECTIONS + d]};
+            for (int k = 0; k < CARRIED; k++)
+                for (int l = 0; l < ROW; l++)
+                    sum[l] += a[(2 + k) * DIRECTIONS + d] * sensitivity[k][l];
+            memcpy(column[d], sum, sizeof sum);
+        }
+        memcpy(sensitivity, column, sizeof sensitivity);
+        for (int c = 0; c < 4; c++) {
+            const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
+            if (i < 0)
+                continue;
+            for (int l = 0; l < ROW; l++)
+                w->rows[i * ROW + l] += p->input_scale * column[CARRIED + c][l];
+        }
+    }
+}
+
+/* chain = d [x_{m+1}, h_{m+1}] / d v from that of m, in place, (2 + CARRIED) x 2 N. */
+static void NAME(advance_chain)(const problem *p, workspace *w, int64_t m)
+{
+    const int64_t size = 2 * p->intervals;
+    const double *a = w->interval + m * DERIVATIVE;
+    double *s = w->chain;
+    for (int64_t i = 0; i < 2 * m; i++) {
+        double before[CARRIED], after[2 + CARRIED] = {s[i], s[size + i]};
+        for (int k = 0; k < CARRIED; k++)
+            before[k] = s[(2 + k) * size + i];
+        for (int l = 0; l < 2 + CARRIED; l++)
+            for (int k = 0; k < CARRIED; k++)
+                after[l] += a[l * DIRECTIONS + k] * before[k];
+        for (int l = 0; l < 2 + CARRIED; l++)
+            s[l * size + i] = after[l];
+    }
+    for (int c = 0; c < 4; c++)
+        if (2 * m - 2 + c >= 0)
+            for (int l = 0; l < 2 + CARRIED; l++)
+                s[l * size + 2 * m - 2 + c] += p->input_scale * a[l * DIRECTIONS + CARRIED + c];
+}
+
+#undef DIRECTIONS
+#undef DERIVATIVE
+#undef MOMENTUM_BYTES

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.solver.numpy_backend import drift_horizon
 from sphere_nmpc.solver.numpy_backend.rounded_size import rounded_size
 from sphere_nmpc.solver.numpy_backend.shooting import (
     BY_KNOTS,
@@ -20,10 +22,14 @@ _MEMORY = threading.local()
 
 
 def roll_out(
-    state: Vector, inputs: Vector, durations: Vector, constants: Vector, max_step: float
-) -> Vector:
-    """Predict on NumPy; see `sphere_nmpc.solver.roll_out.roll_out`."""
-    return Horizon(durations, constants, max_step).states(state, inputs)
+    state: Vector, drift: Drift, inputs: Vector, durations: Vector, constants: Vector,
+    max_step: float,
+) -> tuple[Vector, Vector]:
+    """Predict on NumPy; see `sphere_nmpc.solver.roll_out.roll_out_with_momentum`."""
+    if not drift.is_zero:
+        return drift_horizon.roll_out(state, drift, inputs, durations, constants, max_step)
+    states = Horizon(durations, constants, max_step).states(state, inputs)
+    return states, np.zeros((durations.size + 1, 3))
 
 
 class Horizon:

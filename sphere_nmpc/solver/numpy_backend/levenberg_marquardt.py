@@ -15,6 +15,7 @@ import time
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.numpy_backend.drift_objective import DriftObjective
 from sphere_nmpc.solver.numpy_backend.objective import VectorObjective
 from sphere_nmpc.solver.numpy_backend.quadratic_model import QuadraticModel
 from sphere_nmpc.solver.problem import (
@@ -45,7 +46,7 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
     HoldSolution
     """
     began = time.perf_counter()
-    objective = VectorObjective(problem)
+    objective = (DriftObjective if problem.drift.any() else VectorObjective)(problem)
     lower, upper = objective.lower, objective.upper
     v = _clipped(objective.scaled(start), lower, upper)
     value, states = objective.evaluate(v)
@@ -96,8 +97,9 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
                 break
     inputs = objective.inputs(v)
     inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
+    momenta = objective.momenta(v)
     elapsed = time.perf_counter() - began
-    return HoldSolution(inputs, states, value, status, iterations, residual, elapsed)
+    return HoldSolution(inputs, states, momenta, value, status, iterations, residual, elapsed)
 
 
 def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:

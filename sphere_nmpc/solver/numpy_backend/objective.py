@@ -33,9 +33,8 @@ class VectorObjective:
         n = problem.intervals
         self.lower: Vector = (problem.lower.T / problem.input_scale).ravel()
         self.upper: Vector = (problem.upper.T / problem.input_scale).ravel()
-        self._horizon = Horizon(problem.durations, problem.constants, problem.max_step)
         self._is_dense = problem.stage_weight > 0.0 or not problem.terminal_weight > 0.0
-        self._horizon.columns[self._horizon.last if self._is_dense else -1, 10] = 1.0
+        self._set_up_horizon(problem)
         # x and y, and the component of a quaternion's error d along e (x) q: -(e (x) d) . goal.
         w, i, j, k = problem.goal[QUATERNION].tolist()
         self._to_residual = np.zeros((6, _RESIDUAL_SIZE))
@@ -43,9 +42,18 @@ class VectorObjective:
         self._to_residual[2:, 2:] = ((-i, -j, -k), (w, k, -j), (-k, w, i), (j, -i, w))
         self._knots: Vector = np.empty((n + 1, 2))
         self._knots[0] = problem.input_in_force
+        self._reference = np.repeat(problem.input_reference / problem.input_scale, n)
+        self._slew_limit = problem.max_acceleration * problem.durations
+
+    def _set_up_horizon(self, problem: HoldProblem) -> None:
+        self._horizon = Horizon(problem.durations, problem.constants, problem.max_step)
+        self._horizon.columns[self._horizon.last if self._is_dense else -1, 10] = 1.0
         to_free = -problem.constants[1]
         self._by_input = to_free * problem.input_scale * np.array([1.0, 1.0, 0.5, 0.5, 0.5])
-        self._slew_limit = problem.max_acceleration * problem.durations
+
+    def momenta(self, v: Vector) -> Vector:
+        """Return the momenta at the knots [rad/s; world frame], shape (N + 1, 3)."""
+        return np.zeros((self._problem.intervals + 1, 3))
 
     def scaled(self, inputs: Vector) -> Vector:
         """Return the decision variables v for knots u_1 ... u_N [rad/s], shape (N, 2)."""
@@ -62,11 +70,12 @@ class VectorObjective:
         """Return the cost and the states, shape (N + 1, 6)."""
         problem, knots = self._problem, self._knots
         knots[1:] = problem.input_scale * v.reshape(2, -1).T
-        states = self._horizon.states(problem.state, knots)
+        states = self._states(knots)
         errors = states[1:] - problem.goal
         self._errors = errors
         value = problem.terminal_weight * float(errors[-1] @ errors[-1])
-        value += problem.input_weight * float(v @ v)
+        effort = v - self._reference
+        value += problem.input_weight * float(effort @ effort)
         if problem.stage_weight > 0.0:
             value += problem.stage_weight * float(np.vdot(errors[:-1], errors[:-1]))
         if problem.slew_weight > 0.0:
@@ -79,7 +88,7 @@ class VectorObjective:
     def expand(self, v: Vector) -> DenseModel | LowRankModel:
         """Return the Gauss-Newton model of the cost at v, the point of the last `evaluate`."""
         problem, n = self._problem, self._problem.intervals
-        gradient = 2.0 * problem.input_weight * v
+        gradient = 2.0 * problem.input_weight * (v - self._reference)
         diagonal = np.full((2, n), 2.0 * problem.input_weight)
         subdiagonal = np.zeros((2, n))
         if problem.slew_weight > 0.0:
@@ -91,30 +100,42 @@ class VectorObjective:
             diagonal += weight
             diagonal[:, :-1] += weight[:, 1:]
             subdiagonal[:, 1:] = -weight[:, 1:]
-        horizon = self._horizon
-        local = horizon.shooting.by_knots[:, : horizon.steps]
-        local = np.add.reduceat(local, horizon.begins, axis=1).reshape(_RESIDUAL_SIZE, 4, n)
-        local *= self._by_input[:, None, None]
         if self._is_dense:
-            rows, residual = self._all_rows(local)
+            rows, residual = self._all_rows()
             hessian = rows.T @ rows
             flat = hessian.reshape(-1)
             flat[:: 2 * n + 1] += diagonal.ravel()
             flat[1 :: 2 * n + 1] += subdiagonal.ravel()[1:]
             flat[2 * n :: 2 * n + 1] += subdiagonal.ravel()[1:]
             return DenseModel(gradient + rows.T @ residual, hessian)
-        rows = local[:, 2:].copy()
-        rows[:, :, :-1] += local[:, :2, 1:]
-        jacobian = rows.reshape(_RESIDUAL_SIZE, 2 * n)
-        residual = self._errors[-1] @ self._to_residual
+        jacobian, residual = self._terminal_rows()
         weight = 2.0 * problem.terminal_weight
         return LowRankModel(
             gradient, diagonal.ravel(), subdiagonal.ravel()[1:], jacobian, residual, weight
         )
 
-    def _all_rows(self, local: Vector) -> tuple[Vector, Vector]:
-        """Return weighted Jacobian (5 N, 2 N) and residual (5 N,) of all states."""
-        problem, n = self._problem, self._problem.intervals
+    def _states(self, knots: Vector) -> Vector:
+        return self._horizon.states(self._problem.state, knots)
+
+    def _local_rows(self) -> Vector:
+        """Return derivatives by the knots of each interval, scaled, shape (5, 4, N)."""
+        horizon, n = self._horizon, self._problem.intervals
+        local = horizon.shooting.by_knots[:, : horizon.steps]
+        local = np.add.reduceat(local, horizon.begins, axis=1).reshape(_RESIDUAL_SIZE, 4, n)
+        local *= self._by_input[:, None, None]
+        return local
+
+    def _terminal_rows(self) -> tuple[Vector, Vector]:
+        """Return Jacobian (r, 2 N) and residual (r,) of the state at the end."""
+        local = self._local_rows()
+        rows = local[:, 2:].copy()
+        rows[:, :, :-1] += local[:, :2, 1:]
+        jacobian = rows.reshape(_RESIDUAL_SIZE, 2 * self._problem.intervals)
+        return jacobian, self._errors[-1] @ self._to_residual
+
+    def _all_rows(self) -> tuple[Vector, Vector]:
+        """Return weighted Jacobian (r N, 2 N) and residual (r N,) of all states."""
+        n, local = self._problem.intervals, self._local_rows()
         sensitivity = self._horizon.shooting.sensitivities[:, self._horizon.begins]
         through = np.zeros((n, _RESIDUAL_SIZE, _RESIDUAL_SIZE))
         through[:, _EACH, _EACH] = 1.0
@@ -128,7 +149,13 @@ class VectorObjective:
         chained = rows.reshape(n, _RESIDUAL_SIZE, 2 * n)
         for m in range(1, n):
             chained[m] += through[m] @ chained[m - 1]
-        weights = np.full((n, 1), (2.0 * problem.stage_weight) ** 0.5)
-        weights[-1] = (2.0 * problem.terminal_weight) ** 0.5
+        weights = self._root_weights()
         residual = weights * (self._errors @ self._to_residual)
         return (weights[:, :, None] * chained).reshape(-1, 2 * n), residual.ravel()
+
+    def _root_weights(self) -> Vector:
+        """Return the factors of the residuals of all states, shape (N, 1)."""
+        problem = self._problem
+        weights = np.full((problem.intervals, 1), (2.0 * problem.stage_weight) ** 0.5)
+        weights[-1] = (2.0 * problem.terminal_weight) ** 0.5
+        return weights

@@ -26,7 +26,8 @@ def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector) -> float:
     errors = states[1:] - problem.goal
     value = problem.terminal_weight * float(errors[-1] @ errors[-1])
     value += problem.stage_weight * float(np.sum(errors[:-1] ** 2))
-    value += problem.input_weight * float(np.sum((inputs[1:] / problem.input_scale) ** 2))
+    effort = (inputs[1:] - problem.input_reference) / problem.input_scale
+    value += problem.input_weight * float(np.sum(effort**2))
     if problem.slew_weight > 0.0:
         value += problem.slew_weight * float(np.sum(_slew_excess(problem, inputs) ** 2))
     return value
@@ -48,7 +49,8 @@ def expand(problem: HoldProblem, scaled: Vector) -> tuple[Vector, Vector]:
     inputs = all_knots(problem, scaled)
     states, sensitivities = roll_out_with_sensitivity(problem, inputs)
     size = scaled.size
-    gradient = 2.0 * problem.input_weight * scaled
+    reference = np.tile(problem.input_reference / problem.input_scale, problem.intervals)
+    gradient = 2.0 * problem.input_weight * (scaled - reference)
     hessian = 2.0 * problem.input_weight * np.eye(size)
     weights = np.full(problem.intervals, problem.stage_weight)
     weights[-1] = problem.terminal_weight

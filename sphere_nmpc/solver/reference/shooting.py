@@ -2,20 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Single shooting: states and sensitivities along a first-order hold, on CasADi's VM."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from sphere_nmpc.model.integrator import steps_for, tangent_step_function
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.model.drift import MOMENTUM
+from sphere_nmpc.model.integrator import (
+    steps_for,
+    tangent_drift_step_function,
+    tangent_step_function,
+)
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.problem import HoldProblem
 
-DIRECTIONS = 8
-"""Derivative directions of one interval: its quaternion (4) and its two knots (2 + 2)."""
+Step = Callable[..., tuple[Vector, Vector, Vector, Vector]]
+"""Function ``(y, u_start, u_end, h, dy, du_start, du_end) -> (dxy, y_end, ddxy, dy_end)`` of an
+integration step; y is the quaternion and, with drift, the momentum (4 or 7 components)."""
 
 
 def roll_out(problem: HoldProblem, inputs: Vector) -> Vector:
     """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, shape (N + 1, 2)."""
     # With no directions the same function is a step without sensitivities.
-    return _shoot(problem, inputs, 0)[0]
+    return _shoot(problem, inputs, False)[0]
 
 
 def roll_out_with_sensitivity(problem: HoldProblem, inputs: Vector) -> tuple[Vector, Vector]:
@@ -34,42 +42,69 @@ def roll_out_with_sensitivity(problem: HoldProblem, inputs: Vector) -> tuple[Vec
     sensitivities : ndarray, shape (N + 1, 6, 2 N)
         d x_m / d (u_1, ..., u_N), per rad/s.
     """
-    return _shoot(problem, inputs, DIRECTIONS)
+    return _shoot(problem, inputs, True)
 
 
-def _shoot(problem: HoldProblem, inputs: Vector, directions: int) -> tuple[Vector, Vector]:
-    step = tangent_step_function(directions)
+def _shoot(problem: HoldProblem, inputs: Vector, derive: bool) -> tuple[Vector, Vector]:
+    drifts = bool(problem.drift.any())
+    carried = 7 if drifts else 4
+    # Derivative directions of one interval: y at its start and its two knots.
+    seed = np.eye(carried + 4) if derive else np.zeros((carried + 4, 0))
+    step = (_drift_step if drifts else _plain_step)(problem, seed.shape[1])
     intervals = problem.intervals
-    states = np.empty((intervals + 1, 6))
-    states[0] = problem.state
-    sensitivities = np.zeros((intervals + 1, 6, 2 * intervals))
-    seed = np.eye(DIRECTIONS)[:, :directions]
+    states = np.empty((intervals + 1, 2 + carried))
+    states[0, :6] = problem.state
+    states[0, 6:] = problem.drift[MOMENTUM][: carried - 4]
+    sensitivities = np.zeros((intervals + 1, 2 + carried, 2 * intervals))
     for m in range(intervals):
         u_start, u_end = inputs[m], inputs[m + 1]
         steps = steps_for(float(problem.durations[m]), problem.max_step)
         h = float(problem.durations[m]) / steps
-        position = states[m, POSITION]
-        q = states[m, QUATERNION]
-        dq = seed[0:4]
-        dxy = np.zeros((2, directions))
+        position, y = states[m, :2], states[m, 2:]
+        dxy: Vector = np.zeros((2, seed.shape[1]))
+        dy: Vector = seed[:carried]
+        first, second = seed[carried : carried + 2], seed[carried + 2 :]
         for i in range(steps):
             a, b = i / steps, (i + 1) / steps
             here, there = u_start + (u_end - u_start) * a, u_start + (u_end - u_start) * b
-            d_here = (1.0 - a) * seed[4:6] + a * seed[6:8]
-            d_there = (1.0 - b) * seed[4:6] + b * seed[6:8]
-            out = step(q, here, there, h, problem.constants, dq, d_here, d_there)
-            moved, q_end, d_moved, dq_end = (np.array(value) for value in out)
-            position = position + moved.ravel()
-            q = q_end.ravel()
-            dxy, dq = dxy + d_moved, dq_end
-        states[m + 1, POSITION], states[m + 1, QUATERNION] = position, q
-        if directions:
-            before = sensitivities[m]
-            sensitivities[m + 1, POSITION] = before[POSITION] + dxy[:, 0:4] @ before[QUATERNION]
-            sensitivities[m + 1, QUATERNION] = dq[:, 0:4] @ before[QUATERNION]
+            d_here, d_there = (1.0 - a) * first + a * second, (1.0 - b) * first + b * second
+            moved, y, d_moved, dy = step(y, here, there, h, dy, d_here, d_there)
+            position, dxy = position + moved, dxy + d_moved
+        states[m + 1] = np.concatenate((position, y))
+        if derive:
+            before, local = sensitivities[m], np.vstack((dxy, dy))
+            sensitivities[m + 1] = local[:, :carried] @ before[2:]
+            sensitivities[m + 1, :2] += before[:2]
             if m > 0:
-                sensitivities[m + 1, POSITION, 2 * m - 2 : 2 * m] += dxy[:, 4:6]
-                sensitivities[m + 1, QUATERNION, 2 * m - 2 : 2 * m] += dq[:, 4:6]
-            sensitivities[m + 1, POSITION, 2 * m : 2 * m + 2] += dxy[:, 6:8]
-            sensitivities[m + 1, QUATERNION, 2 * m : 2 * m + 2] += dq[:, 6:8]
-    return states, sensitivities
+                sensitivities[m + 1, :, 2 * m - 2 : 2 * m] += local[:, carried : carried + 2]
+            sensitivities[m + 1, :, 2 * m : 2 * m + 2] += local[:, carried + 2 :]
+    return states[:, :6], sensitivities[:, :6]
+
+
+def _plain_step(problem: HoldProblem, directions: int) -> Step:
+    function = tangent_step_function(directions)
+
+    def step(
+        q: Vector, u_start: Vector, u_end: Vector, h: float, *seeds: Vector
+    ) -> tuple[Vector, Vector, Vector, Vector]:
+        found = function(q, u_start, u_end, h, problem.constants, *seeds)
+        moved, q_end, d_moved, dq_end = (np.array(value) for value in found)
+        return moved.ravel(), q_end.ravel(), d_moved, dq_end
+
+    return step
+
+
+def _drift_step(problem: HoldProblem, directions: int) -> Step:
+    function, torques = tangent_drift_step_function(directions), problem.drift[3:]
+
+    def step(
+        y: Vector, u_start: Vector, u_end: Vector, h: float, dy: Vector, *seeds: Vector
+    ) -> tuple[Vector, Vector, Vector, Vector]:
+        found = function(
+            y[:4], y[4:], u_start, u_end, h, problem.constants, torques, dy[:4], dy[4:], *seeds
+        )
+        moved, q_end, end, d_moved, dq_end, d_end = (np.array(value) for value in found)
+        y_end = np.concatenate((q_end, end)).ravel()
+        return moved.ravel(), y_end, d_moved, np.vstack((dq_end, d_end))
+
+    return step

@@ -10,9 +10,11 @@ Run by ``test_sanitizers.py``. With arguments the C source is changed before it 
 import sys
 import threading
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
@@ -28,6 +30,8 @@ WEIGHTS: tuple[dict[str, float], ...] = (
     {"input_weight": 1e-8, "slew_weight": 10.0, "max_acceleration": 150.0},
     {"stage_weight": 0.3, "slew_weight": 1.0, "max_acceleration": 150.0},
 )
+
+DRIFT = Drift(np.array([30.0, -20.0, 15.0]), np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
 
 
 def make_problem(n: int, **changes: float) -> HoldProblem:
@@ -50,14 +54,15 @@ def random_start(n: int) -> Vector:
 
 def ordinary_calls(n: int) -> None:
     """Solve, expand and predict over N intervals with every kind of cost."""
-    for weights in WEIGHTS:
-        problem = make_problem(n, **weights)
+    for weights, drift in product(WEIGHTS, (NO_DRIFT, DRIFT)):
+        problem = replace(make_problem(n, **weights), drift=drift.as_array())
         solution = HoldSolver(SolverSettings(max_iterations=12), "compiled").solve(
             problem, random_start(n)
         )
         expand_compiled(problem, random_start(n))
         roll_out_compiled(
-            problem.state, solution.inputs, problem.durations, problem.constants, problem.max_step
+            problem.state, DRIFT, solution.inputs, problem.durations, problem.constants,
+            problem.max_step,
         )
 
 
@@ -74,7 +79,9 @@ def edge_cases(n: int) -> None:
         solver.solve(part, start)
         unbounded = np.full((n, 2), np.inf)
         solver.solve(replace(problem, lower=-unbounded, upper=unbounded), start)
-        for name in ("state", "goal", "input_in_force", "durations", "constants", "lower"):
+        for name in (
+            "state", "goal", "input_in_force", "durations", "constants", "lower", "drift",
+        ):
             for value in (np.nan, np.inf) if name != "durations" else (np.nan, 0.0):
                 odd = {name: np.full_like(getattr(problem, name), value)}
                 solver.solve(replace(problem, **odd), start)
@@ -84,8 +91,8 @@ def edge_cases(n: int) -> None:
         HoldSolver(SolverSettings(max_iterations=0), "compiled").solve(problem, start)
     state, constants = problem.state, problem.constants
     inputs = np.vstack((problem.input_in_force, start))
-    roll_out_compiled(state, inputs, np.zeros(n), constants, 0.1)
-    roll_out_compiled(state, inputs * np.nan, problem.durations, constants, 0.1)
+    roll_out_compiled(state, DRIFT, inputs, np.zeros(n), constants, 0.1)
+    roll_out_compiled(state, DRIFT, inputs * np.nan, problem.durations, constants, 0.1)
 
 
 def change_source(file: str, text: str, replacement: str) -> None:

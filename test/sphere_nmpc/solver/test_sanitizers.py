@@ -25,8 +25,8 @@ RUNTIMES = {
 
 FAULTS = {
     "part too short": ("workspace.h", "take(base, &used, m + 2)", "take(base, &used, m)"),
-    "interval past the last": ("objective.h", "m = n; m-- > 0;", "m = n; m >= 0; m--"),
-    "index past a row": ("objective.h", "[k][2 + k] = 1.0", "[k][6 + k] = 1.0"),
+    "interval past the last": ("shooting.h", "m = n; m-- > 0;", "m = n; m >= 0; m--"),
+    "index past a row": ("shooting.h", "[k][2 + k] = 1.0", "[k][6 + k] = 1.0"),
 }
 """File, text and what replaces it."""
 

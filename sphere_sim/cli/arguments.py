@@ -22,6 +22,12 @@ def not_negative(text: str) -> float:
     return _number(text, "a number from 0 on", lambda value: value >= 0.0)
 
 
+def number(least: float, most: float) -> Callable[[str], float]:
+    """Return a type of numbers from `least` to `most`."""
+    expected = f"a number from {least:g} to {most:g}"
+    return lambda text: _number(text, expected, lambda value: least <= value <= most)
+
+
 def whole(least: int, most: int | None = None) -> Callable[[str], int]:
     """Return a type of integers from `least` on, up to `most` if that is given."""
 

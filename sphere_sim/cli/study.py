@@ -3,24 +3,27 @@
 """``sphere_nmpc study``: run many scenarios and write tables of the results."""
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_sim.cli.arguments import not_negative, positive, whole
+from sphere_sim.cli.arguments import not_negative, number, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.world.settings import PLANTS
 
 if TYPE_CHECKING:
+    from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
     from sphere_sim.scenario.scenarios import Scenario
     from sphere_sim.study.conditions import StudyConditions
 
-_KINDS = ("anywhere", "far", "circle", "half_turn")
+_KINDS = ("anywhere", "far", "circle", "half_turn", "upright")
 """Names of `sphere_sim.scenario.draws.DRAWS`, whose import would load NumPy; a test compares."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
+_STEEPEST, _FARTHEST_OFF = 28.0, 30.0  # [degree], [mm]
 """Largest numbers that are accepted."""
 
 
@@ -63,6 +66,8 @@ def _run(arguments: argparse.Namespace) -> int:
         scenarios = read_scenarios(arguments.scenarios)
     else:
         scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind)
+    draws = _draws(arguments)
+    scenarios = [draws.applied_to(scenario) for scenario in scenarios]
     strategies = tuple(dict.fromkeys(arguments.strategy or [ControllerSettings().strategy]))
     conditions = _conditions(arguments, strategies[0])
     study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
@@ -83,6 +88,17 @@ def _run(arguments: argparse.Namespace) -> int:
     for summary in summaries.values():
         print(f"{headline(summary)} -> {arguments.out}")
     return 1 if any(summary["crashed"] for summary in summaries.values()) else 0
+
+
+def _draws(arguments: argparse.Namespace) -> "DisturbanceDraws":
+    from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+
+    push = None
+    if arguments.push is not None:
+        push = min(arguments.push), max(arguments.push)
+    return DisturbanceDraws(
+        push, arguments.push_time, math.radians(arguments.slope), 1e-3 * arguments.offset
+    )
 
 
 def _conditions(arguments: argparse.Namespace, strategy: str) -> "StudyConditions":
@@ -124,7 +140,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--kind", choices=_KINDS, default=_KINDS[0],
         help="kind of random scenarios: positions in +-3 m and any orientations; goals 10 to 50 m "
-        "away; both contact points on the circle Gamma; half turns in place about any axis",
+        "away; both contact points on the circle Gamma; half turns in place about any axis; goals "
+        "upright, with any heading",
     )
     parser.add_argument(
         "--seed", type=whole(0), default=0, metavar="S", help="seed of the random scenarios (0)"
@@ -155,6 +172,22 @@ def _parser() -> argparse.ArgumentParser:
         help="age of the newest pose at a sampling instant",
     )
     parser.add_argument(
+        "--push", type=not_negative, nargs="+", action=_OneOrTwo, metavar="NEWTON_SECONDS",
+        help="impulse of a push in each run, in a random direction; two numbers are a range",
+    )
+    parser.add_argument(
+        "--push-time", type=not_negative, metavar="SECONDS",
+        help="time of the push; by default random, 0.5 to 3 s",
+    )
+    parser.add_argument(
+        "--slope", type=number(0.0, _STEEPEST), default=0.0, metavar="DEGREES",
+        help="inclination of the floor, in a random direction for each run",
+    )
+    parser.add_argument(
+        "--offset", type=number(0.0, _FARTHEST_OFF), default=0.0, metavar="MILLIMETRES",
+        help="distance of the centre of mass from the centre, in a random direction for each run",
+    )
+    parser.add_argument(
         "--duration", type=positive, default=30.0, metavar="SECONDS",
         help="length of a run (30)",
     )
@@ -177,6 +210,21 @@ def _parser() -> argparse.ArgumentParser:
         help="one or several other settings, such as horizon=8 simulator.sample_period=0.25",
     )
     return parser
+
+
+class _OneOrTwo(argparse.Action):
+    """Argument of one or two values."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        if len(values) > 2:
+            parser.error(f"argument {option_string}: given {len(values)}, expected one or two")
+        setattr(namespace, self.dest, values)
 
 
 def _assignment(text: str) -> tuple[str, str]:

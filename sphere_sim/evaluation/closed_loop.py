@@ -12,7 +12,11 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
+from sphere_sim.world.push import Push
 from sphere_sim.world.simulator import NANOSECONDS, Simulator
+
+AT_PUSH_SIZE = 11
+"""Size of `Trajectory.at_push` after a push."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,9 @@ class Trajectory:
         One for each sampling instant.
     holds : list of FirstOrderHold
         Commands; each is followed until the next one starts.
+    at_push : ndarray, shape (11,) or (0,)
+        State, rotor speeds [rad/s] and momentum [N m s; world frame] just after the push; empty
+        without one.
     """
 
     times: Vector
@@ -41,6 +48,7 @@ class Trajectory:
     torques: Vector
     decisions: list[Decision]
     holds: list[FirstOrderHold] = field(default_factory=list)
+    at_push: Vector = field(default_factory=lambda: np.empty(0))
 
 
 def run_closed_loop(
@@ -51,6 +59,7 @@ def run_closed_loop(
     control_period: float,
     output_period: float = 0.01,
     latency: float = 0.0,
+    push: Push | None = None,
 ) -> Trajectory:
     """Simulate a plant under control.
 
@@ -72,6 +81,8 @@ def run_closed_loop(
         Age of the newest pose at a sampling instant [s]; its stamp is the time of measurement.
         Before the run the sphere is measured at rest at its start. Only for a sensor without
         rate, latency and drop-outs of its own.
+    push : Push, optional
+        Push during the run.
 
     Returns
     -------
@@ -89,6 +100,8 @@ def run_closed_loop(
     control, output = round(control_period * NANOSECONDS), round(output_period * NANOSECONDS)
     end = round(duration * NANOSECONDS)
     delay = round(latency * NANOSECONDS)
+    push_at = -1 if push is None else round(push.time * NANOSECONDS)
+    at_push: Vector = np.empty(0)
     rows: list[tuple[float, Vector, Vector, Vector]] = []
     decisions: list[Decision] = []
     holds: list[FirstOrderHold] = []
@@ -99,6 +112,9 @@ def run_closed_loop(
     plant = simulator.plant
     while True:
         now = simulator.now
+        if push is not None and now == push_at:
+            plant.push(push.impulse)
+            at_push = np.concatenate((plant.state, plant.rotor_speeds, plant.momentum))
         if now % output == 0:
             rows.append((simulator.time, plant.state, plant.rotor_speeds, plant.rotor_torques))
         if now >= end:
@@ -119,9 +135,10 @@ def run_closed_loop(
                 holds.append(hold)
             decisions.append(decision)
         measured = _next(now + delay, control) - delay
-        simulator.advance_to(min(_next(now, control), _next(now, output), measured, end))
+        then = min(_next(now, control), _next(now, output), measured, end)
+        simulator.advance_to(min(then, push_at) if now < push_at else then)
     times, states, speeds, torques = (np.array(column) for column in zip(*rows, strict=True))
-    return Trajectory(times, states, speeds, torques, decisions, holds)
+    return Trajectory(times, states, speeds, torques, decisions, holds, at_push)
 
 
 def _next(now: int, period: int) -> int:

@@ -3,7 +3,9 @@
 """Scenario files: CSV in UTF-8 with a header and one row for each run, columns in any order.
 
 ``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal. ``seed`` is optional;
-by default it is the number of the row, counted from 0. Other columns are copied to the results.
+by default it is the number of the row, counted from 0. ``push_x, push_y, push_time`` are a push,
+and columns named like settings of the disturbances, such as ``slope``, have values for the run;
+all these may be absent or empty. Other columns are copied to the results.
 """
 
 import csv
@@ -13,11 +15,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
 from sphere_sim.scenario.errors import ScenarioFileError
-from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.push import Push
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
@@ -30,6 +34,8 @@ LONGEST_LINE = 2**20
 """Longest line that is read [characters]."""
 LARGEST_SEED = 2**31 - 1
 """Largest seed."""
+STRONGEST_PUSH = 1e3
+"""Largest component of a push [N s]."""
 
 
 def read_scenarios(path: Path) -> list[Scenario]:
@@ -125,7 +131,34 @@ def _row(path: Path, line: int, fields: dict[str, str], number: int) -> Scenario
     given = {name: fields.pop(name).strip() for name in STATE_COLUMNS}
     seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), number)
     start, goal = (_state(path, line, given, names) for names in (START_COLUMNS, GOAL_COLUMNS))
-    return Scenario(start, goal, seed, extra=fields, given=given)
+    push = _push(path, line, {name: fields.pop(name, "").strip() for name in PUSH_COLUMNS})
+    values = {name: fields.pop(name, "").strip() for name in DISTURBANCE_COLUMNS}
+    disturbances = _disturbances(path, line, {n: text for n, text in values.items() if text})
+    return Scenario(start, goal, seed, fields, given, push, disturbances)
+
+
+def _push(path: Path, line: int, texts: dict[str, str]) -> Push | None:
+    if not any(texts.values()):
+        return None
+    east, north, time = (_number(path, line, name, text) for name, text in texts.items())
+    for name, value in zip(PUSH_COLUMNS, (east, north), strict=False):
+        if abs(value) > STRONGEST_PUSH:
+            expected = f"-{STRONGEST_PUSH:g} to {STRONGEST_PUSH:g} [N s]"
+            raise ScenarioFileError(path, texts[name], expected, line, name)
+    if time < 0.0:
+        name = PUSH_COLUMNS[-1]
+        raise ScenarioFileError(path, texts[name], "a time from 0 on [s]", line, name)
+    return Push(time, (east, north))
+
+
+def _disturbances(path: Path, line: int, texts: dict[str, str]) -> dict[str, float]:
+    values = {name: _number(path, line, name, text) for name, text in texts.items()}
+    try:
+        DisturbanceSettings(**values)
+    except InvalidParameterError as error:
+        name = error.name
+        raise ScenarioFileError(path, texts[name], error.expected, line, name) from None
+    return values
 
 
 def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...]) -> Vector:

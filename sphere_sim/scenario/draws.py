@@ -56,8 +56,15 @@ def half_turn(rng: np.random.Generator) -> Ends:
     return start, make_state(start[:2], _quaternion(turn * Rotation.from_quat([*vector, w])))
 
 
+def upright(rng: np.random.Generator) -> Ends:
+    """Return starts as of `anywhere` and upright goals: turned about the vertical alone."""
+    start, position, heading = _state(rng), _position(rng), rng.uniform(-np.pi, np.pi)
+    turn = np.array([np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)])
+    return start, make_state(position, turn)
+
+
 DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
-    draw.__name__: draw for draw in (anywhere, far, circle, half_turn)
+    draw.__name__: draw for draw in (anywhere, far, circle, half_turn, upright)
 }
 """All kinds by name; each takes a generator and returns start and goal."""
 

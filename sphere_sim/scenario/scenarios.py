@@ -2,12 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenarios of runs: the paper's cases and random ones."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_sim.scenario.draws import DRAWS
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.push import Push
+
+PUSH_COLUMNS = ("push_x", "push_y", "push_time")
+"""Columns of scenario files for a push: impulse [N s; world], time [s]."""
+DISTURBANCE_COLUMNS = tuple(setting.name for setting in fields(DisturbanceSettings))
+"""Columns of scenario files with settings of this name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +32,10 @@ class Scenario:
     given : dict of str to str
         Text of the columns of both states in the file, before normalisation; empty without a
         file.
+    push : Push, optional
+        Push during the run.
+    disturbances : dict of str to float
+        Settings of `sphere_sim.world.disturbances.DisturbanceSettings` of this run.
     """
 
     start: Vector
@@ -32,6 +43,18 @@ class Scenario:
     seed: int = 0
     extra: dict[str, str] = field(default_factory=dict)
     given: dict[str, str] = field(default_factory=dict)
+    push: Push | None = None
+    disturbances: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def optional(self) -> dict[str, float]:
+        """Content of the optional columns with numbers, by name, in the order of the columns."""
+        push: dict[str, float] = {}
+        if self.push is not None:
+            values = (*self.push.impulse, self.push.time)
+            push = dict(zip(PUSH_COLUMNS, values, strict=True))
+        kept = {n: self.disturbances[n] for n in DISTURBANCE_COLUMNS if n in self.disturbances}
+        return push | kept
 
 
 def _paper_case(start: list[float], goal: list[float]) -> Scenario:

@@ -79,7 +79,8 @@ def _digest(parts: Iterator[bytes]) -> str:
 def _scenario_bytes(scenarios: Sequence[Scenario]) -> Iterator[bytes]:
     for scenario in scenarios:
         yield scenario.start.tobytes() + scenario.goal.tobytes()
-        yield json.dumps([scenario.seed, scenario.extra, scenario.given]).encode()
+        about = [scenario.seed, scenario.extra, scenario.given, scenario.optional]
+        yield json.dumps(about).encode()
 
 
 def _source_bytes(modules: Mapping[str, Path]) -> Iterator[bytes]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_sim.evaluation.closed_loop import AT_PUSH_SIZE
 
 Value = bool | int | float | str | None
 """Content of a table cell; None where the run has no such result."""
@@ -37,6 +38,8 @@ RESULT_COLUMNS = (
     "crash",
 )
 """Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
+PUSH_RESULT_COLUMNS = ("recover_s",)
+"""Further ones of a study with pushes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +49,20 @@ class RunRecord:
     Attributes
     ----------
     results : dict of str to Value
-        By the names of `RESULT_COLUMNS`, without those that compare with the best known time.
+        By the names of `RESULT_COLUMNS` and `PUSH_RESULT_COLUMNS`, without those that compare
+        with the best known time.
     times : ndarray, shape (K,)
         Knot times of the rotor speeds [s]; empty for a run that crashed.
     speeds : ndarray, shape (K, 2)
         Rotor speeds at the knots [rad/s].
+    at_push : ndarray, shape (11,) or (0,)
+        As in `sphere_sim.evaluation.closed_loop.Trajectory`.
     """
 
     results: dict[str, Value]
     times: Vector = field(default_factory=lambda: np.empty(0))
     speeds: Vector = field(default_factory=lambda: np.empty((0, INPUT_SIZE)))
+    at_push: Vector = field(default_factory=lambda: np.empty(0))
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -63,11 +70,14 @@ class RunRecord:
             and self.results == other.results
             and np.array_equal(self.times, other.times)
             and np.array_equal(self.speeds, other.speeds)
+            and np.array_equal(self.at_push, other.at_push)
         )
 
     def as_json(self, index: int) -> str:
         """Return the record of run `index` as one line."""
         knots = {"t": self.times.tolist(), "u": self.speeds.tolist()}
+        if self.at_push.size:
+            knots["push"] = self.at_push.tolist()
         return json.dumps({"run": index, "results": self.results, **knots}, allow_nan=False)
 
     @classmethod
@@ -83,15 +93,17 @@ class RunRecord:
             content = json.loads(line)
             index, results = content["run"], content["results"]
             times, speeds = (_numbers(content[name]) for name in "tu")
+            at_push = _numbers(content.get("push", []))
             speeds = speeds if speeds.size else speeds.reshape(0, INPUT_SIZE)
             valid = times.ndim == 1 and speeds.shape == (times.size, INPUT_SIZE)
+            valid = valid and at_push.shape in ((0,), (AT_PUSH_SIZE,))
             valid = valid and type(index) is int and {"strategy", "settled"} <= results.keys()
             valid = valid and all(map(_is_valid, results, results.values()))
         except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(f"not the record of a run: {error}") from None
         if not valid:
             raise ValueError("not the record of a run")
-        return index, cls(results, times, speeds)
+        return index, cls(results, times, speeds, at_push)
 
 
 def _numbers(content: Any) -> Vector:

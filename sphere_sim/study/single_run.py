@@ -38,8 +38,9 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
     # Streams 0, 1 and 3 of this seed belong to the simulator.
     rng = np.random.default_rng([scenario.seed, 2])
     robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
+    disturbances = replace(conditions.disturbances, **scenario.disturbances)
     plant = make_plant(
-        simulation.plant, robot, scenario.start, conditions.rigid_body, conditions.disturbances
+        simulation.plant, robot, scenario.start, conditions.rigid_body, disturbances
     )
     return Simulator(simulation, robot, plant), Controller(conditions.controller, conditions.robot)
 
@@ -64,9 +65,13 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
             conditions.duration,
             conditions.controller.control_period,
             latency=conditions.latency,
+            push=scenario.push,
         )
         inputs = followed_inputs(trajectory.holds, conditions.duration)
         results = _results(trajectory, scenario.goal, inputs)
+        settling = results["settle_time_s"]
+        if scenario.push is not None and trajectory.at_push.size and settling is not None:
+            results["recover_s"] = max(0.0, float(settling) - scenario.push.time)
     except (MemoryError, OSError):
         raise
     except Exception as error:
@@ -74,7 +79,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         return RunRecord({"strategy": strategy, "settled": False, "crash": crash})
     results |= stability_of(trajectory.decisions, scenario.goal, conditions)
     results = {"strategy": strategy, **results, "failures": controller.failures}
-    return RunRecord(results, inputs.times, inputs.speeds)
+    return RunRecord(results, inputs.times, inputs.speeds, trajectory.at_push)
 
 
 def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:

@@ -10,7 +10,7 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import Scenario
-from sphere_sim.study.record import Value
+from sphere_sim.study.record import PUSH_RESULT_COLUMNS, Value
 
 Results = Sequence[dict[str, Value]]
 """Results of each run by the names of `RESULT_COLUMNS`."""
@@ -66,12 +66,14 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
     Distributions are over the runs that have the quantity; ``failures`` lists each run that did
     not settle, ``timing`` holds all that depends on the machine.
     """
+    pushed = any(scenario.push is not None for scenario in scenarios)
     return {
         "strategy": results[0]["strategy"],
         "runs": len(results),
         "settled": int(sum(bool(found["settled"]) for found in results)),
         "settled_error": SETTLED_ERROR,
         **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
+        **{n: _distribution(column(results, n)) for n in PUSH_RESULT_COLUMNS if pushed},
         **{name: _largest(column(results, name)) for name in _PEAKS},
         "failed_solves": int(np.sum(column(results, "failures"))),
         "crashed": sum(found.get("crash") is not None for found in results),
@@ -101,6 +103,12 @@ def headline(summary: dict[str, Any]) -> str:
         parts.append(
             f"in {settling['median']:.2f} s median (p99 {settling['p99']:.2f}, "
             f"worst {settling['max']:.2f})"
+        )
+    if summary.get("recover_s", {}).get("count"):
+        recovery = summary["recover_s"]
+        parts.append(
+            f"{recovery['median']:.2f} s after the push (p99 {recovery['p99']:.2f}, "
+            f"worst {recovery['max']:.2f})"
         )
     if ratio["count"]:
         parts.append(f"{ratio['median']:.2f} x best known time (p99 {ratio['p99']:.2f})")

@@ -12,9 +12,14 @@ import numpy as np
 
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
-from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
 from sphere_sim.study.errors import NotWrittenError
-from sphere_sim.study.record import RESULT_COLUMNS, RunRecord, Value
+from sphere_sim.study.record import (
+    PUSH_RESULT_COLUMNS,
+    RESULT_COLUMNS,
+    RunRecord,
+    Value,
+)
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> None:
@@ -43,14 +48,18 @@ def write_runs(
     scenarios : sequence of Scenario
         In the order of the rows.
     results : iterable of sequences of dict
-        Results of all scenarios by the names of `RESULT_COLUMNS`, for each strategy.
+        Results of all scenarios by the names of their columns, for each strategy.
     """
     # A table of results may be the scenario file; its previous results are replaced.
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
-    extras = [name for name in names if name not in RESULT_COLUMNS]
+    pushed = any(scenario.push is not None for scenario in scenarios)
+    result_names = RESULT_COLUMNS + (PUSH_RESULT_COLUMNS if pushed else ())
+    extras = [n for n in names if n not in RESULT_COLUMNS + PUSH_RESULT_COLUMNS]
+    present = {name for scenario in scenarios for name in scenario.optional}
+    optional = [name for name in PUSH_COLUMNS + DISTURBANCE_COLUMNS if name in present]
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow([*STATE_COLUMNS, SEED_COLUMN, *extras, *RESULT_COLUMNS])
+    writer.writerow([*STATE_COLUMNS, SEED_COLUMN, *optional, *extras, *result_names])
     for of_strategy in results:
         for scenario, found in zip(scenarios, of_strategy, strict=True):
             values = np.concatenate((scenario.start, scenario.goal)).tolist()
@@ -59,8 +68,9 @@ def write_runs(
                 for name, value in zip(STATE_COLUMNS, values, strict=True)
             ]
             cells.append(scenario.seed)
+            cells += [scenario.optional.get(name) for name in optional]
             cells += [scenario.extra.get(name, "") for name in extras]
-            cells += [found.get(name) for name in RESULT_COLUMNS]
+            cells += [found.get(name) for name in result_names]
             # Python writes the shortest text that reads back as the same number.
             writer.writerow(["" if cell is None else cell for cell in cells])
     replace_file(path, table.getvalue().encode())

@@ -27,8 +27,8 @@ FLOORS = {
         ("ros",),
         ("viewer", "report"),
         ("study", "benchmark", "recording"),
-        ("evaluation",),
-        ("world", "scenario", "faults", "output"),
+        ("evaluation", "scenario"),
+        ("world", "faults", "output"),
     ),
     "sphere_nmpc": (
         ("ros",),

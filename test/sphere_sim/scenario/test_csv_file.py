@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from sphere_sim.scenario.csv_file import LARGEST_FILE, STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.errors import ScenarioFileError
 from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.push import Push
 
 HEADER = ",".join(STATE_COLUMNS)
 ROW = "1,2,1,0,0,0,0,0,0,0,0,1"
@@ -146,6 +147,35 @@ def test_too_far_position_is_refused(tmp_path) -> None:
 def test_bad_seed_is_refused(tmp_path, text) -> None:
     error = error_of(write(tmp_path, HEADER + ",seed", ROW + "," + text))
     assert (error.line, error.column) == (2, "seed")
+
+
+def test_push_and_disturbances_are_optional_columns_and_may_be_empty(tmp_path) -> None:
+    header = f"{HEADER},push_x,push_y,push_time,slope,mass_offset_y,who"
+    rows = [f"{ROW},0.5,-0.25,1.5,0.01,,a", f"{ROW},,,,,1e-3,b", f"{ROW},,,,,,"]
+    pushed, offset, plain = read_scenarios(write(tmp_path, header, *rows))
+    assert pushed.push == Push(1.5, (0.5, -0.25)) and pushed.disturbances == {"slope": 0.01}
+    assert offset.push is None and offset.disturbances == {"mass_offset_y": 1e-3}
+    assert plain.push is None and plain.disturbances == {} and plain.extra == {"who": ""}
+    assert list(pushed.optional.items()) == [
+        ("push_x", 0.5), ("push_y", -0.25), ("push_time", 1.5), ("slope", 0.01)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("column", "cells"),
+    [
+        ("push_time", {"push_x": "1", "push_y": "0"}),
+        ("push_y", {"push_x": "1", "push_y": "far", "push_time": "1"}),
+        ("push_x", {"push_x": "1e4", "push_y": "0", "push_time": "1"}),
+        ("push_time", {"push_x": "1", "push_y": "0", "push_time": "-1"}),
+        ("slope", {"slope": "2"}),
+        ("mass_offset_z", {"mass_offset_z": "nan"}),
+    ],
+)
+def test_bad_push_or_disturbance_is_named_by_its_column(tmp_path, column, cells) -> None:
+    path = write(tmp_path, ",".join([HEADER, *cells]), ",".join([ROW, *cells.values()]))
+    error = error_of(path)
+    assert (error.line, error.column) == (2, column)
 
 
 def test_empty_file_and_header_alone_are_refused(tmp_path) -> None:

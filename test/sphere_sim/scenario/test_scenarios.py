@@ -76,5 +76,14 @@ def test_half_turns_are_in_place_and_by_pi() -> None:
         assert abs(scenario.start[2:] @ scenario.goal[2:]) < 1e-12
 
 
+def test_upright_goals_are_turned_about_the_vertical_alone() -> None:
+    drawn = draw_scenarios(300, 1, "upright")
+    assert all(not np.any(scenario.goal[3:5]) for scenario in drawn)
+    headings = [2.0 * np.arctan2(s.goal[5], s.goal[2]) for s in drawn]
+    assert stats.kstest(headings, stats.uniform(-np.pi, 2.0 * np.pi).cdf).pvalue > 1e-3
+    for upright, anywhere in zip(drawn, draw_scenarios(300, 1), strict=True):
+        np.testing.assert_array_equal(upright.start, anywhere.start)
+
+
 def test_the_verb_offers_every_kind() -> None:
     assert tuple(DRAWS) == _KINDS

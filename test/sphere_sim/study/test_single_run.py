@@ -17,7 +17,9 @@ from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.followed_inputs import followed_inputs
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
 from sphere_sim.study.single_run import prepare, run_scenario
+from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.push import Push
 
 SCENARIO = draw_scenarios(1, 5)[0]
 SHORT = StudyConditions(duration=4.0)
@@ -27,6 +29,72 @@ SPEEDS_AGREE = 1e-6
 
 STATES_AGREE = 1e-8
 """Difference by the integration in steps of other lengths [mixed units]."""
+
+
+PUSHED = replace(SCENARIO, push=Push(1.234567891, (0.3, -0.4)))
+OFF_BALANCE = {"slope": 0.01, "slope_direction": 1.0, "mass_offset_x": 1e-3}
+
+
+@pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
+def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
+    if plant == "rigid_body":
+        pytest.importorskip("mujoco")
+    conditions = SHORT.with_settings([("plant", plant)])
+    trajectories = []
+    for scenario in (SCENARIO, PUSHED):
+        simulator, controller = prepare(conditions, scenario)
+        trajectories.append(
+            run_closed_loop(
+                simulator, controller, scenario.goal, 2.0, 0.5, push=scenario.push,
+            )
+        )
+    still, pushed = trajectories
+    assert not still.at_push.size
+    before = pushed.times < 1.234
+    # The contact is integrated in other steps up to the push, which is between two samples.
+    np.testing.assert_array_equal(pushed.states[before], still.states[before])
+    assert np.max(np.abs(pushed.states[-1] - still.states[-1])) > 0.05
+    state, speeds, momentum = np.split(pushed.at_push, (6, 8))
+    np.testing.assert_allclose(momentum, [0.3 * 0.4, 0.3 * 0.3, 0.0], atol=1e-4)
+    i = int(np.flatnonzero(before)[-1])
+    share = (1.234567891 - pushed.times[i]) / 0.01
+    between = pushed.speeds[i] + share * (pushed.speeds[i + 1] - pushed.speeds[i])
+    np.testing.assert_allclose(speeds, between, atol=0.5 if plant == "rigid_body" else 1e-6)
+    # Linear within 10 ms but for the curvature, below 100 m/s^2 and 1000 1/s^2.
+    between = pushed.states[i] + share * (pushed.states[i + 1] - pushed.states[i])
+    np.testing.assert_allclose(state, between, atol=0.02)
+
+
+def test_push_after_the_end_or_none_leaves_the_run_as_it_is() -> None:
+    late = run_scenario(SHORT, replace(SCENARIO, push=Push(4.5, (0.3, -0.4))))
+    plain = run_scenario(SHORT, SCENARIO)
+    assert not late.at_push.size and "recover_s" not in late.results
+    np.testing.assert_array_equal(late.speeds, plain.speeds)
+
+
+def test_recovery_is_counted_from_the_push() -> None:
+    at_goal = replace(SCENARIO, goal=SCENARIO.start)
+    pushed = run_scenario(SHORT, replace(at_goal, push=Push(1.0, (1e-6, 0.0))))
+    assert pushed.results["settle_time_s"] == 0.0 and pushed.results["recover_s"] == 0.0
+    settling = run_scenario(replace(SHORT, duration=20.0), SCENARIO).results["settle_time_s"]
+    slight = replace(SCENARIO, push=Push(0.5, (1e-9, 0.0)))
+    found = run_scenario(replace(SHORT, duration=20.0), slight).results
+    assert found["settle_time_s"] == pytest.approx(settling, abs=0.02)
+    assert found["recover_s"] == pytest.approx(found["settle_time_s"] - 0.5, abs=1e-12)
+
+
+def test_disturbances_of_a_scenario_replace_those_of_the_study() -> None:
+    conditions = SHORT.with_settings([("slope", "0.02"), ("mass_offset_y", "1e-3")])
+    by_study, _ = prepare(conditions, SCENARIO)
+    by_both, _ = prepare(conditions, replace(SCENARIO, disturbances=OFF_BALANCE))
+    alone = RollingPlant(
+        RobotParameters(), SCENARIO.start,
+        DisturbanceSettings(mass_offset_y=1e-3, **OFF_BALANCE),
+    )
+    for plant in (by_study.plant, by_both.plant, alone):
+        plant.advance(np.zeros(2), 0.5)
+    np.testing.assert_array_equal(by_both.plant.momentum, alone.momentum)
+    assert np.linalg.norm(by_study.plant.momentum) > 1.5 * np.linalg.norm(alone.momentum)
 
 
 @pytest.mark.parametrize("rate", [0.0, 7.0])
@@ -77,8 +145,10 @@ def test_results_agree_with_the_run() -> None:
     assert set(results) <= set(RESULT_COLUMNS)
 
 
-def test_record_is_read_back_to_the_bit() -> None:
-    record = run_scenario(SHORT, SCENARIO)
+@pytest.mark.parametrize("scenario", [SCENARIO, PUSHED])
+def test_record_is_read_back_to_the_bit(scenario) -> None:
+    record = run_scenario(SHORT, scenario)
+    assert record.at_push.size == (0 if scenario is SCENARIO else 11)
     assert RunRecord.from_json(record.as_json(3)) == (3, record)
 
 

@@ -14,12 +14,18 @@ import pytest
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
-from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import (
+    DISTURBANCE_COLUMNS,
+    PUSH_COLUMNS,
+    Scenario,
+    draw_scenarios,
+)
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
-from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
+from sphere_sim.study.record import PUSH_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
+from sphere_sim.world.push import Push
 
 SCENARIOS = draw_scenarios(2, 1)
 SCENARIOS += [replace(SCENARIOS[0], goal=SCENARIOS[0].start)]
@@ -81,7 +87,8 @@ def test_table_has_a_row_a_run_in_order(done) -> None:
 
 def test_document_explains_each_column() -> None:
     document = (Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8")
-    assert [name for name in RESULT_COLUMNS if f"`{name}`" not in document] == []
+    columns = RESULT_COLUMNS + PUSH_RESULT_COLUMNS + PUSH_COLUMNS + DISTURBANCE_COLUMNS
+    assert [name for name in columns if f"`{name}`" not in document] == []
 
 
 def test_inputs_are_knots_of_each_run(done) -> None:
@@ -118,6 +125,25 @@ def test_table_of_results_can_be_run_again(done, tmp_path) -> None:
     assert list(again[0]) == list(rows(done)[0])
     for row, before in zip(again, rows(done), strict=True):
         assert float(row["final_error"]) == pytest.approx(float(before["final_error"]), rel=1e-6)
+
+
+def test_pushes_and_disturbances_are_columns_that_can_be_run_again(tmp_path) -> None:
+    goal = replace(SCENARIOS[2], push=Push(0.5, (1e-9, 0.0)), disturbances={"slope": 0.0})
+    scenarios = [goal, SCENARIOS[0]]
+    make(tmp_path / "first", scenarios=scenarios)
+    optional = ["push_x", "push_y", "push_time", "slope"]
+    found, other = rows(tmp_path / "first")
+    columns = [*STATE_COLUMNS, "seed", *optional, *RESULT_COLUMNS, *PUSH_RESULT_COLUMNS]
+    assert list(found) == columns
+    assert [found[name] for name in optional] == ["1e-09", "0.0", "0.5", "0.0"]
+    assert (found["settled"], found["recover_s"]) == ("True", "0.0")
+    assert [other[name] for name in (*optional, "recover_s")] == [""] * 5
+    again = read_scenarios(tmp_path / "first" / "runs.csv")
+    assert [s.optional for s in again] == [s.optional for s in scenarios]
+    make(tmp_path / "second", scenarios=again)
+    assert list(rows(tmp_path / "second")[0]) == columns
+    summary = json.loads((tmp_path / "first" / "summary.json").read_text())
+    assert summary["recover_s"]["count"] == 1
 
 
 def test_stopped_study_continues_with_the_same_results(done, tmp_path) -> None:

@@ -3,6 +3,7 @@
 """The faults of the campaign by name, and the selection of those to try."""
 
 import itertools
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
@@ -141,6 +142,8 @@ _ALL = (
           named_by=("expected",), goal_again=True, continuous=False),
     Fault("parameters_live", "parameters", "bad_live", duration=1.0, named_by=("refused live",),
           quick=True),
+    Fault("push", "disturbance", "push", {"impulse": 0.5}, 0.0, quick=True),
+    Fault("tilt", "disturbance", "tilt", {"slope": math.radians(0.2)}),
 )
 
 FAULTS = {fault.name: fault for fault in _ALL}
@@ -189,6 +192,10 @@ def pairs(faults: Iterable[Fault], number: int, seed: int) -> list[tuple[Fault, 
         # Parameters of a node that has been killed cannot be set.
         and not ("bad_live" in (one.action, other.action)
                  and {"kill", "bad_start"} & {one.action, other.action})
+        # A simulator that has been killed neither is pushed nor keeps the momentum.
+        and not {"disturbance", "simulator_killed"} <= {
+            one.name, one.group, other.name, other.group
+        }
     ]
     order = np.random.default_rng([seed, 1]).permutation(len(possible))
     # After the draw, so that the exclusion does not change the other pairs of a seed.

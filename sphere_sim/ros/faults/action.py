@@ -20,3 +20,6 @@ class Action(ABC):
     @abstractmethod
     def end(self, session: FaultSession) -> None:
         """End the fault, also one whose `begin` has failed."""
+
+    def clear(self, session: FaultSession) -> None:  # noqa: B027
+        """Remove what would be left in the next trial, after the recovery; by default nothing."""

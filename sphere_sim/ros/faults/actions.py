@@ -9,6 +9,7 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_sim.faults.catalogue import Fault
 from sphere_sim.faults.pose_stream import NANOSECONDS, make_disturbance
 from sphere_sim.ros.faults.action import Action
+from sphere_sim.ros.faults.disturbance_actions import Push, Tilt
 from sphere_sim.ros.faults.fault_session import FaultSession, SessionError
 from sphere_sim.ros.faults.goal_actions import BadGoals
 from sphere_sim.ros.faults.process_actions import (
@@ -154,6 +155,8 @@ _ACTIONS: dict[str, Any] = {
     "rival": SecondController,
     "bad_start": BadStart,
     "bad_live": BadLiveParameters,
+    "push": Push,
+    "tilt": Tilt,
 }
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from geometry_msgs.msg import Vector3
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -91,6 +92,7 @@ class FaultSession:
         self.monitor = FaultMonitor(self.node, RobotParameters())
         self.proxy = FaultProxy(self.node, self.rng, self.monitor.pose)
         self.goals = GoalSender(self.node, self.spin)
+        self._pushes = self.node.create_publisher(Vector3, "simulator/push", 10)
         self._clients = {
             name: self.node.create_client(kind, name)
             for name, kind in (
@@ -198,6 +200,16 @@ class FaultSession:
         """
         self.goals.wait_for_controller(READY)
         self.goals.send(goal, RADIUS, READY, _REPEAT)
+
+    def push(self, impulse: Vector) -> None:
+        """Push the sphere with an impulse, shape (2,) [N s; world frame].
+
+        It is sent once only, as it must not be repeated.
+        """
+        subscribers = self._pushes.get_subscription_count
+        self.wait(lambda: subscribers() > 0, READY, "a subscriber of simulator/push")
+        x, y = map(float, impulse)
+        self._pushes.publish(Vector3(x=x, y=y))
 
     def close(self) -> None:
         """Destroy the campaign's own node."""

@@ -46,6 +46,7 @@ class Trial:
         self._session = session
         self._monitor = session.monitor
         self._faults = faults
+        self._actions = [action_of(fault) for fault in faults]
         self._complaints: list[str] = []
 
     def run(self) -> Outcome:
@@ -66,6 +67,8 @@ class Trial:
             if any(fault.goal_again for fault in self._faults):
                 session.send_goal(goal)
             recovery = self._recover(run, ended)
+            for action in self._actions:
+                action.clear(session)
         except (SphereNmpcError, OSError) as error:
             self._complaints.append(str(error))
         self._judge(tracebacks)
@@ -79,17 +82,16 @@ class Trial:
     def _apply_faults(self) -> None:
         """Begin all faults, let them last, and end them."""
         session, monitor = self._session, self._monitor
-        actions = [action_of(fault) for fault in self._faults]
         begun = []
         try:
-            for action in actions:
+            for action in self._actions:
                 begun.append(action)
                 action.begin(session)
             began = monitor.time
             wall = time.monotonic()
             duration = max(fault.duration for fault in self._faults)
             while not self._is_over(began, wall, duration):
-                for action in actions:
+                for action in self._actions:
                     action.keep_on(session)
                 session.spin(0.005)
             self._judge_blindness(began)

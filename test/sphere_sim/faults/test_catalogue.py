@@ -9,11 +9,12 @@ from sphere_sim.ros.faults.actions import action_of
 
 GROUPS = {
     "pose", "goal", "clock", "process", "solver", "cpu", "disk", "rival", "parameters",
+    "disturbance",
 }
 
 IMPOSSIBLE = (
     {"controller_killed", "parameters_live"}, {"parameters_at_start", "parameters_live"},
-    {"recorder_killed", "disk_full"},
+    {"recorder_killed", "disk_full"}, {"simulator_killed", "push"}, {"simulator_killed", "tilt"},
 )
 """Pairs of which the second fault needs the process that the first has ended."""
 
@@ -32,7 +33,7 @@ def test_quick_campaign_has_less_than_half_of_the_faults() -> None:
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=lambda fault: fault.name)
 def test_fault_has_an_action_for_its_options(fault) -> None:
     action = action_of(fault)
-    assert all(callable(getattr(action, step)) for step in ("begin", "keep_on", "end"))
+    assert all(callable(getattr(action, step)) for step in ("begin", "keep_on", "end", "clear"))
 
 
 def test_disturbances_of_poses_are_different() -> None:

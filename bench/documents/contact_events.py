@@ -15,7 +15,6 @@ import numpy as np
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import (
@@ -28,27 +27,13 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.push import Push
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 TAIL = 5.0
 """Length of the end of a run over which errors are reported [s]."""
-
-
-class PushedPlant(RigidBodyPlant):
-    """Plant with contact and one impulse [N s; world x] at a given time [s]."""
-
-    impulse, when = 0.0, math.inf
-    _elapsed = 0.0
-
-    def advance(self, speeds_end: Vector, duration: float) -> None:
-        """See `RigidBodyPlant.advance`."""
-        if self._elapsed >= self.when - 1e-9:
-            self.push([self.impulse, 0.0])
-            self.when = math.inf
-        super().advance(speeds_end, duration)
-        self._elapsed += duration
 
 
 @dataclass(frozen=True)
@@ -60,8 +45,7 @@ class Event:
     world: dict[str, Any] = field(default_factory=dict)
     modelled: dict[str, Any] = field(default_factory=dict)
     slope: float = 0.0
-    impulse: float = 0.0
-    when: float = math.inf
+    push: Push | None = None
 
 
 SLIPPERY = {"friction": 0.2}
@@ -76,9 +60,9 @@ EVENTS = (
     Event("the same, `max_rotor_acceleration` 250", 3, SLIPPERY, SLOWER),
     Event("drives of 1.6 N m", 1, WEAK),
     Event("the same, `max_rotor_torque` 1.6", 1, WEAK, {"max_rotor_torque": 1.6}),
-    Event("push of 1 N s at rest, at 12 s", 3, impulse=1.0, when=12.0),
-    Event("push of 1 N s in motion, at 2 s", 1, impulse=1.0, when=2.0),
-    Event("push of 0.1 N s in motion, at 2 s", 1, impulse=0.1, when=2.0),
+    Event("push of 1 N s at rest, at 12 s", 3, push=Push(12.0, (1.0, 0.0))),
+    Event("push of 1 N s in motion, at 2 s", 1, push=Push(2.0, (1.0, 0.0))),
+    Event("push of 0.1 N s in motion, at 2 s", 1, push=Push(2.0, (0.1, 0.0))),
     Event("slope of 0.1 degree", 1, slope=math.radians(0.1)),
     Event("slope of 1 degree", 1, slope=math.radians(1.0)),
 )
@@ -87,16 +71,15 @@ EVENTS = (
 def run(event: Event, strategy: str, duration: float) -> str:
     """Return the row of a run."""
     scenario = PAPER_CASES[event.case]
-    plant = PushedPlant(
+    plant = RigidBodyPlant(
         ROBOT, scenario.start, RigidBodySettings(**event.world),
         DisturbanceSettings(slope=event.slope),
     )
-    plant.impulse, plant.when = event.impulse, event.when
     world = SimulatorSettings(initial_state=tuple(float(v) for v in scenario.start))
     settings = ControllerSettings(strategy=strategy)
     found = run_closed_loop(
         Simulator(world, ROBOT, plant), Controller(settings, replace(ROBOT, **event.modelled)),
-        scenario.goal, duration, settings.control_period,
+        scenario.goal, duration, settings.control_period, push=event.push,
     )
     index = settling_index(state_errors(found.states, scenario.goal))
     settled = "no" if index is None else f"{found.times[index]:.1f} s"

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verb ``study``: its output and its exit codes."""
 
+import math
 import os
 from collections.abc import Iterator
 
@@ -11,8 +12,9 @@ from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_sim.cli.main import main as command
-from sphere_sim.scenario.csv_file import STATE_COLUMNS
-from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
+from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.processes import Processes
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -43,6 +45,24 @@ def test_study_prints_how_many_runs_settled_and_exits_0(tmp_path, capsys) -> Non
     assert main(["--draw", "2", "--seed", "1", "--out", str(out), *BRIEF]) == 0
     assert "of 2 settled" in capsys.readouterr().out.splitlines()[0]
     assert (out / "runs.csv").exists()
+
+
+def test_disturbances_are_drawn_for_each_run_and_written_with_it(tmp_path) -> None:
+    drawn = ["--push", "0.5", "0.2", "--push-time", "0.5", "--slope", "0.5", "--offset", "2"]
+    main(["--draw", "2", "--kind", "upright", *drawn, "--out", str(tmp_path / "out"), *BRIEF])
+    scenarios = read_scenarios(tmp_path / "out" / "runs.csv")
+    draws = DisturbanceDraws((0.2, 0.5), 0.5, math.radians(0.5), 2e-3)
+    expected = [draws.applied_to(scenario) for scenario in draw_scenarios(2, 0, "upright")]
+    assert [s.optional for s in scenarios] == [s.optional for s in expected]
+    assert len(expected[0].optional) == 8
+
+
+@pytest.mark.parametrize("words", [["--push", "1", "2", "3"], ["--slope", "30"], ["--push", "-1"]])
+def test_impossible_disturbance_is_refused(tmp_path, capsys, words) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--draw", "1", *words, "--out", str(tmp_path / "out")])
+    assert caught.value.code == 2 and words[0] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

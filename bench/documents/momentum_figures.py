@@ -1,0 +1,155 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Deviation of the model with drift and of the paper's model from plants with disturbances.
+
+``python bench/documents/momentum_figures.py --runs 100`` prints a table: random runs of 3 s from
+random orientations, rotor speeds uniform in +-60 rad/s each half second and joined by straight
+lines, directions random. A deviation is the largest within a run, evaluated every 10 ms. The plant
+with contact has a stiff contact and ideal drives.
+"""
+
+import argparse
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from plant_runs import deviation
+
+from sphere_nmpc.model.drift import (
+    NO_DRIFT,
+    Drift,
+    imbalance_of_offset,
+    momentum_of_push,
+    slope_torque,
+)
+from sphere_nmpc.model.integrator import integrate_with_drift
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+
+ROBOT = RobotParameters()
+CONTACT = RigidBodySettings(
+    drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3, friction=2.0,
+    time_step=5e-4, contact_time_constant=1e-3,
+)
+SPEED, KNOT_PERIOD, KNOTS, STEP = 60.0, 0.5, 6, 0.01
+PUSH_TIME = 1.0
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What disturbs the runs of a row."""
+
+    name: str
+    draws: DisturbanceDraws = field(default_factory=DisturbanceDraws)
+
+
+def draws(push: float = 0.0, slope: float = 0.0, offset: float = 0.0) -> DisturbanceDraws:
+    """Return draws of a push [N s], a slope [degree] and an offset [mm]."""
+    impulses = (push, push) if push else None
+    return DisturbanceDraws(impulses, PUSH_TIME, math.radians(slope), 1e-3 * offset)
+
+
+DISTURBANCES = (
+    Disturbance("none"),
+    Disturbance("push of 1 N s after 1 s", draws(push=1.0)),
+    Disturbance("slope of 1°", draws(slope=1.0)),
+    Disturbance("centre of mass 1 mm off", draws(offset=1.0)),
+    Disturbance("centre of mass 3 mm off", draws(offset=3.0)),
+    Disturbance("push 0.5 N s, 0.3°, 0.5 mm together", draws(0.5, 0.3, 0.5)),
+)
+
+
+def steps(seed: int) -> Iterator[tuple[Vector, Vector, bool]]:
+    """Yield rotor speeds at start and end of each step [rad/s] and whether a push is before it."""
+    here: Vector = np.zeros(2)
+    per_knot = round(KNOT_PERIOD / STEP)
+    rng = np.random.default_rng(seed)
+    for knot in range(KNOTS):
+        there = rng.uniform(-SPEED, SPEED, 2)
+        for i in range(per_knot):
+            ends = (here + share / per_knot * (there - here) for share in (i, i + 1))
+            yield next(ends), next(ends), knot * per_knot + i == round(PUSH_TIME / STEP)
+        here = there
+
+
+def plant_states(plant: Plant, scenario: Scenario) -> Vector:
+    """Return the states of a plant after each step, shape (steps, 6)."""
+    states = []
+    for _, there, is_push in steps(scenario.seed):
+        if is_push and scenario.push is not None:
+            plant.push(scenario.push.impulse)
+        plant.advance(there, STEP)
+        states.append(plant.state)
+    return np.array(states)
+
+
+def model_states(scenario: Scenario, drift: Drift, jump: Vector) -> Vector:
+    """Return the states of the model after each step, shape (steps, 6)."""
+    states, state, constants = [], scenario.start, ROBOT.lumped.as_array()
+    for here, there, is_push in steps(scenario.seed):
+        if is_push:
+            drift = replace(drift, momentum=drift.momentum + jump)
+        state, momentum = integrate_with_drift(state, drift, here, there, STEP, constants)
+        drift = replace(drift, momentum=momentum)
+        states.append(state)
+    return np.array(states)
+
+
+def compare(scenario: Scenario) -> Vector:
+    """Return deviations [m, rad] of both models from the plants, shape (3, 2).
+
+    The model with drift from `rigid_body` and from `rolling`, the paper's from `rigid_body`.
+    """
+    settings = DisturbanceSettings(**scenario.disturbances)
+    contact = plant_states(RigidBodyPlant(ROBOT, scenario.start, CONTACT, settings), scenario)
+    ideal = plant_states(RollingPlant(ROBOT, scenario.start, settings), scenario)
+    drift = Drift(
+        slope=slope_torque(ROBOT, settings.slope, settings.slope_direction),
+        imbalance=imbalance_of_offset(ROBOT, np.array(settings.mass_offset)),
+    )
+    impulse = (0.0, 0.0) if scenario.push is None else scenario.push.impulse
+    model = model_states(scenario, drift, momentum_of_push(ROBOT, np.array(impulse)))
+    paper = model_states(scenario, NO_DRIFT, np.zeros(3))
+    pairs: Any = ((model, contact), (model, ideal), (paper, contact))
+    return np.array([deviation(found, plant) for found, plant in pairs])
+
+
+def row(disturbance: Disturbance, scenarios: list[Scenario]) -> str:
+    """Return the row of a disturbance."""
+    found = np.array([compare(disturbance.draws.applied_to(s)) for s in scenarios])
+    median, worst = np.median(found, axis=0), np.max(found, axis=0)
+
+    def cell(column: int) -> str:
+        metres, angle = median[column]
+        most_metres, most_angle = worst[column]
+        return (
+            f"{metres:.4f} m, {math.degrees(angle):.2f}° "
+            f"({most_metres:.4f} m, {math.degrees(most_angle):.2f}°)"
+        )
+
+    return f"| {disturbance.name} | {cell(0)} | {cell(1)} | {cell(2)} |"
+
+
+def main() -> None:
+    """Print the table, a row as soon as it is there."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--runs", type=int, default=100)
+    arguments = parser.parse_args()
+    print("| disturbance | drift against `rigid_body`: median (worst) | drift against `rolling` "
+          "| the paper's against `rigid_body` |\n|---|---|---|---|")
+    scenarios = draw_scenarios(arguments.runs, 0)
+    for disturbance in DISTURBANCES:
+        print(row(disturbance, scenarios), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,8 @@ import os
 import re
 import resource
 import subprocess
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,8 @@ from rosbags.typesys import Stores, get_typestore
 from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import main
 from sphere_sim.recording.bag_writer import BagWriter
+from sphere_sim.recording.run import Momentum, Run
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.report_files import FIGURES
 from sphere_sim.ros.session.child_process import verb_command
 
@@ -71,6 +75,32 @@ def test_page_is_self_contained(tmp_path) -> None:
     assert len(sources) == len(FIGURES)
     assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
     assert "a&amp;b" in page and "http" not in re.sub(r'src="[^"]*"', "", page)
+
+
+def with_momentum(momentum: Momentum) -> Callable[..., Run]:
+    """Return a reader of bags that adds momentum."""
+    return lambda *given: replace(read_run(*given), momentum=momentum)
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_momentum_and_pushes_are_reported_where_there_are_any(
+    tmp_path, capsys, monkeypatch, found
+) -> None:
+    momentum = Momentum(
+        np.array([0.0, 0.5]), found * np.array([[0.0, 0.0, 0.0], [0.0, 0.15, 0.0]]),
+        np.array([0.25][:found]), np.array([[0.3, 0.4]][:found]).reshape(-1, 2),
+    )
+    monkeypatch.setattr("sphere_sim.cli.report.read_run", with_momentum(momentum))
+    bag, out = make_bag(tmp_path / "run"), tmp_path / "out"
+    assert main([str(bag), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    summary = json.loads((out / "summary.json").read_text())["run"]
+    assert (out / "momentum.svg").exists() is found
+    assert ("run: push 1 0.5 N s at 0.25 s" in printed) is found
+    assert ("momentum at the end, estimated 0.15 N m s" in printed) is found
+    expected = {"end_nms": [0.0, 0.15, 0.0],
+                "pushes": [{"time_s": 0.25, "impulse_ns": [0.3, 0.4]}]}
+    assert summary.get("momentum") == (expected if found else None)
 
 
 def test_several_bags_are_compared_under_unique_names(tmp_path) -> None:

@@ -69,8 +69,8 @@ def trajectory(stamp: int, speeds: Any) -> Any:
     )
 
 
-def status(time: float, solve_time: float, cost: float) -> Any:
-    values = {"time_s": time, "plan": "solved", "solve_time_s": solve_time, "cost": cost}
+def status(time: float, solve_time: float, cost: float, **more: float) -> Any:
+    values = {"time_s": time, "plan": "solved", "solve_time_s": solve_time, "cost": cost, **more}
     return make(
         "diagnostic_msgs/msg/DiagnosticStatus", level=0, name="controller", message="",
         hardware_id="sphere",
@@ -106,6 +106,26 @@ def run_messages(namespace: str = "") -> Iterator[Entry]:
             yield f"{namespace}/controller/status", kind_of_status, now, solve
 
 
+def momentum_messages() -> Iterator[Entry]:
+    """Yield a run that is pushed after 1 s, and whose controller finds the momentum at 1.5 s.
+
+    The statuses without a solve, as of a sphere at its goal, report momentum too.
+    """
+    yield from (entry for entry in run_messages() if not entry[0].endswith("/status"))
+    pushed = make(
+        "geometry_msgs/msg/Vector3Stamped", header=header(START + 100 * STEP),
+        vector=make("geometry_msgs/msg/Vector3", x=0.5, y=-0.25, z=0.0),
+    )
+    # Logged late, as by a busy recorder.
+    kind = "geometry_msgs/msg/Vector3Stamped"
+    yield "/simulator/pushed", kind, START + 101 * STEP, pushed
+    for i in range(0, COUNT, 50):
+        now, found = START + i * STEP, float(i >= 150)
+        values = {"momentum_x": 0.075 * found, "momentum_y": 0.15 * found, "momentum_z": 0.0}
+        message = status(now / 1e9, 0.0, 0.0, **values)
+        yield "/controller/status", "diagnostic_msgs/msg/DiagnosticStatus", now, message
+
+
 def write_own(folder: Path, entries: Any) -> Path:
     writer = BagWriter(folder)
     for topic, kind, stamp, message in entries:
@@ -129,6 +149,11 @@ def write_foreign(folder: Path, entries: Any, plugin: StoragePlugin) -> Path:
 @pytest.fixture
 def messages() -> Callable[..., Iterator[Entry]]:
     return run_messages
+
+
+@pytest.fixture
+def messages_with_momentum() -> Callable[..., Iterator[Entry]]:
+    return momentum_messages
 
 
 @pytest.fixture

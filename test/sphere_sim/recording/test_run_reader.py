@@ -34,6 +34,24 @@ def test_run_is_read_from_every_kind_of_bag(make_bag, messages, kind) -> None:
     assert set(run.solves.statuses) == {"solved"}
 
 
+@pytest.mark.parametrize("kind", ["own", "mcap", "sqlite3"])
+def test_momentum_and_pushes_are_read(make_bag, messages_with_momentum, kind) -> None:
+    momentum = read_run(make_bag(messages_with_momentum(), kind)).momentum
+    assert not momentum.is_zero
+    np.testing.assert_allclose(momentum.times, np.arange(7) * 0.5, atol=1e-9)
+    assert not momentum.values[:3].any()
+    np.testing.assert_allclose(momentum.values[3:], np.tile([0.075, 0.15, 0.0], (4, 1)))
+    np.testing.assert_allclose(momentum.push_times, [1.0], atol=1e-9)
+    np.testing.assert_allclose(momentum.impulses, [[0.5, -0.25]])
+    assert np.all(np.isnan(momentum.at(-0.1)))
+    assert momentum.at(1.6).tolist() == momentum.at(99.0).tolist() == [0.075, 0.15, 0.0]
+
+
+def test_bag_of_a_controller_that_reports_no_momentum_has_none(make_bag, messages) -> None:
+    momentum = read_run(make_bag(messages())).momentum
+    assert momentum.is_zero and momentum.times.shape == (0,) and momentum.values.shape == (0, 3)
+
+
 def test_quaternions_do_not_jump_to_the_other_sign(make_bag, messages) -> None:
     run = read_run(make_bag(messages()))
     assert np.max(np.abs(np.diff(run.states, axis=0))) < 0.1

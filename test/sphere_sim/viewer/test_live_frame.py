@@ -70,6 +70,21 @@ def test_refused_pose_is_an_alert_until_the_next_valid_one() -> None:
     assert live.take(0.1, 1).alerts == ()
 
 
+def test_status_gives_momentum_and_what_is_given_up_as_an_alert() -> None:
+    live = LiveFrame(0.0)
+    live.add_pose(1.0, state(0.0), 0.3, 0.0)
+    live.controller_seen(0.0)
+    assert np.all(np.isnan(live.frame.momentum))
+    live.add_status({"momentum_x": "0.1", "momentum_y": "-0.2", "momentum_z": "0",
+                     "giving_up": "2 degrees of the goal"})
+    assert live.frame.momentum.tolist() == [0.1, -0.2, 0.0]
+    assert live.take(0.1, 1).alerts == ("2 degrees of the goal",)
+    live.add_status({"momentum_x": "0", "momentum_y": "0", "momentum_z": "0", "giving_up": ""})
+    assert not live.frame.momentum.any() and live.take(0.1, 1).alerts == ()
+    live.add_status({"mode": "at the goal"})  # of a controller that reports no momentum
+    assert np.all(np.isnan(live.frame.momentum)) and live.take(0.1, 1).alerts == ()
+
+
 @pytest.mark.parametrize(
     ("values", "cost", "to_go", "solve_time"),
     [

@@ -17,7 +17,7 @@ from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.viewer.access import HOST
 from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.source import Pause, Request, SetGoal
+from sphere_sim.viewer.source import Pause, Push, Request, SetGoal
 from sphere_sim.viewer.trail import Trail
 from sphere_sim.viewer.viewer import Viewer
 
@@ -122,6 +122,42 @@ def test_other_requests_are_passed_to_the_source(viewer, script) -> None:
     viewer._panel.put(Pause(True))
     viewer.tick()
     assert script.requests == [Pause(True)]
+
+
+def test_push_has_the_impulse_and_the_direction_of_its_fields(viewer, script) -> None:
+    panel = viewer._panel
+    panel._impulse.value, panel._direction.value = 2.0, 90.0
+    panel.put(panel._make_push())
+    viewer.tick()
+    (request,) = script.requests
+    assert isinstance(request, Push) and request.impulse == pytest.approx((0.0, 2.0))
+
+
+@pytest.mark.parametrize("name", ["_impulse", "_direction"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_push_of_a_number_that_is_not_finite_is_not_sent(viewer, name, value) -> None:
+    getattr(viewer._panel, name).value = value
+    assert viewer._panel._make_push() is None
+
+
+def test_momentum_is_plotted_only_where_there_is_any(viewer, script) -> None:
+    def charts() -> list[bool]:
+        viewer._plots.show(viewer._history)
+        return [handle.visible for chart, handle in viewer._plots._drawn.items()
+                if chart.disturbances]
+
+    for time in (0.0, 1.0):
+        script.next = [at(0.0, 0.0, time=time, momentum=np.zeros(3))]
+        viewer.tick()
+    assert charts() == []
+    script.next = [at(0.0, 0.0, time=2.0, momentum=np.array([0.0, 0.15, 0.0]))]
+    viewer.tick()
+    assert charts() == [True]
+    script.next = [at(0.0, 0.0, time=60.0, momentum=np.zeros(3))]
+    viewer.tick()
+    script.next = [at(0.0, 0.0, time=61.0, momentum=np.zeros(3))]
+    viewer.tick()
+    assert charts() == [False]
 
 
 def test_sphere_of_another_radius_is_created_anew(viewer, script) -> None:

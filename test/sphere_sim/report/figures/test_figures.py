@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphere_sim.recording.run import Run, Solves
+from sphere_sim.recording.run import Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.contact_locus import contact_locus
+from sphere_sim.report.figures.momentum import momentum_over_time
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 
@@ -20,6 +21,7 @@ FIGURES = {
     "torque": analysis.rotor_torques,
     "solve": analysis.solve_times,
     "value": analysis.value_function,
+    "momentum": momentum_over_time,
 }
 
 
@@ -37,6 +39,8 @@ def make_run(full: bool = True) -> Run:
         goals=np.tile([0.0, 0, 1, 0, 0, 0], (g, 1)), plans=(),
         solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
                       ("solved",) * k),
+        momentum=Momentum(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0)),
+                          np.array([2.0]), np.array([[0.5, 0.0]])),
     )
 
 
@@ -62,6 +66,17 @@ def test_panels_show_the_quantities_of_the_paper() -> None:
     assert {"x", "y", "$q_1$", "$q_4$", "$u_1$", "$u_2$", "start", "goal"} <= drawn
     limits = [line.get_ydata()[0] for line in axes[3].lines if line.get_linestyle() == ":"]
     assert {-100.0, 100.0} <= set(limits)
+
+
+def test_momentum_is_drawn_with_the_pushes_and_what_a_rotor_can_hold() -> None:
+    (axes,) = momentum_over_time(make_run()).axes
+    lines = {line.get_label(): line for line in axes.lines}
+    assert np.max(lines["$H_y$"].get_ydata()) == pytest.approx(0.2 * make_run().solves.times[-1])
+    upright = [line for line in axes.lines if list(line.get_xdata()) == [2.0, 2.0]]
+    limits = [line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":"]
+    assert len(upright) == 1
+    # 100 rad/s of a rotor; a push of 1 N s, 0.3 N m s, takes 37.5 rad/s.
+    np.testing.assert_allclose(limits, [-0.8, 0.8], rtol=1e-6)
 
 
 def test_equal_runs_give_equal_files(tmp_path) -> None:

@@ -3,9 +3,11 @@
 """Estimator for exact poses: prediction from the newest one, parameters by least squares."""
 
 from sphere_nmpc.estimation.contract import Background, Estimate, PlantEstimate
-from sphere_nmpc.estimation.plant_estimator import PlantEstimator
+from sphere_nmpc.estimation.drifting_plant import DriftingPlantEstimator
 from sphere_nmpc.estimation.plant_parameters import LONGEST_LAG, ParameterDistribution
 from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -46,9 +48,10 @@ class ExactPoseEstimator:
         self._sent = sent
         self._background = background
         mean = (ParameterDistribution.prior(settings.drive_lag) if prior is None else prior).mean
-        self._fit = PlantEstimator(nominal, mean)
+        self._fit = DriftingPlantEstimator(nominal, mean, settings.momentum)
         self._newest: tuple[float, Vector] | None = None
         self._learnt_up_to: tuple[float, Vector] | None = None
+        self._connected = False
 
     @property
     def newest(self) -> tuple[float, Vector] | None:
@@ -58,12 +61,12 @@ class ExactPoseEstimator:
     @property
     def parameters(self) -> ParameterDistribution:
         """Distribution of the parameters as learnt so far."""
-        return self._fit.parameters
+        return self._fit.result.parameters
 
     @property
     def plant(self) -> PlantEstimate:
         """The parameters in use, with the noise and the standard deviations of the last fit."""
-        learnt = self._fit.estimate
+        learnt = self._fit.result.plant
         if self._settings.learning:
             return learnt
         return PlantEstimate(
@@ -86,15 +89,19 @@ class ExactPoseEstimator:
         plant = self.plant
         # Because of the lag, inputs sent before the pose was measured have yet to take effect:
         # relative to the inputs the pose is older by the lag.
-        state = self._sent.predict(
-            pose, stamp - plant.lag, time, plant.constants.as_array(),
-            self._settings.integration_step,
+        constants, step = plant.constants.as_array(), self._settings.integration_step
+        drift = self._drift(stamp, plant.lag, constants)
+        state, drift = self._sent.predict_with_drift(
+            pose, drift, stamp - plant.lag, time, constants, step
         )
-        return Estimate(state, plant)
+        return Estimate(state, plant, drift=drift)
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over changed settings; estimates that they do not concern are kept."""
         before, self._settings = self._settings, settings
+        if settings.momentum != before.momentum:
+            mean = self._fit.result.parameters.mean
+            self._fit = DriftingPlantEstimator(self._nominal, mean, settings.momentum)
         if settings.drive_lag != before.drive_lag:
             # Transitions seen so far would pull the lag back to its last estimate. A task in the
             # background finishes on the old object without effect.
@@ -103,6 +110,19 @@ class ExactPoseEstimator:
     def forget(self) -> None:
         """Discard the newest pose and the transition that has begun."""
         self._newest = self._learnt_up_to = None
+        self._connected = False
+
+    def _drift(self, stamp: float, lag: float, constants: Vector) -> Drift:
+        """Return the drift at the newest pose, measured at `stamp` [s]."""
+        result = self._fit.result
+        if result.end is None or not self._connected:
+            return result.drift
+        known, pose = result.end
+        _, drift = self._sent.predict_with_drift(
+            pose, result.drift, known - lag, stamp - lag, constants,
+            self._settings.integration_step,
+        )
+        return drift
 
     def _learn(self, time: float, pose: Vector) -> None:
         """Fit the parameters to the motion since the last pose used for it."""
@@ -111,12 +131,14 @@ class ExactPoseEstimator:
             return
         self._learnt_up_to = (time, pose)
         if last is None or time - last[0] > _LONGEST_TRANSITION:
+            self._connected = False
             return
         fit, sent, (since, start) = self._fit, self._sent.copy(), last
+        connected, self._connected = self._connected, True
 
         def learn() -> None:
             pieces = sent.pieces(since - LONGEST_LAG, time)
-            fit.observe(start, pose, *pieces, lead=LONGEST_LAG)
+            fit.observe(Transition(start, pose, *pieces, LONGEST_LAG), time, connected)
 
         if self._background is None:
             learn()

@@ -24,6 +24,7 @@ from sphere_nmpc.estimation.plant_parameters import (
     ParameterScaling,
     significant,
 )
+from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector, nearer_sign
 from sphere_nmpc.solver.roll_out import roll_out
@@ -43,8 +44,6 @@ _STEP = 0.05
 """Longest integration step of the prediction [s]."""
 _DIFFERENCE = 1e-5
 """Step of the finite differences, in scaled parameters."""
-_SHORTEST_PIECE = 1e-9
-"""Shortest piece of the rotor speeds [s]."""
 _CONVERGED = 1e-5
 """Change of the scaled parameters at which the iteration ends."""
 _ITERATIONS = 6
@@ -70,24 +69,11 @@ class _Linearisation:
 
 
 @dataclass(eq=False)
-class _Transition:
-    """Two measured states and the rotor speeds sent from `lead` [s] before the first one on."""
+class _Fitted:
+    """A transition of the window with its last linearisation."""
 
-    start: Vector
-    end: Vector
-    times: Vector
-    inputs: Vector
-    lead: float
+    transition: Transition
     linearisation: _Linearisation | None = None
-
-    def window(self, lag: float) -> tuple[Vector, Vector]:
-        """Return durations (K,) and speeds (K + 1, 2) that moved the sphere at this lag [s]."""
-        begin = self.lead - min(lag, self.lead)
-        end = begin + self.times[-1] - self.lead
-        inside = (self.times > begin + _SHORTEST_PIECE) & (self.times < end - _SHORTEST_PIECE)
-        times = np.concatenate(([begin], self.times[inside], [end]))
-        speeds = [np.interp(times, self.times, column) for column in self.inputs.T]
-        return np.diff(times), np.column_stack(speeds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +103,7 @@ class PlantEstimator:
         self._nominal = nominal
         self._scaling = ParameterScaling(nominal)
         self._mean = ParameterDistribution.prior(0.0).mean if mean is None else mean
-        self._transitions: tuple[_Transition, ...] = ()
+        self._transitions: tuple[_Fitted, ...] = ()
         self.jumps = 0
         """Transitions left out as something other than the rotors had moved the robot."""
         self._publish(ParameterDistribution(self._mean, np.diag(PRIOR_DEVIATION**2)), ())
@@ -142,37 +128,15 @@ class PlantEstimator:
         new._publish(new.parameters, fit.residuals)
         return new
 
-    def observe(
-        self,
-        start: Vector,
-        end: Vector,
-        durations: Vector,
-        inputs: Vector,
-        lead: float = 0.0,
-    ) -> None:
-        """Take a transition into account.
-
-        Parameters
-        ----------
-        start, end : ndarray, shape (6,)
-            Measured states before and after.
-        durations : ndarray, shape (K,)
-            Lengths of the straight pieces of the rotor speeds in between [s].
-        inputs : ndarray, shape (K + 1, 2)
-            Rotor speeds at their ends [rad/s].
-        lead : float, optional
-            Time from the start of the pieces to the first state [s]; without it the lag is not
-            estimated.
-        """
-        times = np.concatenate(([0.0], np.cumsum(durations)))
-        transition = _Transition(start, end, times, inputs, lead)
+    def observe(self, transition: Transition) -> None:
+        """Take a transition into account."""
         parameters = self.parameters
         residual = self._residual(transition, parameters.mean)
         if float(np.linalg.norm(residual)) > JUMP:
             self.jumps += 1
             return
-        if float(np.max(np.abs(inputs))) > EXCITED:
-            transitions = (*self._transitions, transition)[-_WINDOW:]
+        if float(np.max(np.abs(transition.inputs))) > EXCITED:
+            transitions = (*self._transitions, _Fitted(transition))[-_WINDOW:]
             parameters = self._fitted(parameters, transitions)
             self._transitions = transitions
             residual = self._residual(transition, parameters.mean)
@@ -183,23 +147,23 @@ class PlantEstimator:
         estimate = PlantEstimate(
             scaling.lumped(mean),
             significant(scaling.lag(mean)),
-            float(np.sqrt(_variance(residuals, 0))),
+            float(np.sqrt(noise_variance(residuals, 0))),
             scaling.constants(np.sqrt(np.diag(parameters.covariance))),
         )
         self._fit = _Fit(parameters, residuals, estimate)
 
     def _fitted(
-        self, parameters: ParameterDistribution, transitions: tuple[_Transition, ...]
+        self, parameters: ParameterDistribution, transitions: tuple[_Fitted, ...]
     ) -> ParameterDistribution:
         """Return the fit to all transitions, starting from the parameters so far."""
         prior = 1.0 / PRIOR_DEVIATION**2
         for _ in range(_ITERATIONS):
             before = parameters.mean
-            parts = [self._linearised(transition, before) for transition in transitions]
+            parts = [self._linearised(fitted, before) for fitted in transitions]
             jacobian = np.vstack([part.jacobian for part in parts])
             residuals = [part.residual + part.jacobian @ (before - part.at) for part in parts]
             residual = np.concatenate(residuals)
-            variance = _variance(residuals, SIZE)
+            variance = noise_variance(residuals, SIZE)
             information = np.diag(prior) + jacobian.T @ jacobian / variance
             right = (self._mean - before) * prior - jacobian.T @ residual / variance
             mean = self._scaling.within(before + np.linalg.solve(information, right))
@@ -209,18 +173,19 @@ class PlantEstimator:
                 break
         return parameters
 
-    def _linearised(self, transition: _Transition, at: Vector) -> _Linearisation:
-        known = transition.linearisation
+    def _linearised(self, fitted: _Fitted, at: Vector) -> _Linearisation:
+        known = fitted.linearisation
         if known is not None:
             moved = np.abs(at - known.at) / PRIOR_DEVIATION
             if float(np.max(moved)) < _STILL_LINEAR:
                 return known
+        transition = fitted.transition
         residual = self._residual(transition, at)
         found = _Linearisation(at, residual, self._jacobian(transition, at, residual))
-        transition.linearisation = found
+        fitted.linearisation = found
         return found
 
-    def _residual(self, transition: _Transition, scaled: Vector) -> Vector:
+    def _residual(self, transition: Transition, scaled: Vector) -> Vector:
         """Return prediction minus measurement, shape (6,)."""
         durations, inputs = transition.window(self._scaling.lag(scaled))
         constants = self._scaling.constants(scaled)
@@ -228,7 +193,7 @@ class PlantEstimator:
         difference: Vector = predicted - nearer_sign(transition.end, predicted)
         return difference
 
-    def _jacobian(self, transition: _Transition, at: Vector, residual: Vector) -> Vector:
+    def _jacobian(self, transition: Transition, at: Vector, residual: Vector) -> Vector:
         """Return the derivative of the residual by the scaled parameters, shape (6, 5)."""
         columns = []
         for i in range(SIZE):
@@ -240,7 +205,7 @@ class PlantEstimator:
         return np.column_stack(columns)
 
 
-def _variance(residuals: Sequence[Vector], fitted: int) -> float:
+def noise_variance(residuals: Sequence[Vector], fitted: int) -> float:
     """Return the noise variance shown by residuals after `fitted` parameters were fitted."""
     squares = sum(float(r @ r) for r in residuals)
     freedom = max(1, _FREEDOM * len(residuals) - fitted) if residuals else 0

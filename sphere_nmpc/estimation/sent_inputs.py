@@ -9,9 +9,9 @@ import numpy as np
 
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, integrate_with_drift
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
@@ -128,15 +128,10 @@ class SentInputs:
         if not times or times[0] > start:
             idle = [start, times[0] if times else end]
             times, speeds = [*idle, *times], [np.zeros(INPUT_SIZE)] * 2 + speeds
-        for here, there, since, until in zip(
-            speeds[:-1], speeds[1:], times[:-1], times[1:], strict=True
-        ):
-            if until > since:
-                state, momentum = integrate_with_drift(
-                    state, drift, here, there, until - since, constants, max_step
-                )
-                drift = replace(drift, momentum=momentum)
-        return state, drift
+        states, momenta = roll_out_with_momentum(
+            state, drift, np.array(speeds), np.diff(times), constants, max_step
+        )
+        return states[-1], replace(drift, momentum=momenta[-1].copy())
 
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
         """Return the speeds sent between two times as straight pieces.

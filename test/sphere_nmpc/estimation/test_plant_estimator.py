@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.estimation.plant_estimator import JUMP, PlantEstimator
+from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.scenario.perturbation import perturbed
@@ -30,7 +31,8 @@ def drive(
         seen = plant.state + noise * rng.normal(size=6)
         seen[2:] /= np.linalg.norm(seen[2:])
         plant.displace(seen)
-        estimator.observe(before, seen, np.array([PERIOD]), np.vstack((speeds, after)))
+        pieces = np.array([PERIOD]), np.vstack((speeds, after))
+        estimator.observe(Transition(before, seen, *pieces))
         speeds = after
 
 
@@ -68,7 +70,7 @@ def test_constants_are_not_estimated_at_rest() -> None:
     estimator = PlantEstimator(NOMINAL.lumped)
     state = np.array([0, 0, 1.0, 0, 0, 0])
     for _ in range(20):
-        estimator.observe(state, state, np.array([PERIOD]), np.zeros((2, 2)))
+        estimator.observe(Transition(state, state, np.array([PERIOD]), np.zeros((2, 2))))
     assert relative_error(estimator, NOMINAL) == 0.0
     np.testing.assert_allclose(
         deviations(estimator), 0.1 * NOMINAL.lumped.as_array(), rtol=1e-12
@@ -89,7 +91,7 @@ def test_transition_of_a_robot_that_was_picked_up_is_left_out() -> None:
     estimator = PlantEstimator(NOMINAL.lumped)
     start = np.array([0, 0, 1.0, 0, 0, 0])
     moved = start + np.array([2.0 * JUMP, 0, 0, 0, 0, 0])
-    estimator.observe(start, moved, np.array([PERIOD]), np.full((2, 2), 50.0))
+    estimator.observe(Transition(start, moved, np.array([PERIOD]), np.full((2, 2), 50.0)))
     assert estimator.jumps == 1
     assert relative_error(estimator, NOMINAL) == 0.0
 

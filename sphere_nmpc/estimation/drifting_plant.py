@@ -1,0 +1,146 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Choice between the paper's model and the one with drift, by what explains the motion better.
+
+Without evidence of drift the estimate is that of `PlantEstimator`, unchanged.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.estimation.contract import PlantEstimate
+from sphere_nmpc.estimation.drift_fit import DriftFit
+from sphere_nmpc.estimation.plant_estimator import PlantEstimator, noise_variance
+from sphere_nmpc.estimation.plant_parameters import (
+    ParameterDistribution,
+    ParameterScaling,
+    significant,
+)
+from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.state import Vector
+
+APPEARS = 20.0
+"""Logarithm of the evidence for drift above which the model with drift is used ..."""
+VANISHES = 3.0
+"""... and of the likelihood gained by it below which it is given up."""
+
+_COMPARED = 6
+"""Transitions whose predictions with and without drift are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriftingPlant:
+    """Result of an update.
+
+    Attributes
+    ----------
+    plant : PlantEstimate
+        Parameters of the plant.
+    parameters : ParameterDistribution
+        Distribution of the scaled parameters.
+    drift : Drift
+        At the end of the newest transition; `NO_DRIFT` without evidence.
+    end : tuple of float and ndarray, or None
+        Control time [s] and pose, shape (6,), of that end; None before the first transition.
+    """
+
+    plant: PlantEstimate
+    parameters: ParameterDistribution
+    drift: Drift = NO_DRIFT
+    end: tuple[float, Vector] | None = None
+
+
+class DriftingPlantEstimator:
+    """Estimator of the plant's parameters, and of drift where there is evidence of any.
+
+    The result of an update is published as a whole when the update is complete: another thread
+    may read `result` at any time.
+
+    Parameters
+    ----------
+    nominal : LumpedConstants
+        Constants of the robot as built.
+    mean : ndarray, shape (5,)
+        Mean of the prior in scaled parameters.
+    momentum : bool
+        Whether drift is looked for.
+    """
+
+    def __init__(self, nominal: LumpedConstants, mean: Vector, momentum: bool) -> None:
+        self._nominal = nominal
+        self._scaling = ParameterScaling(nominal)
+        self._paper = PlantEstimator(nominal, mean)
+        self._drifting = DriftFit(nominal, mean)
+        self._momentum = momentum
+        self._drifts = False
+        self._innovations: deque[tuple[float, float]] = deque(maxlen=_COMPARED)
+        self.result = DriftingPlant(self._paper.estimate, self._paper.parameters)
+        """Estimate after the last complete update."""
+
+    def restarted(self, lag: float) -> "DriftingPlantEstimator":
+        """Return a new estimator with the present constants and another lag [s] as prior."""
+        new = DriftingPlantEstimator(
+            self._nominal, self._paper.parameters.mean, self._momentum
+        )
+        new._paper = self._paper.restarted(lag)
+        new._drifting = self._drifting.restarted(lag)
+        new._drifts = self._drifts
+        new._publish(self.result.end)
+        return new
+
+    def observe(self, transition: Transition, time: float, connected: bool) -> None:
+        """Take a transition that ends at control time `time` [s] into account.
+
+        `connected` says whether it starts where the last one ended.
+        """
+        if self._momentum:
+            self._compare(transition, connected)
+        else:
+            self._paper.observe(transition)
+        self._publish((time, transition.end))
+
+    def _compare(self, transition: Transition, connected: bool) -> None:
+        """Fit both models where they are in use or may be, and choose between them."""
+        drifting = self._drifting
+        without = drifting.error_without_drift(transition, self._parameters.mean)
+        drifting.observe(transition, connected)
+        self._innovations.append((without, drifting.innovation))
+        if not self._drifts:
+            self._paper.observe(transition)
+        gain, occam = drifting.evidence(self._parameters.mean)
+        if self._drifts:
+            self._drifts = gain > VANISHES and self._predicts_better()
+            if not self._drifts:
+                self._paper = PlantEstimator(self._nominal, drifting.parameters.mean)
+        elif gain - occam > APPEARS and (
+            drifting.clearly_pushed or drifting.innovation < 0.5 * without
+        ):
+            self._drifts = True
+            self._innovations.clear()
+
+    @property
+    def _parameters(self) -> ParameterDistribution:
+        return (self._drifting if self._drifts else self._paper).parameters
+
+    def _predicts_better(self) -> bool:
+        """Return whether drift has improved the predictions."""
+        errors = np.square(self._innovations).sum(axis=0)
+        return len(self._innovations) < _COMPARED or bool(errors[1] < errors[0])
+
+    def _publish(self, end: tuple[float, Vector] | None) -> None:
+        if not self._drifts:
+            paper = self._paper
+            self.result = DriftingPlant(paper.estimate, paper.parameters, NO_DRIFT, end)
+            return
+        parameters, scaling = self._drifting.parameters, self._scaling
+        estimate = PlantEstimate(
+            scaling.lumped(parameters.mean),
+            significant(scaling.lag(parameters.mean)),
+            float(np.sqrt(noise_variance(self._drifting.errors, 0))),
+            scaling.constants(np.sqrt(np.diag(parameters.covariance))),
+        )
+        self.result = DriftingPlant(estimate, parameters, self._drifting.drift, end)

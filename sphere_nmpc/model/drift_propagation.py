@@ -1,0 +1,168 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Propagation of the error of state and momentum along the motion with drift.
+
+The error is that of `sphere_nmpc.model.error_state`, followed by that of the momentum [rad/s;
+world frame]: shape (8,).
+"""
+
+import threading
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.dynamics import body_rate_with_momentum, rolling_velocity
+from sphere_nmpc.model.error_state import ERROR_SIZE
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, cf4_drift_step, steps_for
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.symbolic_rotation import quaternion_product, rotation_matrix
+
+MOVING_SIZE = ERROR_SIZE + 3
+"""Size of the error of state and momentum."""
+TORQUES_SIZE = 5
+"""Size of [slope, imbalance]."""
+
+_COLUMNS = MOVING_SIZE + 4 + TORQUES_SIZE
+_WORKSPACES = threading.local()
+
+
+@dataclass(frozen=True, eq=False)
+class DriftPropagation:
+    """State and momentum at the end of an interval, with derivatives of their error.
+
+    Attributes
+    ----------
+    state : ndarray, shape (6,)
+    momentum : ndarray, shape (3,)
+        [rad/s; world frame].
+    by_start : ndarray, shape (8, 8)
+        Derivative by the error of state and momentum at the start.
+    by_constants : ndarray, shape (8, 4)
+    by_torques : ndarray, shape (8, 5)
+        Derivative by [slope, imbalance].
+    """
+
+    state: Vector
+    momentum: Vector
+    by_start: Vector
+    by_constants: Vector
+    by_torques: Vector
+
+
+def state_rates_with_momentum(
+    state: Vector, momentum: Vector, speeds: Vector, constants: Vector
+) -> Vector:
+    """Return the rates of `state_rates`, shape (5,), with momentum (3,) [rad/s; world]."""
+    return np.array(_rates_with_momentum()(state, momentum, speeds, constants)).ravel()
+
+
+def propagate_with_drift(
+    state: Vector,
+    drift: Drift,
+    durations: Vector,
+    speeds: Vector,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> DriftPropagation:
+    """Advance over the intervals of a first-order hold with drift, with derivatives.
+
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+        State at the start.
+    drift : Drift
+        Drift at the start.
+    durations : ndarray, shape (K,)
+        Lengths of the intervals [s].
+    speeds : ndarray, shape (K + 1, 2)
+        Rotor speeds at their ends [rad/s].
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    max_step : float, optional
+        Longest integration step [s].
+    """
+    work = _step()
+    work.state[:], work.momentum[:], work.constants[:] = state, drift.momentum, constants
+    work.torques[:2], work.torques[2:] = drift.slope, drift.imbalance
+    derivatives = np.eye(MOVING_SIZE, _COLUMNS)
+    for duration, start, end in zip(durations, speeds[:-1], speeds[1:], strict=True):
+        steps = steps_for(float(duration), max_step)
+        work.length[0] = duration / steps
+        for i in range(steps):
+            work.u_start[:] = start + (end - start) * (i / steps)
+            work.u_end[:] = start + (end - start) * ((i + 1) / steps)
+            work.run()
+            work.state[:], work.momentum[:] = work.end[:6], work.end[6:]
+            derivatives = work.columns[:MOVING_SIZE].T @ derivatives
+            derivatives[:, MOVING_SIZE:] += work.columns[MOVING_SIZE:].T
+    by_start, by_constants, by_torques = np.split(
+        derivatives, [MOVING_SIZE, MOVING_SIZE + 4], axis=1
+    )
+    return DriftPropagation(
+        work.state.copy(), work.momentum.copy(), by_start, by_constants, by_torques
+    )
+
+
+class _Step:
+    """One step of the integrator, with arguments and results at addresses that are kept.
+
+    A call through CasADi's own conversion of arrays takes ten times as long.
+    """
+
+    def __init__(self) -> None:
+        sizes = (6, 3, 2, 2, 1, 4, TORQUES_SIZE)
+        arrays = [np.zeros(size) for size in sizes]
+        self.state, self.momentum, self.u_start, self.u_end, *others = arrays
+        self.length, self.constants, self.torques = others
+        self.end = np.zeros(9)
+        # CasADi writes column by column.
+        self.columns = np.zeros((_COLUMNS, MOVING_SIZE))
+        self._buffer: Any
+        self._buffer, self.run = _drift_propagation_step().buffer()
+        for i, array in enumerate(arrays):
+            self._buffer.set_arg(i, array.data)
+        self._buffer.set_res(0, self.end.data)
+        self._buffer.set_res(1, self.columns.data)
+
+
+def _step() -> _Step:
+    """Return the step of this thread."""
+    kept: _Step | None = getattr(_WORKSPACES, "step", None)
+    if kept is None:
+        kept = _WORKSPACES.step = _Step()
+    return kept
+
+
+@cache
+def _drift_propagation_step() -> ca.Function:
+    x, p, d = ca.SX.sym("x", 6), ca.SX.sym("p", 4), ca.SX.sym("d", MOVING_SIZE)
+    momentum, torques = ca.SX.sym("momentum", 3), ca.SX.sym("torques", TORQUES_SIZE)
+    u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
+    shift, q, after = cf4_drift_step(x[2:6], momentum, u_start, u_end, h, p, torques)
+    # As in `_propagation_step`.
+    turned = quaternion_product(x[2:6], ca.vertcat(1.0, 0.5 * d[2:5]))
+    moved, turned_end, away_after = cf4_drift_step(
+        turned, momentum + d[5:8], u_start, u_end, h, p, torques
+    )
+    inverse, held = ca.vertcat(q[0], -q[1:4]), ca.SX.sym("q", 4)
+    turn = 2.0 * quaternion_product(held, turned_end)[1:4]
+    away = ca.vertcat(d[0:2] + moved, turn, away_after)
+    jacobian = ca.substitute(ca.jacobian(away, ca.vertcat(d, p, torques)), held, inverse)
+    jacobian = ca.substitute(jacobian, d, ca.SX.zeros(MOVING_SIZE))
+    end = ca.vertcat(x[0:2] + shift, q, after)
+    arguments = [x, momentum, u_start, u_end, h, p, torques]
+    results = ca.cse([end, ca.densify(jacobian)])
+    return ca.Function("drift_propagation_step", arguments, results)
+
+
+@cache
+def _rates_with_momentum() -> ca.Function:
+    x, u, p = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("p", 4)
+    momentum = ca.SX.sym("momentum", 3)
+    body = body_rate_with_momentum(x[2:6], u, p, momentum)
+    velocity = rolling_velocity(ca.mtimes(rotation_matrix(x[2:6]), body), p[0])
+    return ca.Function("rates", [x, momentum, u, p], [ca.vertcat(velocity, body)])

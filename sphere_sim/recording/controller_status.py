@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values of the controller's status messages."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 
 HOLDING = "holding"
@@ -57,6 +60,18 @@ def reported_momentum(values: Mapping[str, str]) -> Vector:
     It is zero where the controller finds none, and nan where it does not report any.
     """
     return np.array([number(values, f"momentum_{axis}") for axis in "xyz"])
+
+
+def reported_drift(values: Mapping[str, str], robot: RobotParameters) -> Drift | None:
+    """Return the drift that a status of the controller of this robot reports; None without one."""
+    direction = math.radians(number(values, "slope_direction_deg"))
+    offset = np.array([number(values, f"mass_offset_{axis}_mm") for axis in "xyz"])
+    drift = Drift(
+        reported_momentum(values) / robot.rotor_axial_inertia,
+        slope_torque(robot, math.radians(number(values, "slope_deg")), direction),
+        imbalance_of_offset(robot, 1e-3 * offset),
+    )
+    return drift if np.all(np.isfinite(drift.as_array())) else None
 
 
 def number(values: Mapping[str, str], key: str) -> float:

@@ -4,16 +4,18 @@
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.controller_status import reported_momentum
+from sphere_sim.recording.controller_status import reported_drift, reported_momentum
 from sphere_sim.recording.message_fields import stamp_of
 from sphere_sim.recording.messages import Messages
 from sphere_sim.recording.run import Momentum
 from sphere_sim.recording.status_messages import read_statuses
 
 
-def read_momentum(messages: Messages, robot: str, clock: BagClock) -> Momentum:
+def read_momentum(
+    messages: Messages, robot: str, clock: BagClock, parameters: RobotParameters
+) -> Momentum:
     """Return the momentum that a robot's controller reported, and the pushes of its simulator.
 
     Parameters
@@ -24,13 +26,14 @@ def read_momentum(messages: Messages, robot: str, clock: BagClock) -> Momentum:
         Namespace of the robot, without a slash at its end.
     clock : BagClock
         The run's clock.
+    parameters : RobotParameters
+        Those of the robot's controller, which define the units of the model.
     """
-    rows = [
-        (time, *reported_momentum(values))
+    reports = [
+        (time, reported_momentum(values), drift)
         for time, values in read_statuses(messages, robot, clock)
+        if (drift := reported_drift(values, parameters)) is not None
     ]
-    reports: Vector = np.array(rows, dtype=float).reshape(-1, 4)
-    reports = reports[np.all(np.isfinite(reports), axis=1)]
     pushes = [
         (clock.time_of_message(stamp_of(message), received), message.vector.x, message.vector.y)
         for topic, entries in messages.decoded.items()
@@ -38,4 +41,10 @@ def read_momentum(messages: Messages, robot: str, clock: BagClock) -> Momentum:
         for received, message in entries
     ]
     pushed = np.array(pushes, dtype=float).reshape(-1, 3)
-    return Momentum(reports[:, 0], reports[:, 1:], pushed[:, 0], pushed[:, 1:])
+    return Momentum(
+        np.array([time for time, _, _ in reports]),
+        np.array([momentum for _, momentum, _ in reports]).reshape(-1, 3),
+        tuple(drift for _, _, drift in reports),
+        pushed[:, 0],
+        pushed[:, 1:],
+    )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
@@ -53,6 +54,8 @@ class Momentum:
         Times of the reports [s].
     values : ndarray, shape (m, 3)
         Estimated momentum [N m s; world frame]; zero where the controller found none.
+    drifts : tuple of Drift, length m
+        The same in the units of the model, with slope and imbalance.
     push_times : ndarray, shape (p,)
         Times at which the simulated sphere was pushed [s].
     impulses : ndarray, shape (p, 2)
@@ -61,6 +64,7 @@ class Momentum:
 
     times: Vector = field(default_factory=lambda: np.empty(0))
     values: Vector = field(default_factory=lambda: np.empty((0, 3)))
+    drifts: tuple[Drift, ...] = ()
     push_times: Vector = field(default_factory=lambda: np.empty(0))
     impulses: Vector = field(default_factory=lambda: np.empty((0, 2)))
 
@@ -71,9 +75,17 @@ class Momentum:
 
     def at(self, time: float) -> Vector:
         """Return the newest report at a time [s], shape (3,); nan before the first one."""
-        index = int(np.searchsorted(self.times, time, side="right")) - 1
+        index = self._index(time)
         newest: Vector = self.values[index] if index >= 0 else np.full(3, np.nan)
         return newest
+
+    def drift_at(self, time: float) -> Drift:
+        """Return the newest drift reported at a time [s]."""
+        index = self._index(time)
+        return self.drifts[index] if index >= 0 else NO_DRIFT
+
+    def _index(self, time: float) -> int:
+        return int(np.searchsorted(self.times, time, side="right")) - 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,6 +58,7 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     goal_times, goals = read_goals(messages, robot, clock, float(times[-1]))
     solves = read_solves(messages, robot, clock)
     plans = read_plans(messages, robot, clock)
+    parameters = recorded_robot(messages.custom_data, f"{robot}/controller")
     return Run(
         name=printable(name or Path(storage_name(path)).stem),
         path=path,
@@ -71,8 +72,8 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
         goals=goals,
         plans=plans,
         solves=solves,
-        momentum=read_momentum(messages, robot, clock),
-        robot=recorded_robot(messages.custom_data, f"{robot}/controller"),
+        momentum=read_momentum(messages, robot, clock, parameters),
+        robot=parameters,
         custom_data=messages.custom_data,
         notes=tuple(messages.notes),
     )

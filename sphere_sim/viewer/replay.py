@@ -4,10 +4,11 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import integrate
+from sphere_nmpc.model.integrator import integrate, integrate_with_drift
 from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.controller_status import HOLDING
 from sphere_sim.recording.run import Run
@@ -132,8 +133,14 @@ class Replay:
         hold = plans[index]
         at = max(0, int(np.searchsorted(self._run.times, hold.start, side="right")) - 1)
         states = [self._run.states[at]]
+        drift = self._run.momentum.drift_at(hold.start)
         for i, duration in enumerate(np.diff(hold.times)):
-            ends = hold.speeds[i], hold.speeds[i + 1]
-            states.append(integrate(states[-1], *ends, float(duration), self._constants))
+            interval = hold.speeds[i], hold.speeds[i + 1], float(duration), self._constants
+            if drift.is_zero:
+                states.append(integrate(states[-1], *interval))
+            else:
+                state, momentum = integrate_with_drift(states[-1], drift, *interval)
+                states.append(state)
+                drift = replace(drift, momentum=momentum)
         self._plan = np.array(states)
         return self._plan

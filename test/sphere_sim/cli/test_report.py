@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import main
 from sphere_sim.recording.bag_writer import BagWriter
@@ -88,7 +89,7 @@ def test_momentum_and_pushes_are_reported_where_there_are_any(
 ) -> None:
     momentum = Momentum(
         np.array([0.0, 0.5]), found * np.array([[0.0, 0.0, 0.0], [0.0, 0.15, 0.0]]),
-        np.array([0.25][:found]), np.array([[0.3, 0.4]][:found]).reshape(-1, 2),
+        (NO_DRIFT,) * 2, np.array([0.25][:found]), np.array([[0.3, 0.4]][:found]).reshape(-1, 2),
     )
     monkeypatch.setattr("sphere_sim.cli.report.read_run", with_momentum(momentum))
     bag, out = make_bag(tmp_path / "run"), tmp_path / "out"

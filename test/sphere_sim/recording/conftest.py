@@ -121,8 +121,10 @@ def momentum_messages() -> Iterator[Entry]:
     yield "/simulator/pushed", kind, START + 101 * STEP, pushed
     for i in range(0, COUNT, 50):
         now, found = START + i * STEP, float(i >= 150)
-        values = {"momentum_x": 0.075 * found, "momentum_y": 0.15 * found, "momentum_z": 0.0}
-        message = status(now / 1e9, 0.0, 0.0, **values)
+        values = {"momentum_x": 0.075 * found, "momentum_y": 0.15 * found, "momentum_z": 0.0,
+                  "slope_deg": 0.5 * found, "slope_direction_deg": 90.0 * found}
+        offsets = {f"mass_offset_{axis}_mm": found for axis in "xyz"}
+        message = status(now / 1e9, 0.0, 0.0, **values, **offsets)
         yield "/controller/status", "diagnostic_msgs/msg/DiagnosticStatus", now, message
 
 

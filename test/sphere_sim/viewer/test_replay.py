@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.integrator import integrate_with_drift
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
-from sphere_sim.recording.run import Run, Solves
+from sphere_sim.recording.run import Momentum, Run, Solves
 from sphere_sim.viewer import replay as module
 from sphere_sim.viewer.replay import Replay
 from sphere_sim.viewer.source import Pause, Reset, Seek, SetGoal, SetSpeed
@@ -89,6 +92,33 @@ def test_plan_solve_and_goal_are_those_at_the_time_of_the_frame(replay) -> None:
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
     assert np.isnan(frame.to_go), "this solve reports no arrival"
     assert frame.goal[0] == DURATION
+
+
+def test_plan_and_plots_of_a_run_with_momentum_show_it() -> None:
+    """Still rotors with momentum about +y roll the sphere along +x."""
+    states = np.tile(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), (10, 1))
+    times = np.arange(10.0)
+    momentum = np.array([0.0, 0.15, 0.0])
+    drift = Drift(momentum / RobotParameters().rotor_axial_inertia)
+    replay = Replay(Run(
+        "run", Path("run"), 0.0, times, states, np.empty(0), np.empty((0, 2)), np.empty((0, 2)),
+        np.empty(0), np.empty((0, 6)),
+        tuple(FirstOrderHold(np.array([t, t + 1.0]), np.zeros((2, 2))) for t in (1.0, 5.0)),
+        Solves(np.empty(0), np.empty(0), np.empty(0), ()),
+        Momentum(np.array([4.0]), momentum[None], (drift,)),
+    ))
+    replay.handle(Pause(True))
+    replay.handle(Seek(2.0))
+    before = replay.frames()[-1]
+    assert np.all(before.plan == before.plan[0]) and np.all(np.isnan(before.momentum))
+    replay.handle(Seek(5.5))
+    frame = replay.frames()[-1]
+    assert frame.momentum.tolist() == momentum.tolist()
+    expected, _ = integrate_with_drift(
+        states[0], drift, np.zeros(2), np.zeros(2), 1.0, RobotParameters().lumped.as_array()
+    )
+    np.testing.assert_array_equal(frame.plan[-1], expected)
+    assert frame.plan[-1, 0] > 0.05
 
 
 def test_goal_request_is_refused(replay) -> None:

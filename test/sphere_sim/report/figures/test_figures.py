@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_sim.recording.run import Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.contact_locus import contact_locus
@@ -40,7 +41,7 @@ def make_run(full: bool = True) -> Run:
         solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
                       ("solved",) * k),
         momentum=Momentum(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0)),
-                          np.array([2.0]), np.array([[0.5, 0.0]])),
+                          (NO_DRIFT,) * k, np.array([2.0]), np.array([[0.5, 0.0]])),
     )
 
 

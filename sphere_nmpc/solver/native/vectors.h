@@ -2,84 +2,41 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Vector registers of this processor. A tangent holds the derivatives along the 8
- * directions of one interval (its quaternion and its two knots) in 1, 2 or 4 registers.
- * A structure of registers and not one 64-byte vector: without AVX-512 GCC keeps those in memory.
- * With momentum there are 11 directions, and a wide tangent is two tangents.
+ * directions of one interval (its quaternion and its two knots) in 1, 2 or 4 registers, a wide
+ * tangent those along 11 directions (the momentum, too) in as many as that takes.
+ * A structure of registers and not one long vector: without AVX-512 GCC keeps those in memory.
  */
 #if defined(__AVX512F__)
 #define WIDTH 8
+#define PARTS(DO) DO(a)
+#define WIDE_PARTS(DO) DO(a) DO(b)
 #elif defined(__AVX__)
 #define WIDTH 4
+#define PARTS(DO) DO(a) DO(b)
+#define WIDE_PARTS(DO) DO(a) DO(b) DO(c)
 #else
 #define WIDTH 2
+#define PARTS(DO) DO(a) DO(b) DO(c) DO(d)
+#define WIDE_PARTS(DO) DO(a) DO(b) DO(c) DO(d) DO(e) DO(f)
 #endif
 
 typedef double vec __attribute__((vector_size(8 * WIDTH)));
 
-#if WIDTH == 8
-#define FOR_PARTS(DO) DO(a)
-typedef struct { vec a; } tangent;
-#elif WIDTH == 4
-#define FOR_PARTS(DO) DO(a) DO(b)
-typedef struct { vec a, b; } tangent;
-#else
-#define FOR_PARTS(DO) DO(a) DO(b) DO(c) DO(d)
-typedef struct { vec a, b, c, d; } tangent;
-#endif
+#define MEMBER(i) vec i;
+typedef struct { PARTS(MEMBER) } tangent;
+typedef struct { WIDE_PARTS(MEMBER) } wide_tangent;
 
-typedef struct { tangent a, b; } wide_tangent;
-
-static inline tangent narrow_sum(tangent x, tangent y)
-{
-#define PART(i) x.i += y.i;
-    FOR_PARTS(PART)
-#undef PART
-    return x;
-}
-
-static inline tangent narrow_difference(tangent x, tangent y)
-{
-#define PART(i) x.i -= y.i;
-    FOR_PARTS(PART)
-#undef PART
-    return x;
-}
-
-static inline tangent narrow_scaled(double factor, tangent x)
-{
-#define PART(i) x.i *= factor;
-    FOR_PARTS(PART)
-#undef PART
-    return x;
-}
-
-static inline tangent narrow_negative(tangent x)
-{
-#define PART(i) x.i = -x.i;
-    FOR_PARTS(PART)
-#undef PART
-    return x;
-}
-
-static inline wide_tangent wide_sum(wide_tangent x, wide_tangent y)
-{
-    return (wide_tangent){narrow_sum(x.a, y.a), narrow_sum(x.b, y.b)};
-}
-
-static inline wide_tangent wide_difference(wide_tangent x, wide_tangent y)
-{
-    return (wide_tangent){narrow_difference(x.a, y.a), narrow_difference(x.b, y.b)};
-}
-
-static inline wide_tangent wide_scaled(double factor, wide_tangent x)
-{
-    return (wide_tangent){narrow_scaled(factor, x.a), narrow_scaled(factor, x.b)};
-}
-
-static inline wide_tangent wide_negative(wide_tangent x)
-{
-    return (wide_tangent){narrow_negative(x.a), narrow_negative(x.b)};
-}
+#define ADD(i) x.i += y.i;
+#define SUBTRACT(i) x.i -= y.i;
+#define SCALE(i) x.i *= factor;
+#define NEGATE(i) x.i = -x.i;
+#define OPERATIONS(type, width, ALL) \
+    static inline type width##_sum(type x, type y) { ALL(ADD) return x; } \
+    static inline type width##_difference(type x, type y) { ALL(SUBTRACT) return x; } \
+    static inline type width##_scaled(double factor, type x) { ALL(SCALE) return x; } \
+    static inline type width##_negative(type x) { ALL(NEGATE) return x; }
+OPERATIONS(tangent, narrow, PARTS)
+OPERATIONS(wide_tangent, wide, WIDE_PARTS)
 
 /* The operation for tangents of the width of `x`. */
 #define OF_WIDTH(x, operation) \

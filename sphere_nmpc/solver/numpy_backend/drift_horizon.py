@@ -7,6 +7,7 @@ Unlike `sphere_nmpc.solver.numpy_backend.horizon` this applies the functions of
 """
 
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -52,15 +53,20 @@ class DriftHorizon:
         place = np.arange(self._interval.size) - (self._ends - counts)[self._interval]
         self._share_start = place / counts[self._interval]
         self._share_end = (place + 1.0) / counts[self._interval]
-        # Steps of no length fill the horizon up to a size for which there is a function.
-        self._size = rounded_size(self._interval.size)
-        self._h = np.zeros((1, self._size))
-        self._h[0, : self._interval.size] = (durations / counts)[self._interval]
-        self._parameters = [
-            np.tile(column[:, None], self._size) for column in (constants, drift[3:])
-        ]
-        self._drift = drift
-        self._speeds = np.zeros((2, 2, self._size))
+        # Steps of no length fill the horizon up to a size for which there are functions.
+        size = rounded_size(self._interval.size)
+        self._speeds, self._h = np.zeros((2, size, 2)), np.zeros(size)
+        self._h[: self._interval.size] = (durations / counts)[self._interval]
+        self._x, self._along = np.zeros((size + 1, 6)), np.zeros((size + 1, 3))
+        self._along[0] = drift[MOMENTUM]
+        parameters = [np.tile(values, (size, 1)) for values in (constants, drift[3:])]
+        given = [*self._speeds, self._h, *parameters]
+        self._shoot = _Call(
+            _step_function(size), [self._x[0], self._along[0], *given],
+            [self._x[1:], self._along[1:]],
+        )
+        self._given = given
+        self._tangents: _Tangents | None = None
         self.momenta: Vector = np.zeros((durations.size + 1, 3))
 
     def states(self, state: Vector, inputs: Vector) -> Vector:
@@ -72,30 +78,22 @@ class DriftHorizon:
         for speeds, share in zip(
             self._speeds, (self._share_start, self._share_end), strict=True
         ):
-            speeds[:, : share.size] = (first + share[:, None] * change).T
-        steps = _step_function(self._size)
-        momentum = self._drift[MOMENTUM]
-        ends = steps(state, momentum, *self._speeds, self._h, *self._parameters)
-        along, momenta = (
-            np.vstack((start, np.array(end).T))
-            for start, end in zip((state, momentum), ends, strict=True)
-        )
-        self._starts = along[:-1, QUATERNION].T, momenta[:-1].T
+            speeds[: share.size] = first + share[:, None] * change
+        self._x[0] = state
+        self._shoot.run()
         at_knots = np.concatenate(([0], self._ends))
-        self.momenta = momenta[at_knots]
-        states: Vector = along[at_knots]
+        self.momenta = self._along[at_knots]
+        states: Vector = self._x[at_knots]
         return states
 
     def sensitivities(self) -> Vector:
         """Return d x_m / d (u_1 ... u_N) per rad/s, (N + 1, 6, 2 N), of the last `states`."""
         n = self._ends.size
-        arguments = [*self._starts, *self._speeds, self._h, *self._parameters]
-        seeds = np.split(np.tile(np.eye(_DIRECTIONS), self._size), (4, _CARRIED, _CARRIED + 2))
-        found = _tangent_function(self._size)(*arguments, *seeds)[3:]
-        local = np.vstack([np.array(part) for part in found])
-        local = local.reshape(2 + _CARRIED, self._size, _DIRECTIONS).transpose(1, 0, 2)
+        if self._tangents is None:
+            self._tangents = _Tangents(self._given)
+        local = self._tangents.at(self._x[:-1, QUATERNION], self._along[:-1])
         by_knots = np.zeros((n + 1, 2 + _CARRIED, 2 * (n + 1)))
-        along = by_knots[0].copy()
+        along = by_knots[0]
         for i, m in enumerate(self._interval):
             a, b = self._share_start[i], self._share_end[i]
             start, end = local[i, :, _CARRIED : _CARRIED + 2], local[i, :, _CARRIED + 2 :]
@@ -107,6 +105,45 @@ class DriftHorizon:
         # The knot in force is given.
         sensitivities: Vector = by_knots[:, :6, 2:]
         return sensitivities
+
+
+class _Tangents:
+    """Derivatives of each step by its start, and by the speeds at its start and end."""
+
+    def __init__(self, given: list[Vector]) -> None:
+        steps, rows = given[0].shape[0], (2, 4, 3)
+        self._starts = [np.zeros((steps, 4)), np.zeros((steps, 3))]
+        seeds = [
+            np.tile(seed.T, (steps, 1, 1))
+            for seed in np.split(np.eye(_DIRECTIONS), (4, _CARRIED, _CARRIED + 2))
+        ]
+        self._found = [np.zeros((steps, _DIRECTIONS, n)) for n in rows]
+        ends = [np.zeros((steps, n)) for n in rows]
+        self._call = _Call(
+            _tangent_function(steps), [*self._starts, *given, *seeds], [*ends, *self._found]
+        )
+
+    def at(self, quaternions: Vector, momenta: Vector) -> Vector:
+        """Return the derivatives of [x, y, q, h] at the ends, (S, 9, 11)."""
+        self._starts[0][:], self._starts[1][:] = quaternions, momenta
+        self._call.run()
+        return np.concatenate(self._found, axis=2).swapaxes(1, 2)
+
+
+class _Call:
+    """A function with arrays for its arguments and results, each matrix transposed.
+
+    Without a conversion of arguments, within which CasADi would lose an interrupt by Ctrl-C.
+    """
+
+    def __init__(self, function: ca.Function, given: list[Vector], results: list[Vector]) -> None:
+        self._arrays = given, results
+        self._buffer: Any
+        self._buffer, self.run = function.buffer()
+        for i, array in enumerate(given):
+            self._buffer.set_arg(i, array.data)
+        for i, array in enumerate(results):
+            self._buffer.set_res(i, array.data)
 
 
 def roll_out(

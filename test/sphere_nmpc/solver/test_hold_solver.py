@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
 from sphere_nmpc.solver.reference.objective import cost, expand
+from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
 
 BACKENDS = ("compiled", "numpy")
 
@@ -214,6 +216,77 @@ def test_later_solve_does_not_change_an_earlier_solution(make_problem):
     other = make_problem("paper", 2)
     solver.solve(other, rest_start(other))
     assert np.array_equal(first.inputs, kept)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_momenta_are_those_along_the_solution(make_problem, kind, backend):
+    problem = make_problem(kind)
+    solution = HoldSolver(SolverSettings(max_iterations=8), backend).solve(
+        problem, random_start(problem)
+    )
+    # Of the predicting function, which other tests compare with the integrator.
+    expected = roll_out_with_momentum(
+        problem.state, Drift.from_array(problem.drift), solution.inputs, problem.durations,
+        problem.constants, problem.max_step,
+    )[1]
+    assert np.allclose(solution.momenta, expected, atol=1e-9)
+    assert solution.momenta.any() == problem.drift.any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_inputs_that_nothing_else_determines_are_the_reference(make_problem, kind, backend):
+    reference = np.array([12.0, -70.0])
+    problem = make_problem(
+        kind, input_reference=reference, input_weight=1.0, stage_weight=0.0, terminal_weight=0.0,
+        slew_weight=0.0,
+    )
+    solution = HoldSolver(backend=backend).solve(problem, random_start(problem))
+    assert np.allclose(solution.inputs[1:], reference, atol=1e-3)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_solve_with_drift_leaves_nothing_behind_for_one_without(make_problem, backend):
+    """Both use the same memory."""
+    problem = make_problem("drift")
+    level = replace(problem, drift=np.zeros(8))
+    fresh, used = HoldSolver(backend=backend), HoldSolver(backend=backend)
+    expected = fresh.solve(level, random_start(problem))
+    used.solve(problem, random_start(problem))
+    found = used.solve(level, random_start(problem))
+    assert np.array_equal(found.states, expected.states) and not found.momenta.any()
+
+
+def test_drift_so_small_that_it_changes_nothing_gives_the_model_without(make_problem, kind):
+    """The two models are computed by different functions."""
+    problem = replace(make_problem(kind), drift=np.zeros(8))
+    tiny = replace(problem, drift=np.array([1e-14, 0, 0, 0, 0, 0, 0, 0]))
+    without, found = (expand_compiled(each, random_start(each)) for each in (problem, tiny))
+    for name, value in without.items():
+        scale = max(1.0, np.max(np.abs(value)))
+        assert np.max(np.abs(found[name] - value)) < 1e-12 * scale, name
+
+
+def test_pushed_sphere_reaches_an_upright_goal_with_rotors_that_hold_the_momentum(make_problem):
+    n, pushed = 14, Drift(np.array([30.0, -20.0, 0.0]))
+    goal = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    rest = pushed.rest_speeds(goal[2:])
+    problem = make_problem(
+        "terminal", intervals=n, durations=np.full(n, 0.25), goal=goal, input_weight=0.0,
+        drift=pushed.as_array(), slew_weight=10.0, max_acceleration=400.0,
+    )
+    problem.lower[-1] = problem.upper[-1] = rest
+    solver = HoldSolver(SolverSettings(max_iterations=300, target_cost=1e-12))
+    found = min(
+        (solver.solve(problem, random_start(problem, seed)) for seed in range(8)),
+        key=lambda solution: solution.cost,
+    )
+    # Three times the square of the errors that the target cost allows.
+    assert found.cost < 1e-11
+    after = roll_out(found.states[-1], np.tile(rest, (3, 1)), np.ones(2), problem.constants,
+                     drift=pushed)
+    # At the target cost the orientation is off by up to 2e-6 rad, and the part of the momentum
+    # that is not held, 36 rad/s times that, moves the sphere by less than 1e-5 in two seconds.
+    assert np.max(np.abs(after - goal)) < 1e-4
 
 
 def test_unknown_backend_is_refused():

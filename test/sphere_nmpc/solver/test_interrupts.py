@@ -18,6 +18,7 @@ PATIENCE = 60.0  # s; a study that ignores the interrupt takes minutes
 SOLVES = """
 import os, random, signal, sys, threading, time
 import numpy as np
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.numpy_backend.horizon import roll_out
@@ -31,10 +32,12 @@ def interrupt(number, frame):
     raise KeyboardInterrupt
 
 n = 12
+drift = Drift(np.array([30.0, -20.0, 15.0]) * float(sys.argv[1]))
 problem = HoldProblem(
     np.array([1.0, 0.5, 1.0, 0, 0, 0]), np.array([0, 0, 0, 1.0, 0, 0]), np.zeros(2),
     np.full(n, 0.5), RobotParameters().lumped.as_array(), np.full((n, 2), -100.0),
     np.full((n, 2), 100.0), 100.0, input_weight=1e-12, slew_weight=10.0, max_acceleration=400.0,
+    drift=drift.as_array(),
 )
 solver = HoldSolver(SolverSettings(max_iterations=5), "numpy")
 rng = np.random.default_rng(0)
@@ -43,7 +46,7 @@ solver.solve(problem, np.zeros((n, 2)))
 def work():
     solver.solve(problem, rng.uniform(-100.0, 100.0, (n, 2)))
     inputs = rng.uniform(-100.0, 100.0, (n + 1, 2))
-    roll_out(problem.state, inputs, problem.durations, problem.constants, 0.1)
+    roll_out(problem.state, drift, inputs, problem.durations, problem.constants, 0.1)
 
 def send():
     for _ in range(100):
@@ -70,9 +73,11 @@ print(handled, seen)
 """
 
 
-def test_every_interrupt_of_a_solve_is_raised():
+@pytest.mark.parametrize("momentum", ("0", "1"))
+def test_every_interrupt_of_a_solve_is_raised(momentum):
     done = subprocess.run(
-        [sys.executable, "-c", SOLVES], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", SOLVES, momentum], capture_output=True, text=True, timeout=120,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     handled, seen = done.stdout.split()

@@ -16,6 +16,7 @@ import pytest
 from sphere_nmpc import cache as places
 from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.solver.native import library as native
+from sphere_nmpc.solver.native.codegen import kernel_source
 
 SOLVE = """
 import numpy as np
@@ -338,3 +339,9 @@ def test_without_any_temporary_folder_every_use_of_the_path_is_an_error(monkeypa
     with pytest.raises(OSError):
         places.make_private(places.temporary_folder())
     places.temporary_folder.cache_clear()
+
+
+def test_functions_without_drift_read_neither_momentum_nor_torques():
+    without, _, with_drift = kernel_source().partition("static void nominal_step_with_drift")
+    for name in ("torques[", "y[4]", "dy[4]", "wide_tangent"):
+        assert name not in without and name in with_drift

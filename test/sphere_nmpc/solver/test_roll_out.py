@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
@@ -74,6 +75,17 @@ def test_momentum_alone_is_kept(predict):
     assert np.all(momenta == pushed.momentum)
     without, zero = predict(state, NO_DRIFT, inputs, durations, CONSTANTS, MAX_STEP)
     assert np.max(np.abs(states - without)) > 0.1 and not zero.any()
+
+
+@both
+def test_rotors_that_hold_the_momentum_keep_the_sphere_at_rest(predict):
+    state, _, _, durations = hold(5)
+    # Perpendicular to the body's z axis, which the rotors cannot hold.
+    z = rotation.matrix(state[2:])[:, 2]
+    pushed = Drift(np.cross(z, [30.0, -20.0, 15.0]))
+    inputs = np.tile(pushed.rest_speeds(state[2:]), (6, 1))
+    states, _ = predict(state, pushed, inputs, durations, CONSTANTS, MAX_STEP)
+    assert np.allclose(states, state, atol=ROUNDING)
 
 
 @both

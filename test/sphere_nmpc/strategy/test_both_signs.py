@@ -77,7 +77,7 @@ def test_plan_that_reaches_the_goal_is_kept(solvers, make_problem):
 
 
 def test_problem_aimed_at_another_goal_differs_in_nothing_else(make_problem):
-    problem = make_problem("paper", 2)
+    problem = make_problem("drift", 2)
     goal = flipped_sign(problem.goal)
     found, wanted = problem.aimed_at(goal), replace(problem, goal=goal)
     assert all(getattr(found, f.name) is getattr(wanted, f.name) for f in fields(problem))

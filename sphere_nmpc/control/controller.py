@@ -12,6 +12,7 @@ from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Background, Estimate, Estimator
 from sphere_nmpc.estimation.factory import make_estimator
+from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
@@ -214,7 +215,8 @@ class Controller:
         else:
             mode, plan = self._plan(time, estimate, goal, time_budget)
         covariance = None if estimate is None else estimate.covariance
-        decision = Decision.with_errors(mode, plan, state, goal, age, covariance)
+        drift = NO_DRIFT if estimate is None else estimate.drift
+        decision = Decision.with_errors(mode, plan, state, goal, age, covariance, drift)
         settings = self._settings
         reached = self._arrival.update(
             time, decision.error, settings.goal_tolerance, settings.period
@@ -236,14 +238,15 @@ class Controller:
             plant = estimate.plant
             situation = Situation(
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
-                estimate.uncertainty, time_budget,
+                estimate.uncertainty, time_budget, estimate.drift,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
                 raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
-            return Mode.TRACKING, plan
+            saturated = plan.status is PlanStatus.SATURATED
+            return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)
 

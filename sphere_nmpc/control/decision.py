@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.state import Vector, angle_error, position_error, state_error
 from sphere_nmpc.strategy.plan import Plan
 
@@ -22,6 +23,7 @@ class Mode(Enum):
     NO_FRESH_POSE = "no fresh pose, ramping to rest"
     TRACKING = "on the way to the goal"
     AT_GOAL = "at the goal"
+    SATURATED = "the rotors cannot hold the momentum"
     FALLBACK = "solve failed, following the previous plan"
 
 
@@ -44,6 +46,8 @@ class Decision:
     covariance : ndarray of shape (5, 5), or None
         Covariance of the error state: position [m; world frame], rotation vector [rad; body
         frame]. None where poses are trusted exactly.
+    drift : Drift
+        Estimated momentum at the sampling instant, with slope and imbalance.
     """
 
     mode: Mode
@@ -54,6 +58,7 @@ class Decision:
     angle_error: float = float("nan")
     pose_age: float = float("inf")
     covariance: Vector | None = None
+    drift: Drift = NO_DRIFT
 
     @classmethod
     def with_errors(
@@ -64,19 +69,22 @@ class Decision:
         goal: Vector | None,
         pose_age: float,
         covariance: Vector | None,
+        drift: Drift,
     ) -> "Decision":
         """Return the decision with the errors of the state, nan where there is no goal."""
         if goal is None:
-            return cls(mode, plan, state, pose_age=pose_age, covariance=covariance)
+            return cls(
+                mode, plan, state, pose_age=pose_age, covariance=covariance, drift=drift
+            )
         return cls(
             mode, plan, state, state_error(state, goal), position_error(state, goal),
-            angle_error(state, goal), pose_age, covariance,
+            angle_error(state, goal), pose_age, covariance, drift,
         )
 
     @property
     def solved(self) -> bool:
         """Whether the plan is the solution of the strategy for this instant."""
-        return self.mode in (Mode.TRACKING, Mode.AT_GOAL)
+        return self.mode in (Mode.TRACKING, Mode.AT_GOAL, Mode.SATURATED)
 
     @property
     def position_deviation(self) -> float:

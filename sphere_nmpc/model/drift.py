@@ -90,6 +90,11 @@ class Drift:
         """
         return self.in_body(quaternion)[:2]
 
+    def after_slope(self, duration: float) -> "Drift":
+        """Return the drift after `duration` [s] of the slope's torque alone."""
+        gained = duration * np.append(self.slope, 0.0)
+        return replace(self, momentum=self.momentum + gained)
+
     def after_rest(self, quaternion: Vector, duration: float) -> "Drift":
         """Return the drift after a rest of `duration` [s] at an orientation, shape (4,)."""
         gained = duration * self.torque_at_rest(quaternion)

@@ -61,6 +61,22 @@ def matrix(q: Vector) -> Vector:
     ))
 
 
+def from_matrix(turn: Vector) -> Vector:
+    """Return the unit quaternion, shape (4,), of a rotation matrix, shape (3, 3)."""
+    # Four times the products of its components with each one; the longest row is accurate.
+    x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    (a, b, c), sums = np.diag(turn), turn + turn.T
+    rows = np.array((
+        (1 + a + b + c, x, y, z),
+        (x, 1 + a - b - c, sums[0, 1], sums[0, 2]),
+        (y, sums[0, 1], 1 - a + b - c, sums[1, 2]),
+        (z, sums[0, 2], sums[1, 2], 1 - a - b + c),
+    ))
+    longest = rows[int(np.argmax(np.diag(rows)))]
+    unit: Vector = longest / np.linalg.norm(longest)
+    return unit
+
+
 def vertical(q: Vector) -> Vector:
     """Return the world's vertical k in body axes, shape (..., 3): last row of the matrix."""
     w, x, y, z = np.moveaxis(q, -1, 0)

@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -33,6 +34,8 @@ class Situation:
         Standard deviation of the error of `state` in R^6.
     time_budget : float
         Wall time that planning may take [s]; a strategy then returns the best plan found.
+    drift : Drift
+        Estimated momentum at that instant, with slope and imbalance.
     """
 
     time: float
@@ -43,6 +46,7 @@ class Situation:
     noise: float = 0.0
     uncertainty: float = 0.0
     time_budget: float = float("inf")
+    drift: Drift = NO_DRIFT
 
 
 class Strategy(Protocol):

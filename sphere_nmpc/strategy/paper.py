@@ -7,6 +7,8 @@ difference of quaternions, warm start shifted by one knot with zero as its last 
 
 Between two knots the same problem is solved with its first interval shortened, so that a higher
 control rate corrects a disturbance earlier. At the paper's rate this never happens.
+
+The model is the paper's, without momentum.
 """
 
 import numpy as np
@@ -57,11 +59,13 @@ class PaperStrategy:
         """Forget the warm start and the grid of knots."""
         self._last: FirstOrderHold | None = None
         self._origin: float | None = None
+        self._rest: Vector = np.zeros(INPUT_SIZE)
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
         times = self._knot_times(situation.time)
         problem = self._problem(situation, times)
+        self._rest = problem.input_reference
         solution = self._solve(problem, times, situation.time_budget)
         if solution.status is SolveStatus.NOT_FINITE:
             raise ArithmeticError("the optimal control problem has no finite cost")
@@ -95,12 +99,12 @@ class PaperStrategy:
         return np.concatenate(([now], knots))
 
     def _warm_start(self, last: FirstOrderHold | None, times: Vector) -> Vector:
-        """Return the last plan at the new knots, zero beyond its end (step 6), shape (N, 2)."""
+        """Return the last plan at the new knots, rest beyond its end (step 6), shape (N, 2)."""
         if last is None:
-            return np.zeros((times.size, INPUT_SIZE))
+            return np.tile(self._rest, (times.size, 1))
         known = times <= last.end + _SHORTEST_INTERVAL
         return np.array(
-            [last.at(t) if k else np.zeros(INPUT_SIZE) for t, k in zip(times, known, strict=True)]
+            [last.at(t) if k else self._rest for t, k in zip(times, known, strict=True)]
         )
 
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:

@@ -20,7 +20,9 @@ class PlanStatus(Enum):
     FALLBACK = "fallback"
     """The solve failed; the rest of the previous plan is followed."""
     RAMP_TO_REST = "ramp to rest"
-    """No plan is known; the rotors are brought to rest."""
+    """No plan is known; the rotors are brought to the speeds at which the sphere rests."""
+    SATURATED = "saturated"
+    """The rotors cannot hold the momentum: they stay at their limits, and the sphere rolls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,8 @@ class Plan:
         Wall time spent [s], steady clock.
     message : str
         One line that explains the status.
+    given_up : str
+        What is given up of the goal and why; empty where nothing is.
     """
 
     status: PlanStatus
@@ -58,3 +62,4 @@ class Plan:
     kkt_residual: float = float("nan")
     solve_time: float = 0.0
     message: str = ""
+    given_up: str = ""

@@ -6,16 +6,23 @@ Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`. The differe
 `sphere_nmpc.strategy.both_signs`: both quaternion signs of the goal, and a minimisation that does
 not change a plan which is about to reach the goal. A sample takes tens of microseconds: this is
 the strategy for high control rates and small processors.
+
+With momentum the model and the end are those of a sphere that has it: the goal is the nearest one
+that the rotors can hold, and inputs are weighed by their difference from the speeds of rest there.
 """
 
 from dataclasses import replace
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution
 from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.holdable_goal import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.paper import PaperStrategy
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import SATURATED, is_saturated, speeds_of_rest
 
 
 class PlanKeepingStrategy(PaperStrategy):
@@ -31,6 +38,26 @@ class PlanKeepingStrategy(PaperStrategy):
         super().reset()
         self._plans: tuple[FirstOrderHold | None, FirstOrderHold | None] = (None, None)
         self._followed = 0
+
+    def plan(self, situation: Situation) -> Plan:
+        """Solve the problem for both signs of the goal that the rotors can hold."""
+        if situation.drift.is_zero:
+            return super().plan(situation)
+        end = situation.drift.after_slope(self._settings.horizon * self._settings.period)
+        goal = holdable_goal(situation.goal, end)
+        limit = self._robot.max_rotor_speed
+        self._end = speeds_of_rest(end, goal[QUATERNION], limit)
+        plan = super().plan(replace(situation, goal=goal))
+        angle = angle_error(goal, situation.goal)
+        if is_saturated(situation.drift, goal[QUATERNION], limit):
+            return replace(plan, status=PlanStatus.SATURATED, given_up=SATURATED)
+        return replace(plan, given_up=given_up_angle(angle))
+
+    def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
+        problem = super()._problem(situation, times)
+        if situation.drift.is_zero:
+            return problem
+        return replace(problem, drift=situation.drift.as_array(), input_reference=self._end)
 
     def _solve(self, problem: HoldProblem, times: Vector, time_budget: float) -> HoldSolution:
         first, second = (self._warm_start(plan, times[1:]) for plan in self._plans)

@@ -1,16 +1,23 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The fixed-time problem behind the strategy: end at the goal, at rest, after a given time."""
+"""The fixed-time problem behind the strategy: end at the goal, at rest, after a given time.
 
-from dataclasses import dataclass
+At rest the rotors turn at the speeds that hold the momentum. A slope changes it by a known amount
+until then; with a centre of mass beside the centre it depends on the path, and the problem is
+solved again with the momentum of its last solution until both agree.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.grid import knot_durations
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -23,6 +30,9 @@ _LEAST_DECREASE = 1e-6
 
 _CALL_WORK = 60
 """Work of a call apart from its iterations."""
+
+_SOLVES = 3
+"""Solves at most until the speeds of rest agree with the momentum at the end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +56,8 @@ class Arrival:
         First-order optimality.
     work : int
         Iterations times intervals: cost of the solve, the same on every machine.
+    drift : Drift
+        Predicted drift at the arrival.
     """
 
     hold: FirstOrderHold
@@ -55,6 +67,7 @@ class Arrival:
     iterations: int
     kkt_residual: float
     work: int
+    drift: Drift
 
     @property
     def duration(self) -> float:
@@ -74,11 +87,14 @@ class Accuracy:
         Longest integration step [s].
     error : float
         Terminal error [norm in R^6] at which the solve stops.
+    rest_speed : float
+        Error of the rotor speeds at rest [rad/s] above which the problem is solved again.
     """
 
     max_iterations: int
     max_step: float
     error: float
+    rest_speed: float = np.inf
 
 
 class ArrivalSolver:
@@ -107,6 +123,7 @@ class ArrivalSolver:
         self._acceleration = settings.acceleration_share * robot.max_rotor_acceleration
         self._period = period
         self._max_step = accuracy.max_step
+        self._rest_speed = accuracy.rest_speed
         self._settings = settings
         self._solver = HoldSolver(
             SolverSettings(
@@ -124,6 +141,7 @@ class ArrivalSolver:
         duration: float,
         guess: FirstOrderHold,
         to_first_knot: float,
+        unaware: bool = False,
     ) -> Arrival:
         """Find rotor speeds that end at `goal` after `duration`.
 
@@ -139,27 +157,78 @@ class ArrivalSolver:
             Initial guess; it is stretched in time to end at `duration`.
         to_first_knot : float
             Time to the first knot [s].
+        unaware : bool, optional
+            Whether the guess is for a sphere without momentum: what holds the momentum along its
+            motion is then added, so that the same motion results but for a turn about the body's
+            z axis.
 
         Returns
         -------
         Arrival
             The best found; its `error` shows whether it reaches the goal.
         """
-        problem = self._problem(situation, goal, duration, to_first_knot)
-        times = np.concatenate(([0.0], np.cumsum(problem.durations)))
+        durations = knot_durations(
+            duration, self._period, to_first_knot, self._settings,
+            everywhere=not situation.drift.is_zero,
+        )
+        times = np.concatenate(([0.0], np.cumsum(durations)))
         scaled = times[1:] * (guess.end / duration)
         start = np.column_stack([np.interp(scaled, guess.times, row) for row in guess.speeds.T])
-        solution = self._solver.solve(problem, start)
+        if unaware and not situation.drift.is_zero:
+            start = start + self._compensation(situation, durations, start)
+        drift = self._drift_at_end(situation, durations, start)
+        iterations = 0
+        for _ in range(_SOLVES):
+            rest = self._rest_at(drift, goal)
+            problem = self._problem(situation, goal, durations, rest)
+            solution = self._solver.solve(problem, start)
+            iterations += solution.iterations
+            if not situation.drift.imbalance.any():
+                break
+            drift = replace(situation.drift, momentum=solution.momenta[-1])
+            if np.max(np.abs(self._rest_at(drift, goal) - rest)) <= self._rest_speed:
+                break
+            start = solution.inputs[1:]
         return Arrival(
             FirstOrderHold(times, solution.inputs), solution.states, goal,
-            float(np.sqrt(solution.cost)), solution.iterations, solution.kkt_residual,
-            _CALL_WORK + (solution.iterations + 1) * problem.intervals,
+            float(np.sqrt(solution.cost)), iterations, solution.kkt_residual,
+            _CALL_WORK + (iterations + 1) * problem.intervals, drift,
         )
 
+    def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
+        """Return the speeds that hold the momentum along knots u_1 ... u_N [rad/s], (N, 2)."""
+        inputs = np.vstack((situation.input_in_force, knots))
+        states = roll_out(
+            situation.state, inputs, durations, situation.constants.as_array(), self._max_step
+        )
+        drift, times = situation.drift, np.cumsum(durations)
+        return np.array([
+            drift.after_slope(float(time)).rest_speeds(state[QUATERNION])
+            for time, state in zip(times, states[1:], strict=True)
+        ])
+
+    def _drift_at_end(self, situation: Situation, durations: Vector, knots: Vector) -> Drift:
+        """Return the drift after knots u_1 ... u_N [rad/s], shape (N, 2)."""
+        drift = situation.drift
+        if drift.imbalance.any():
+            inputs = np.vstack((situation.input_in_force, knots))
+            _, momenta = roll_out_with_momentum(
+                situation.state, drift, inputs, durations, situation.constants.as_array(),
+                self._max_step,
+            )
+            return replace(drift, momentum=momenta[-1])
+        return drift.after_slope(float(np.sum(durations)))
+
+    def _rest_at(self, drift: Drift, goal: Vector) -> Vector:
+        """Return the rotor speeds of rest at the goal within the limit [rad/s], shape (2,)."""
+        held = drift.rest_speeds(goal[QUATERNION])
+        rest: Vector = np.minimum(np.maximum(held, -self._max_speed), self._max_speed)
+        return rest
+
     def _problem(
-        self, situation: Situation, goal: Vector, duration: float, to_first_knot: float
+        self, situation: Situation, goal: Vector, durations: Vector, rest: Vector
     ) -> HoldProblem:
-        durations = knot_durations(duration, self._period, to_first_knot, self._settings)
+        """Return the problem that ends with rotor speeds `rest` [rad/s], shape (2,)."""
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
         lower = -upper
         # The acceleration limit of the first and the last ramp is exact, as a bound on the knot
@@ -169,12 +238,12 @@ class ArrivalSolver:
         upper[0] = np.minimum(upper[0], in_force + first)
         lower[0] = np.maximum(lower[0], in_force - first)
         if durations.size > 1:
-            stop_upper = np.minimum(upper[-2], last)
-            stop_lower = np.maximum(lower[-2], -last)
+            stop_upper = np.minimum(upper[-2], rest + last)
+            stop_lower = np.maximum(lower[-2], rest - last)
             compatible = stop_lower <= stop_upper
             upper[-2] = np.where(compatible, stop_upper, upper[-2])
             lower[-2] = np.where(compatible, stop_lower, lower[-2])
-        upper[-1] = lower[-1] = 0.0
+        upper[-1] = lower[-1] = rest
         return HoldProblem(
             state=situation.state,
             goal=goal,
@@ -188,4 +257,5 @@ class ArrivalSolver:
             slew_weight=self._settings.slew_weight,
             max_acceleration=self._acceleration,
             max_step=self._max_step,
+            drift=situation.drift.as_array(),
         )

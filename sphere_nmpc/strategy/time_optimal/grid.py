@@ -12,7 +12,11 @@ _SAME_TIME = 1e-4
 
 
 def knot_durations(
-    duration: float, period: float, to_first_knot: float, settings: TimeOptimalSettings
+    duration: float,
+    period: float,
+    to_first_knot: float,
+    settings: TimeOptimalSettings,
+    everywhere: bool = False,
 ) -> Vector:
     """Return interval lengths that end at `duration`, with knots at the sampling instants.
 
@@ -30,6 +34,9 @@ def knot_durations(
         Time to the first knot [s]; see `KnotGrid`.
     settings : TimeOptimalSettings
         Shortest interval, length of a manoeuvre.
+    everywhere : bool, optional
+        Whether a long plan has knots during steady rolling, too: with momentum the rotor speeds
+        change there with each turn of the shell.
 
     Returns
     -------
@@ -39,7 +46,7 @@ def knot_durations(
     last = duration - settings.shortest_interval * period
     instants: Vector = np.arange(to_first_knot, last, period, dtype=np.float64)
     manoeuvre = settings.manoeuvre_time
-    if duration > 2.0 * manoeuvre + 2.0 * period:
+    if duration > 2.0 * manoeuvre + 2.0 * period and not everywhere:
         instants = instants[(instants <= manoeuvre) | (instants >= duration - manoeuvre)]
     return np.diff(np.concatenate(([0.0], instants, [duration])))
 

@@ -1,16 +1,26 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Rest at the goal, with corrections of small errors by rolling."""
+"""Rest at the goal, with corrections of small errors by rolling.
+
+Where the sphere has momentum the rotors follow the speeds that hold it. The motion then depends on
+the difference from these speeds as it does on the rotor speeds of a sphere without momentum, so
+that the same corrections are added. An error of the estimated momentum moves the sphere in the
+same way, and is corrected at every sample.
+"""
 
 import dataclasses
 
+import numpy as np
+
+from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, nearer_sign, state_error
+from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import hold_momentum, ramp_to, speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 
@@ -30,7 +40,7 @@ class RestAtGoal:
     def __init__(
         self, settings: ControllerSettings, robot: RobotParameters, tuning: TimeOptimalSettings
     ) -> None:
-        self._acceleration = robot.max_rotor_acceleration
+        self._robot = robot
         self._tuning = tuning
         self._corrections = PaperStrategy(
             self._for_corrections(settings), robot, tuning.correction_weight
@@ -48,21 +58,46 @@ class RestAtGoal:
         """Return a ramp to rest, or a correction of what rolling itself can correct."""
         error = state_error(situation.state, situation.goal)
         tuning = self._tuning
-        if error > tuning.least_dead_band or situation.noise > tuning.correction_noise:
+        noisy = situation.noise > tuning.correction_noise
+        if error > tuning.least_dead_band or noisy or not situation.drift.is_zero:
             goal = nearer_sign(situation.goal, situation.state)
-            plan = self._corrections.plan(dataclasses.replace(situation, goal=goal))
+            plan = self._corrected(dataclasses.replace(situation, goal=goal))
             return dataclasses.replace(plan, status=PlanStatus.HOLDING)
         message = f"at the goal, {error:.1e} off"
-        return ramp_to_rest(situation, self._acceleration, PlanStatus.HOLDING, message)
+        return come_to_rest(situation, self._robot, tuning.rest_time, message)
+
+    def _corrected(self, situation: Situation) -> Plan:
+        """Return the solution of the problem of the corrections, added to the speeds of rest."""
+        drift, turn, now = situation.drift, situation.state[QUATERNION], situation.time
+        if drift.is_zero:
+            return self._corrections.plan(situation)
+        in_force = situation.input_in_force - drift.rest_speeds(turn)
+        plan = self._corrections.plan(
+            dataclasses.replace(situation, input_in_force=in_force, drift=NO_DRIFT)
+        )
+        times = plan.hold.times
+        held = [drift.after_rest(turn, float(time) - now).rest_speeds(turn) for time in times]
+        hold = FirstOrderHold(times, plan.hold.speeds + np.array(held))
+        return dataclasses.replace(plan, hold=hold)
 
     def _for_corrections(self, settings: ControllerSettings) -> ControllerSettings:
         return dataclasses.replace(settings, horizon=self._tuning.correction_horizon)
 
 
-def ramp_to_rest(
-    situation: Situation, acceleration: float, status: PlanStatus, message: str
+def come_to_rest(
+    situation: Situation,
+    robot: RobotParameters,
+    rest_time: float,
+    message: str,
+    status: PlanStatus = PlanStatus.HOLDING,
 ) -> Plan:
-    """Return a plan that brings the rotors to rest with `acceleration` [rad/s^2]."""
-    hold = FirstOrderHold.ramp_to_rest(situation.time, situation.input_in_force, acceleration)
+    """Return a plan that brings the rotors to the speeds of rest and holds for `rest_time` [s]."""
+    drift, quaternion = situation.drift, situation.state[QUATERNION]
+    limit = robot.max_rotor_speed
+    target = speeds_of_rest(drift, quaternion, limit)
+    in_force = situation.input_in_force
+    hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
+    if not drift.is_zero:
+        hold = hold_momentum(hold, drift, quaternion, limit, rest_time)
     states: Vector = situation.state[None, :]
     return Plan(status, hold, states, message=message)

@@ -37,7 +37,9 @@ class IntermediateGoals:
         """Forget the intermediate goal."""
         self._place: Vector | None = None
 
-    def aim(self, situation: Situation, time_left: float) -> tuple[Situation, bool, bool]:
+    def aim(
+        self, situation: Situation, time_left: float, found_none: bool = False
+    ) -> tuple[Situation, bool, bool]:
         """Return the situation with the goal to plan for, and how it relates to the last one.
 
         Parameters
@@ -46,6 +48,9 @@ class IntermediateGoals:
             With the final goal.
         time_left : float
             Time to the arrival of the plan that is being followed [s]; 0 without one.
+        found_none : bool, optional
+            Whether the last search has found no arrival. With momentum, where a sphere cannot roll
+            steadily, the next one is to a nearer goal.
 
         Returns
         -------
@@ -62,12 +67,17 @@ class IntermediateGoals:
         last = self._place
         limited = not np.isinf(situation.time_budget)
         far = settings.far_distance_in_time if limited else settings.far_distance
-        if distance <= (far if last is None else settings.intermediate_distance):
+        rolls_steadily = situation.drift.is_zero
+        near = settings.intermediate_distance if rolls_steadily else settings.reach_with_momentum
+        if found_none and not rolls_steadily:
+            far = near
+        if distance <= (far if last is None else near):
             self._place = None
             return situation, last is not None, False
         is_moved_on = last is not None and 0.0 < time_left < settings.braking_time
+        is_moved_on = is_moved_on and rolls_steadily
         if last is None or time_left <= 0.0:
-            self._place = _towards(here, there, settings.intermediate_distance)
+            self._place = _towards(here, there, near)
         elif is_moved_on:
             self._place = _towards(last, there, self._advance(situation.constants))
         goal: Vector = situation.goal.copy()

@@ -70,7 +70,7 @@ class PlanSearch:
         if at_rest and unspent and waited + settings.control_period < longest:
             return Searching(started, state.strict)
         if found is None:
-            return Searching(strict=state.strict)
+            return Searching(strict=state.strict, found_none=True)
         if waited > 0.0:
             planner.grid.begin_again(now)
         for delay in self._tuning.delays + self._tuning.further_delays:

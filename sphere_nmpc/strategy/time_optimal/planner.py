@@ -46,7 +46,10 @@ class ArrivalPlanner:
         self.grid = grid
         """Times of the knots."""
         self._seeds = seeds
-        accuracy = Accuracy(tuning.precise_iterations, tuning.precise_step, tuning.precise_error)
+        accuracy = Accuracy(
+            tuning.precise_iterations, tuning.precise_step, tuning.precise_error,
+            tuning.precise_rest_speed,
+        )
         self._solver = ArrivalSolver(robot, period, accuracy, tuning)
 
     def search(

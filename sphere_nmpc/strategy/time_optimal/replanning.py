@@ -5,6 +5,11 @@
 import time
 from dataclasses import replace
 
+import numpy as np
+
+from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import QUATERNION
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
@@ -43,6 +48,8 @@ def replan(
     if left < tuning.ended_time:
         return None
     rest = plan.rest(now)
+    if not situation.drift.is_zero:
+        rest = _compensated(rest, plan.arrival, situation.drift, left)
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:
@@ -63,6 +70,21 @@ def replan(
             # Too few knots are left to correct what noise has done since: a delay gains nothing.
             return replace(plan, arrival=best, planned_at=now)
     return None
+
+
+def _compensated(
+    rest: FirstOrderHold, arrival: Arrival, drift: Drift, left: float
+) -> FirstOrderHold:
+    """Return the rest of a plan with the speeds that hold the change of the momentum since then.
+
+    The change counts where the plan ends, so that what the plan has foreseen is left out.
+    """
+    change = drift.after_slope(left).momentum - arrival.drift.momentum
+    if drift.imbalance.any() or arrival.states.shape[0] < rest.times.size:
+        return rest
+    turns = arrival.states[-rest.times.size:, QUATERNION]
+    held = [Drift(change).rest_speeds(turn) for turn in turns]
+    return FirstOrderHold(rest.times, rest.speeds + np.array(held))
 
 
 def _improved(

@@ -73,6 +73,7 @@ class ArrivalSearch:
         self._distance = float(np.linalg.norm(way))
         self._speed = cruise_speed(situation.constants, self._max_speed)
         self._duration = settings.manoeuvre_allowance + self._distance / self._speed
+        self._first_duration = self._duration
         share = 0.0 if strict else settings.coarse_error_share
         error = share * state_error(situation.state, situation.goal)
         self._tolerance = min(settings.coarse_error, max(settings.least_coarse_error, error))
@@ -122,6 +123,9 @@ class ArrivalSearch:
                 self._keep(self._shortened(arrival))
             elif self.best is None and self._guesses % settings.failures_before_longer == 0:
                 self._duration *= settings.longer
+                longest = settings.longest_with_momentum * self._first_duration
+                if self._duration > longest and not self._situation.drift.is_zero:
+                    self._duration = self._first_duration
         return self.best
 
     def _from_random_guess(self) -> Arrival | None:
@@ -135,16 +139,18 @@ class ArrivalSearch:
         guess = random_guess(
             self._rng, duration, self._distance, self._speed, self._max_speed, settings
         )
-        return self._attempt(sign, duration, guess)
+        return self._attempt(sign, duration, guess, unaware=True)
 
     def _from_perturbation(self, best: Arrival) -> Arrival | None:
         amount = self._settings.largest_perturbation * self._rng.random()
         guess = perturbed(self._rng, best.hold, amount, self._max_speed)
         return self._attempt(best.goal, self._settings.earlier * best.duration, guess)
 
-    def _attempt(self, goal: Vector, duration: float, guess: FirstOrderHold) -> Arrival | None:
+    def _attempt(
+        self, goal: Vector, duration: float, guess: FirstOrderHold, unaware: bool = False
+    ) -> Arrival | None:
         """Solve from an initial guess; None if it is given up or does not reach the goal."""
-        first = self._solve(self._trial, goal, duration, guess)
+        first = self._solve(self._trial, goal, duration, guess, unaware)
         if first.error <= self._tolerance:
             return first
         given_up = self._is_given_up(first.error)
@@ -175,9 +181,16 @@ class ArrivalSearch:
         return arrival
 
     def _solve(
-        self, solver: ArrivalSolver, goal: Vector, duration: float, guess: FirstOrderHold
+        self,
+        solver: ArrivalSolver,
+        goal: Vector,
+        duration: float,
+        guess: FirstOrderHold,
+        unaware: bool = False,
     ) -> Arrival:
-        arrival = solver.solve(self._situation, goal, duration, guess, self._to_first_knot)
+        arrival = solver.solve(
+            self._situation, goal, duration, guess, self._to_first_knot, unaware
+        )
         self.work += arrival.work
         return arrival
 

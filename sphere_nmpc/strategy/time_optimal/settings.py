@@ -37,6 +37,9 @@ class TimeOptimalSettings:
     """Longest integration step [s] of such a plan."""
     precise_error: float = 1e-6
     """Terminal error [-] at which the solve of such a plan stops."""
+    precise_rest_speed: float = 0.05
+    """Error [rad/s] of the rotor speeds of rest at which it is not solved again: a twentieth of a
+    degree a second."""
     arrival_error: float = 1e-4
     """Predicted terminal error [-] up to which a plan counts as reaching the goal. Smaller: plans
     are delayed more often; larger: larger errors at rest."""
@@ -74,6 +77,9 @@ class TimeOptimalSettings:
     """Number of guesses without an arrival after which the guesses take longer."""
     longer: float = 1.1
     """Factor [-] by which they then take longer."""
+    longest_with_momentum: float = 2.0
+    """Factor [-] on the first duration at which they begin anew where the sphere has momentum: a
+    guess does not come nearer to the goal by rolling on."""
     independent_arrivals: int = 3
     """Number of arrivals from random guesses before the best one is perturbed. More: local minima
     of later arrivals are left more reliably, with less effort for each."""
@@ -110,6 +116,8 @@ class TimeOptimalSettings:
     intermediate_distance: float = 5.0
     """Distance of the first intermediate goal [m], and the distance to the goal itself at which it
     is aimed at again."""
+    reach_with_momentum: float = 3.0
+    """The same where the sphere has momentum and no arrival was found [m]."""
     intermediate_turns: int = 4
     """Turns of the shell by which an intermediate goal is moved on; an even number keeps the sign
     of the quaternion."""
@@ -158,6 +166,18 @@ class TimeOptimalSettings:
 
     rest_speed: float = 1e-3
     """Rotor speed [rad/s] below which the rotors are at rest."""
+    held_speed: float = 1.0
+    """The same where they hold momentum [rad/s]: deviation from the speeds of rest, of which the
+    estimate of the momentum has an error."""
+    largest_change_of_goal: float = 0.2
+    """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
+    cannot be held at the goal itself."""
+    unloading_share: float = 0.9
+    """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
+    unloaded_share: float = -0.5
+    """... until it is at this share, on the other side."""
+    rest_time: float = 1.0
+    """Time [s] for which a command goes on to hold the momentum at its end."""
     least_dead_band: float = 2e-3
     """Error [-] below which the rotors stay at rest at the goal where there is no noise ..."""
     largest_dead_band: float = 6e-2

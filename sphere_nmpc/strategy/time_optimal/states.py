@@ -40,10 +40,13 @@ class Searching:
     strict : bool
         Whether the last search ended with an arrival that does not reach the goal when it is
         solved precisely; the next one is then strict, as it would find the same again.
+    found_none : bool
+        Whether the last search ended without an arrival.
     """
 
     started: StartedSearch | None = None
     strict: bool = False
+    found_none: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,4 +93,9 @@ class Holding:
     leaving_error: float
 
 
-State = Searching | Following | Holding
+@dataclass(frozen=True)
+class Saturated:
+    """State in which the rotors cannot hold the momentum and stay at their limits."""
+
+
+State = Searching | Following | Holding | Saturated

@@ -7,6 +7,10 @@ of the plan is solved again from the measured state, with one interval less; if 
 reach the goal in time, the arrival is delayed a little. At the goal the rotors rest; small errors
 are corrected by rolling, larger ones by a new plan. ``docs/strategy.md`` has the stability
 argument.
+
+With momentum the sphere rests where the rotors hold it. A goal at which they cannot is replaced by
+the nearest one; momentum of a sphere out of balance is unloaded before the rotors saturate; and
+where they are saturated by a slope they stay at their limits until it ends.
 """
 
 import dataclasses
@@ -16,18 +20,31 @@ import time
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import state_error
+from sphere_nmpc.model.state import QUATERNION, angle_error, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import (
+    SATURATED,
+    hold_momentum,
+    is_saturated,
+    speeds_of_rest,
+)
 from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
-from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, ramp_to_rest
+from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
+from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
 from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.new_plan import PlanSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.replanning import replan
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.states import Following, Holding, Searching, State
+from sphere_nmpc.strategy.time_optimal.states import (
+    Following,
+    Holding,
+    Saturated,
+    Searching,
+    State,
+)
 
 
 class TimeOptimalStrategy:
@@ -53,6 +70,7 @@ class TimeOptimalStrategy:
         self._robot = robot
         self._tuning = TimeOptimalSettings() if tuning is None else tuning
         self._goals = IntermediateGoals(self._tuning)
+        self._held_goal = HeldGoal(robot.max_rotor_speed, self._tuning)
         self._rest_at_goal = RestAtGoal(settings, robot, self._tuning)
         self.reset()
 
@@ -73,23 +91,33 @@ class TimeOptimalStrategy:
             ArrivalPlanner(slippery, period, self._grid, seeds, tuning),
         )
         self._goals.reset()
+        self._held_goal.reset()
         self._rest_at_goal.reset()
 
     def plan(self, situation: Situation) -> Plan:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
         self._grid.begin(situation.time)
-        situation = self._aim(situation)
+        situation = self._aim(self._holdable(situation))
         self._state = self._next(self._state, situation, began + situation.time_budget)
+        plan = self._plan_of(self._state, situation)
+        given_up = plan.given_up or self._held_goal.given_up
+        plan = dataclasses.replace(plan, given_up=given_up)
         if isinstance(self._state, Holding):
-            return self._rest_at_goal.plan(situation)
-        if isinstance(self._state, Following):
-            plan = self._as_plan(self._state)
-        else:
-            acceleration = self._robot.max_rotor_acceleration
-            message = "no arrival found yet"
-            plan = ramp_to_rest(situation, acceleration, PlanStatus.RAMP_TO_REST, message)
+            return plan
         return dataclasses.replace(plan, solve_time=time.perf_counter() - began)
+
+    def _plan_of(self, state: State, situation: Situation) -> Plan:
+        if isinstance(state, Holding):
+            return self._rest_at_goal.plan(situation)
+        if isinstance(state, Following):
+            return self._as_plan(state)
+        status, message = PlanStatus.RAMP_TO_REST, "no arrival found yet"
+        given_up = ""
+        if isinstance(state, Saturated):
+            status, message, given_up = PlanStatus.SATURATED, "saturated", SATURATED
+        plan = come_to_rest(situation, self._robot, self._tuning.rest_time, message, status)
+        return dataclasses.replace(plan, given_up=given_up)
 
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows from `state` and the present situation.
@@ -97,7 +125,9 @@ class TimeOptimalStrategy:
         Following -> Following while the rest of the plan reaches the goal. A plan that has ended,
         or can no longer reach it, ends in Holding if the sphere rests within the dead band, else
         in a search. Holding -> Searching when the error leaves the dead band. Searching ->
-        Following once there is a plan, -> Holding if the sphere rests within the dead band.
+        Following once there is a plan, -> Holding if the sphere rests within the dead band. Any
+        but Following -> Saturated while the rotors cannot hold the momentum at the goal, and back
+        -> Searching.
         """
         tuning, settings = self._tuning, self._settings
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
@@ -106,8 +136,12 @@ class TimeOptimalStrategy:
             if followed is not None:
                 return followed
             state = Searching()
+        if self._is_saturated(situation):
+            return Saturated()
+        if isinstance(state, Saturated):
+            state = Searching()
         error = state_error(situation.state, situation.goal)
-        at_rest = bool(np.all(np.abs(situation.input_in_force) < tuning.rest_speed))
+        at_rest = self._is_at_rest(situation)
         if isinstance(state, Holding):
             if error < max(dead_band, state.leaving_error):
                 return state
@@ -117,6 +151,41 @@ class TimeOptimalStrategy:
         self._rest_at_goal.reset()
         return self._plan_search.search(state, situation, at_rest, deadline, settings)
 
+    def _is_at_rest(self, situation: Situation) -> bool:
+        """Return whether the rotors turn at the speeds at which the sphere rests."""
+        in_force, drift, tuning = situation.input_in_force, situation.drift, self._tuning
+        if drift.is_zero:
+            return bool(np.all(np.abs(in_force) < tuning.rest_speed))
+        held = speeds_of_rest(drift, situation.state[QUATERNION], self._robot.max_rotor_speed)
+        return bool(np.all(np.abs(in_force - held) < tuning.held_speed))
+
+    def _is_saturated(self, situation: Situation) -> bool:
+        limit = self._robot.max_rotor_speed
+        return is_saturated(situation.drift, situation.goal[QUATERNION], limit)
+
+    def _holdable(self, situation: Situation) -> Situation:
+        """Return the situation with a goal at which the rotors hold the momentum.
+
+        A plan that is being followed is kept and aims at the changed goal from then on, unless
+        that is far from the last one.
+        """
+        state, end = self._state, None
+        if isinstance(state, Following):
+            # Out of balance the momentum at the arrival depends on the way: that of the last plan.
+            on_the_way = situation.drift.imbalance.any()
+            left = state.time_left(situation.time)
+            end = state.arrival.drift if on_the_way else situation.drift.after_slope(left)
+        goal = self._held_goal.goal(situation, end, isinstance(state, Holding))
+        if isinstance(state, Following):
+            if angle_error(goal, state.arrival.goal) > self._tuning.largest_change_of_goal:
+                self._state = Searching()
+            elif goal is not situation.goal:
+                turned = state.arrival.goal.copy()
+                turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]
+                arrival = dataclasses.replace(state.arrival, goal=turned)
+                self._state = dataclasses.replace(state, arrival=arrival)
+        return dataclasses.replace(situation, goal=goal)
+
     def _aim(self, situation: Situation) -> Situation:
         """Return the situation with a goal near enough to plan for.
 
@@ -124,7 +193,8 @@ class TimeOptimalStrategy:
         """
         state, now = self._state, situation.time
         left = state.time_left(now) if isinstance(state, Following) else 0.0
-        aimed, is_new, is_moved_on = self._goals.aim(situation, left)
+        found_none = isinstance(state, Searching) and state.found_none
+        aimed, is_new, is_moved_on = self._goals.aim(situation, left, found_none)
         if is_new and isinstance(state, Searching):
             self._state = Searching(strict=state.strict)
         elif is_new and isinstance(state, Following):
@@ -138,10 +208,18 @@ class TimeOptimalStrategy:
     def _as_plan(self, state: Following) -> Plan:
         arrival, start = state.arrival, state.planned_at
         late = arrival.error > self._tuning.arrival_error
+        hold, states = arrival.hold.delayed(start), arrival.states
+        if not arrival.drift.is_zero:
+            hold = hold_momentum(
+                hold, arrival.drift, arrival.goal[QUATERNION], self._robot.max_rotor_speed,
+                self._tuning.rest_time,
+            )
+            rests = np.tile(states[-1], (hold.times.size - len(states), 1))
+            states = np.vstack((states, rests))
         return Plan(
             PlanStatus.BEST_SO_FAR if late else PlanStatus.SOLVED,
-            arrival.hold.delayed(start),
-            arrival.states,
+            hold,
+            states,
             arrival=start + arrival.duration,
             cost=arrival.error**2,
             iterations=arrival.iterations,

@@ -1,0 +1,143 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goal that the rotors can hold: the given one, the nearest one, or one that unloads the rotors.
+
+A sphere that rests out of balance gains momentum until a rotor saturates. The torque turns with
+the sphere, so that an orientation at which it opposes the momentum unloads the rotors. They hold
+the momentum there, too, if it is perpendicular to the body's z axis and to the imbalance; the
+torque is largest where the imbalance is horizontal.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.holdable_goal import given_up_angle, holdable_goal
+from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+
+_LEAST_MOMENTUM = 10.0
+"""Momentum [rad/s] below which its direction is no longer followed ..."""
+_LEAST_DIRECTED = 0.5
+"""... nor beyond the angle of this cosine."""
+
+
+class HeldGoal:
+    """Replacement of a goal that the rotors cannot hold, at present or for long.
+
+    Parameters
+    ----------
+    max_speed : float
+        Limit of the rotor speeds [rad/s].
+    settings : TimeOptimalSettings
+        When rotors are unloaded, and for how long.
+    """
+
+    def __init__(self, max_speed: float, settings: TimeOptimalSettings) -> None:
+        self._max_speed = max_speed
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the goal that unloads the rotors."""
+        self._unloading: Vector | None = None
+        self._direction: Vector = np.zeros(3)
+        self.given_up = ""
+        """What is given up of the goal and why; empty where nothing is."""
+
+    def goal(self, situation: Situation, end: Drift | None, holding: bool) -> Vector:
+        """Return the goal to aim at, shape (6,): the given object where that can be held.
+
+        Parameters
+        ----------
+        situation : Situation
+            With the final goal.
+        end : Drift or None
+            Predicted drift at the arrival of the plan that is being followed; None without one.
+        holding : bool
+            Whether the sphere rests at the goal.
+        """
+        drift, goal = situation.drift, situation.goal
+        self.given_up = ""
+        if drift.is_zero:
+            self._unloading = None
+            return goal
+        if self._is_unloading(situation, holding):
+            self.given_up = "orientation for a while: it unloads the rotors"
+            return np.concatenate((goal[:2], self._unloading_at(end or drift)))
+        found = holdable_goal(goal, end or self._expected(situation, holding))
+        self.given_up = given_up_angle(angle_error(found, goal))
+        return found
+
+    def _expected(self, situation: Situation, holding: bool) -> Drift:
+        """Return the drift to be expected at the arrival of a new plan."""
+        drift = situation.drift
+        if holding:
+            return drift
+        if drift.imbalance.any():
+            # What it adds on the way is not known; at rest its torque has to be held in any case.
+            return replace(drift, momentum=np.zeros(3))
+        way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
+        speed = cruise_speed(situation.constants, self._max_speed)
+        return drift.after_slope(self._settings.manoeuvre_allowance + way / speed)
+
+    def _is_unloading(self, situation: Situation, holding: bool) -> bool:
+        """Return whether the rotors are being unloaded, after beginning or ending it."""
+        settings, drift = self._settings, situation.drift
+        if self._unloading is not None:
+            along = float(self._direction @ drift.momentum)
+            if along <= settings.unloaded_share * self._max_speed:
+                self._unloading = None
+        elif holding and drift.imbalance.any():
+            quaternion = situation.goal[QUATERNION]
+            speeds = drift.rest_speeds(quaternion)
+            rates = (rotation.matrix(quaternion).T @ drift.torque_at_rest(quaternion))[:2]
+            nearly = settings.unloading_share * self._max_speed
+            # One that is being unloaded by the torque at the goal itself needs no manoeuvre.
+            if np.any((np.abs(speeds) > nearly) & (speeds * rates > 0.0)):
+                self._begin(drift, quaternion)
+        return self._unloading is not None
+
+    def _begin(self, drift: Drift, quaternion: Vector) -> None:
+        """Begin to unload the rotors unless a slope loads them faster."""
+        level = drift.momentum * (1.0, 1.0, 0.0)
+        self._direction = level / np.linalg.norm(level)
+        unload = float(np.linalg.norm(drift.imbalance))
+        if float(self._direction[:2] @ drift.slope) < unload:
+            self._unloading = quaternion
+
+    def _unloading_at(self, drift: Drift) -> Vector:
+        """Return the orientation, shape (4,), that unloads the momentum of `drift` fastest."""
+        assert self._unloading is not None
+        level = drift.momentum * (1.0, 1.0, 0.0)
+        length = float(np.linalg.norm(level))
+        # Near zero the direction is not defined, and the momentum then reverses along it.
+        if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
+            self._direction = level / length
+        self._unloading = _unloading_orientation(
+            drift.imbalance, self._direction, self._unloading
+        )
+        return self._unloading
+
+
+def _unloading_orientation(imbalance: Vector, direction: Vector, near: Vector) -> Vector:
+    """Return the orientation whose torque opposes a momentum along `direction` the most.
+
+    The torque e3 x (R a) is largest where R a is horizontal. The momentum lies along the body
+    axis that is perpendicular to z and the imbalance, in either sense: the one nearer to `near`.
+    """
+    unit = imbalance / np.linalg.norm(imbalance)
+    axis = np.cross([0.0, 0.0, 1.0], unit)
+    length = float(np.linalg.norm(axis))
+    axis = np.array([1.0, 0.0, 0.0]) if length < 1e-6 else axis / length
+    body = np.column_stack((axis, unit, np.cross(axis, unit)))
+    out = np.cross([0.0, 0.0, 1.0], direction)
+    found = []
+    for along in (direction, -direction):
+        world = np.column_stack((along, out, np.cross(along, out)))
+        found.append(rotation.from_matrix(world @ body.T))
+    return min(found, key=lambda q: float(rotation.angle_between(q, near)))

@@ -57,6 +57,8 @@ class Fault:
     continuous : bool
         Whether each command has to start from the speeds that were in force; not where another
         controller takes over or one is restarted, and the drives alone limit the slew.
+    upright : bool
+        Whether the goal has to be upright: with momentum no other can be held for certain.
     quick : bool
         Whether the quick campaign includes it.
     """
@@ -70,6 +72,7 @@ class Fault:
     blind: bool = False
     goal_again: bool = False
     continuous: bool = True
+    upright: bool = False
     quick: bool = False
 
 
@@ -142,8 +145,8 @@ _ALL = (
           named_by=("expected",), goal_again=True, continuous=False),
     Fault("parameters_live", "parameters", "bad_live", duration=1.0, named_by=("refused live",),
           quick=True),
-    Fault("push", "disturbance", "push", {"impulse": 0.5}, 0.0, quick=True),
-    Fault("tilt", "disturbance", "tilt", {"slope": math.radians(0.2)}),
+    Fault("push", "disturbance", "push", {"impulse": 0.5}, 0.0, upright=True, quick=True),
+    Fault("tilt", "disturbance", "tilt", {"slope": math.radians(0.2)}, upright=True),
 )
 
 FAULTS = {fault.name: fault for fault in _ALL}

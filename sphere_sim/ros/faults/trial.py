@@ -14,7 +14,7 @@ from sphere_sim.faults.outcome import Outcome
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.faults.actions import action_of
 from sphere_sim.ros.faults.fault_session import FaultSession
-from sphere_sim.ros.faults.goal_actions import random_goal
+from sphere_sim.ros.faults.goal_actions import random_goal, upright_goal
 from sphere_sim.ros.session.goal_run import GoalRun, wait_until_settled
 
 UNDER_WAY = 1.5
@@ -52,7 +52,8 @@ class Trial:
     def run(self) -> Outcome:
         """Run the trial; an error of the campaign itself is a complaint too."""
         session, monitor = self._session, self._monitor
-        goal = random_goal(session.rng)
+        upright = any(fault.upright for fault in self._faults)
+        goal = upright_goal(session.rng) if upright else random_goal(session.rng)
         run = monitor.begin(goal)
         tracebacks = self._tracebacks()
         recovery = math.nan

@@ -93,7 +93,7 @@ def roll_out_compiled(
     workspace.constants[:] = constants
     workspace.durations[:] = durations
     workspace.state[:] = state
-    workspace.drift[:] = drift.as_array()
+    workspace.drift[:] = 0.0 if drift is NO_DRIFT else drift.as_array()
     workspace.inputs[:] = inputs
     library().hold_roll_out(n, max_step, *workspace.addresses)
     return workspace.states.copy(), workspace.momenta.copy()

@@ -26,7 +26,7 @@ static int64_t steps_for(double duration, double max_step)
 #undef TANGENT
 #undef CARRIED
 
-/* Whether a drift, [h, s, a], is not zero; a NaN is not. */
+/* Whether a drift, [h, s, a], is not zero; true for a NaN. */
 static int is_nonzero(const double *drift)
 {
     int any = 0;

@@ -6,7 +6,7 @@ Unlike `sphere_nmpc.solver.numpy_backend.horizon` this applies the functions of
 `sphere_nmpc.model.integrator` to each step: shorter, and several times slower.
 """
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -163,4 +163,13 @@ def _step_function(steps: int) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def _tangent_function(steps: int) -> ca.Function:
-    return tangent_drift_step_function(_DIRECTIONS).map(steps)
+    """Return `_tangent_step` of S steps."""
+    return _tangent_step().map(steps)
+
+
+@cache
+def _tangent_step() -> ca.Function:
+    """Return `tangent_drift_step_function` with common subexpressions once: a quarter faster."""
+    function = tangent_drift_step_function(_DIRECTIONS)
+    arguments = function.sx_in()
+    return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))

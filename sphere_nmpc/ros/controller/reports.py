@@ -31,6 +31,7 @@ from sphere_nmpc.settings import ControllerSettings
 _LEVELS = {
     Mode.TRACKING: OK,
     Mode.AT_GOAL: OK,
+    Mode.SATURATED: ERROR,
     Mode.NO_GOAL: OK,
     Mode.NO_CLOCK: STALE,
     Mode.CLOCK_STOPPED: WARN,

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of the controller's status: decision, plant parameters, stability, controllability."""
+"""Values of the controller's status: decision, plant, drift, stability, controllability."""
 
 from typing import Any
 
@@ -11,6 +11,7 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.controller.drift_values import drift_values
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5
@@ -92,6 +93,8 @@ class ControllerStatus:
             "missed_ticks": missed,
             "late_poses": controller.late_poses,
             **self._plant_values(),
+            **drift_values(decision.drift, self._robot, controller.goal),
+            "giving_up": plan.given_up,
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,

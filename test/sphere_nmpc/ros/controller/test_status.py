@@ -3,12 +3,15 @@
 """Status values of the controller: plant parameters and drift."""
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.model.drift import (
     NO_DRIFT,
     Drift,
@@ -18,10 +21,12 @@ from sphere_nmpc.model.drift import (
 )
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
+from sphere_nmpc.ros.controller import reports
 from sphere_nmpc.ros.controller.drift_values import drift_values
 from sphere_nmpc.ros.controller.status import ControllerStatus
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
+ROOT = Path(__file__).parents[4]
 ROBOT = RobotParameters()
 CONSTANTS = ["learnt_shell_radius_m", "learnt_c1", "learnt_r1", "learnt_r3"]
 DEVIATIONS = [f"{name}_deviation" for name in CONSTANTS]
@@ -54,6 +59,24 @@ def test_without_learning_the_constants_as_built_and_the_given_lag_are_reported(
     values = plant_values(learning=False, drive_lag=0.0123, pose_position_noise=noise)
     assert [values[name] for name in CONSTANTS] == ROBOT.lumped.as_array().tolist()
     assert values["learnt_lag_s"] == 0.0123
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_every_value_is_documented(strategy) -> None:
+    table = (ROOT / "msg_docs" / "topics.md").read_text().split("### Status")[1].split("\n### ")[0]
+    cells = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
+    documented = {key for cell in cells for key in re.findall(r"`(\w+)`", cell)}
+    settings = ControllerSettings(strategy=strategy)
+    controller = Controller(settings, ROBOT)
+    status = ControllerStatus(controller, ROBOT, settings)
+    values = status.values(controller.decide(0.0), 0.0, 0.0, 0)
+    # The deviations are described with what they belong to.
+    assert {key.removesuffix("_deviation") for key in values} <= documented
+    assert values["giving_up"] == "" and values["momentum_x"] == 0.0
+
+
+def test_every_mode_has_a_level() -> None:
+    assert set(reports._LEVELS) == set(Mode)
 
 
 def test_no_drift_gives_zeros_and_no_saturation() -> None:

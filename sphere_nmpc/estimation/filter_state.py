@@ -13,6 +13,7 @@ from sphere_nmpc.estimation.plant_parameters import (
     ParameterScaling,
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
     apply_error,
@@ -50,6 +51,8 @@ _TURNING = 1.0
 
 State = slice(0, ERROR_SIZE)
 Parameters = slice(ERROR_SIZE, SIZE)
+Constants = slice(ERROR_SIZE, SIZE - 1)
+_LAG = SIZE - 1
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ class FilterState:
         Factor on the variance of the process noise, 1 while innovations are as expected.
     ratio : float
         Average of the normalised innovation squared over its expectation.
+    likelihood : float
+        Logarithm of the likelihood of the last pose, up to a constant.
     outliers : tuple of (float, ndarray)
         Stamps and poses rejected since the last one that was fused.
     """
@@ -96,6 +101,7 @@ class FilterState:
     scaling: ParameterScaling
     inflation: float = 1.0
     ratio: float = 1.0
+    likelihood: float = 0.0
     outliers: tuple[tuple[float, Vector], ...] = ()
 
     @classmethod
@@ -120,6 +126,11 @@ class FilterState:
         return self.joint[State, State].copy()
 
     @property
+    def drift(self) -> Drift:
+        """Drift of the model."""
+        return NO_DRIFT
+
+    @property
     def parameters(self) -> ParameterDistribution:
         """Distribution of the scaled parameters."""
         return ParameterDistribution(self.scaled, self.joint[Parameters, Parameters].copy())
@@ -139,11 +150,11 @@ class FilterState:
         """
         time = stamp - self.scaling.lag(parameters.mean)
         constants = self.scaling.constants(parameters.mean)
-        joint: Vector = np.zeros((SIZE, SIZE))
-        joint[State, State] = self.joint[State, State]
+        joint: Vector = self.joint.copy()
+        joint[:, Parameters] = joint[Parameters, :] = 0.0
         joint[Parameters, Parameters] = parameters.covariance
-        by_lag = np.eye(SIZE)
-        by_lag[State, -1] = LAG_PRIOR * state_rates(self.state, sent.at(time), constants)
+        by_lag = np.eye(joint.shape[0])
+        by_lag[State, _LAG] = LAG_PRIOR * self._rates(sent.at(time), constants)
         joint = by_lag @ joint @ by_lag.T
         return replace(self, time=time, scaled=parameters.mean, joint=joint)
 
@@ -151,19 +162,11 @@ class FilterState:
         """Return the state predicted to a later time [s] with the inputs sent."""
         if time <= self.time:
             return self
-        state, joint = self.state, self.joint
         durations, speeds = sent.pieces(self.time, time)
-        slopes = self.scaling.slopes()
+        current = self
         for duration, here, there in zip(durations, speeds[:-1], speeds[1:], strict=True):
-            state, by_state, by_constants = propagate(
-                state, (here, there), float(duration), self.constants
-            )
-            transition = np.eye(SIZE)
-            transition[State, State] = by_state
-            transition[State, ERROR_SIZE : ERROR_SIZE + 4] = by_constants * slopes
-            joint = transition @ joint @ transition.T
-            joint += self._process_noise(float(duration), 0.5 * (here + there))
-        return replace(self, time=time, state=state, joint=joint)
+            current = current._advanced(here, there, float(duration))
+        return replace(current, time=time)
 
     def updated(
         self, stamp: float, pose: Vector, noise: PoseNoise, sent: SentInputs
@@ -178,33 +181,61 @@ class FilterState:
             Whether the pose passed the gate.
         """
         prior = self.predicted(stamp - self.scaling.lag(self.scaled), sent)
-        rates = state_rates(prior.state, sent.at(prior.time), prior.constants)
+        return prior._fused(pose, noise, sent.at(prior.time))
+
+    def _fused(self, pose: Vector, noise: PoseNoise, speeds: Vector) -> tuple["FilterState", bool]:
+        """Fuse a pose of this instant, at which `speeds` [rad/s] were in force; see `updated`."""
+        size = self.joint.shape[0]
         # If the lag is longer than estimated, the pose is of an earlier state.
-        output = np.zeros((ERROR_SIZE, SIZE))
+        output = np.zeros((ERROR_SIZE, size))
         output[:, State] = np.eye(ERROR_SIZE)
-        output[:, -1] = -LAG_PRIOR * rates
+        output[:, _LAG] = -LAG_PRIOR * self._rates(speeds, self.constants)
         pose_covariance = noise.covariance
-        innovation_covariance = output @ prior.joint @ output.T + pose_covariance
-        innovation = error_between(prior.state, pose)
+        innovation_covariance = output @ self.joint @ output.T + pose_covariance
+        innovation = error_between(self.state, pose)
         normalised = float(innovation @ np.linalg.solve(innovation_covariance, innovation))
+        spread = float(np.linalg.slogdet(innovation_covariance)[1])
+        likelihood = -0.5 * (min(normalised, 2.0 * GATE) + spread)
         if normalised > GATE:
-            return prior, False
-        gain = np.linalg.solve(innovation_covariance, output @ prior.joint).T
-        correction = gain @ innovation
-        kept = np.eye(SIZE) - gain @ output
-        joint = kept @ prior.joint @ kept.T + gain @ pose_covariance @ gain.T
+            return replace(self, likelihood=likelihood), False
+        gain = np.linalg.solve(innovation_covariance, output @ self.joint).T
+        kept = np.eye(size) - gain @ output
+        joint = kept @ self.joint @ kept.T + gain @ pose_covariance @ gain.T
         ratio = min(normalised / ERROR_SIZE, _MAX_RATIO)
         average = self.ratio + (ratio - self.ratio) / _AVERAGED
         posterior = replace(
-            prior,
-            state=apply_error(prior.state, correction[State]),
-            scaled=self.scaling.within(prior.scaled + correction[Parameters]),
+            self._corrected(gain @ innovation),
             joint=0.5 * (joint + joint.T),
             inflation=_inflation(self.inflation, average),
             ratio=average,
+            likelihood=likelihood,
             outliers=(),
         )
         return posterior, True
+
+    def _rates(self, speeds: Vector, constants: Vector) -> Vector:
+        """Return the rates of the state, shape (5,), at rotor speeds (2,) [rad/s]."""
+        return state_rates(self.state, speeds, constants)
+
+    def _advanced(self, here: Vector, there: Vector, duration: float) -> "FilterState":
+        """Return the state after a straight piece of the rotor speeds."""
+        state, by_state, by_constants = propagate(
+            self.state, (here, there), duration, self.constants
+        )
+        transition = np.eye(SIZE)
+        transition[State, State] = by_state
+        transition[State, Constants] = by_constants * self.scaling.slopes()
+        joint = transition @ self.joint @ transition.T
+        joint += self._process_noise(duration, 0.5 * (here + there))
+        return replace(self, state=state, joint=joint)
+
+    def _corrected(self, correction: Vector) -> "FilterState":
+        """Return the state with a correction of its means."""
+        return replace(
+            self,
+            state=apply_error(self.state, correction[State]),
+            scaled=self.scaling.within(self.scaled + correction[Parameters]),
+        )
 
     def _process_noise(self, duration: float, speeds: Vector) -> Vector:
         """Return the process noise, (10, 10), of an interval at constant speeds [rad/s]."""
@@ -215,9 +246,9 @@ class FilterState:
         turn = REST_NOISE**2 + (ROLLING_NOISE * rate) ** 2
         variances[:2], variances[2:ERROR_SIZE] = shift, turn
         variances *= self.inflation
-        learning = self.joint[-1, -1] > 0.0
+        learning = self.joint[_LAG, _LAG] > 0.0
         if turning > _TURNING and learning:
-            variances[ERROR_SIZE : ERROR_SIZE + 4] = CONSTANTS_NOISE**2
+            variances[Constants] = CONSTANTS_NOISE**2
         noise: Vector = np.diag(variances * duration)
         return noise
 

@@ -1,10 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimator for noisy poses: an extended Kalman filter of state and plant parameters."""
+"""Estimator for noisy poses: extended Kalman filters of state and plant parameters.
+
+One has the paper's model, one has drift. The latter is used while it explains the poses better.
+"""
 
 import numpy as np
 
 from sphere_nmpc.estimation.contract import Estimate, PlantEstimate
+from sphere_nmpc.estimation.drift_state_estimator import DriftStateEstimator
 from sphere_nmpc.estimation.filter_state import FilterState, PoseNoise
 from sphere_nmpc.estimation.plant_parameters import (
     ParameterDistribution,
@@ -19,6 +23,15 @@ from sphere_nmpc.settings import ControllerSettings
 
 _LEAST_NOISE = 1e-6
 """Least measurement noise [m, rad] of one part of a pose where the other part is noisy."""
+_FORGETTING = 0.98
+"""Share of the evidence for drift that remains at the next pose."""
+_LARGEST_GAIN = 5.0
+"""Largest evidence by one pose, so that an outlier decides nothing."""
+_APPEARS = 15.0
+"""Logarithm of the evidence above which the model with drift is used, until it is
+at its lower bound."""
+_EVIDENCE = (-3.0, 40.0)
+"""Bounds of the evidence, so that drift that comes or goes is noticed soon."""
 
 
 class NoisyPoseEstimator:
@@ -49,8 +62,22 @@ class NoisyPoseEstimator:
         self._scaling = ParameterScaling(nominal)
         self._nominal = nominal
         self._learnt = ParameterDistribution.prior(settings.drive_lag) if prior is None else prior
-        self._filter = StateEstimator(
+        self._sent = sent
+        self._paper = StateEstimator(
             sent, self._scaling, self._parameters_in_use, _pose_noise(settings)
+        )
+        self._drifting = self._with_drift()
+
+    @property
+    def _filter(self) -> StateEstimator:
+        """The filter in use."""
+        return self._drifting if self._drifts else self._paper
+
+    def _with_drift(self) -> DriftStateEstimator:
+        """Return a new filter with drift, and begin to collect evidence for it."""
+        self._drifts, self._evidence = False, 0.0
+        return DriftStateEstimator(
+            self._sent, self._scaling, self._parameters_in_use, _pose_noise(self._settings)
         )
 
     @property
@@ -75,14 +102,30 @@ class NoisyPoseEstimator:
 
     def observe(self, time: float, pose: Vector) -> bool:
         """Fuse a pose; False if it is known already or too old to be inserted."""
-        return self._filter.observe(time, pose)
+        accepted = self._paper.observe(time, pose)
+        if self._settings.momentum and self._drifting.observe(time, pose):
+            self._compare()
+        return accepted
+
+    def _compare(self) -> None:
+        """Choose between the models by the likelihood of the newest poses."""
+        gain = self._drifting.likelihood - self._paper.likelihood
+        gain = float(np.clip(gain, -_LARGEST_GAIN, _LARGEST_GAIN))
+        evidence = _FORGETTING * self._evidence + gain
+        self._evidence = float(np.clip(evidence, *_EVIDENCE))
+        if self._drifts and self._evidence <= _EVIDENCE[0]:
+            self._paper.set_parameters(self._drifting.parameters)
+            self._drifts = False
+        elif not self._drifts and self._evidence > _APPEARS:
+            self._drifting.adopt(self._paper)
+            self._drifts = True
 
     def estimate(self, time: float) -> Estimate | None:
         """Return the filter's state predicted to control time `time` [s]."""
         predicted: FilterState | None = self._filter.predict(time)
         if predicted is None:
             return None
-        return Estimate(predicted.state, self.plant, predicted.covariance)
+        return Estimate(predicted.state, self.plant, predicted.covariance, predicted.drift)
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over changed settings; estimates that they do not concern are kept."""
@@ -91,12 +134,16 @@ class NoisyPoseEstimator:
         if settings.drive_lag != before.drive_lag:
             self._learnt = self._learnt.with_lag_prior(settings.drive_lag)
         if (settings.learning, settings.drive_lag) != (before.learning, before.drive_lag):
-            self._filter.set_parameters(self._parameters_in_use)
-        self._filter.noise = _pose_noise(settings)
+            self._paper.set_parameters(self._parameters_in_use)
+            self._drifting.set_parameters(self._parameters_in_use)
+        self._paper.noise = self._drifting.noise = _pose_noise(settings)
+        if settings.momentum != before.momentum:
+            self._drifting = self._with_drift()
 
     def forget(self) -> None:
         """Discard all poses; estimated parameters stay."""
-        self._filter.forget()
+        self._paper.forget()
+        self._drifting.forget()
 
     @property
     def _parameters_in_use(self) -> ParameterDistribution:

@@ -32,8 +32,8 @@ HISTORY = 64
 
 
 @dataclass(frozen=True, eq=False)
-class _Entry:
-    """A pose as measured and the filter's state after it."""
+class Entry:
+    """A pose as measured at control time `stamp` [s], and the filter's state after it."""
 
     stamp: float
     pose: Vector
@@ -53,6 +53,8 @@ class StateEstimator:
         Prior of the parameters; one without variance is taken as exact.
     noise : PoseNoise
         Measurement noise of the poses.
+    kind : type of FilterState, optional
+        Model of the filter.
     """
 
     def __init__(
@@ -61,13 +63,15 @@ class StateEstimator:
         scaling: ParameterScaling,
         parameters: ParameterDistribution,
         noise: PoseNoise,
+        kind: type[FilterState] = FilterState,
     ) -> None:
+        self._kind = kind
         self._sent = sent
         self._scaling = scaling
         self._parameters = parameters
         self.noise = noise
         """Measurement noise of the poses from now on."""
-        self._history: deque[_Entry] = deque(maxlen=HISTORY)
+        self._history: deque[Entry] = deque(maxlen=HISTORY)
         self.outliers = 0
         """Poses rejected since the start."""
         self.restarts = 0
@@ -82,6 +86,16 @@ class StateEstimator:
     def parameters(self) -> ParameterDistribution:
         """Distribution of the parameters after the last pose."""
         return self._parameters
+
+    @property
+    def entries(self) -> list[Entry]:
+        """Poses and states that are kept, oldest first."""
+        return list(self._history)
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood of the newest pose, up to a constant."""
+        return self._history[-1].after.likelihood if self._history else 0.0
 
     def disturbance(self, duration: float) -> float:
         """Return the standard deviation of a robot at rest after `duration` [s], each state."""
@@ -113,7 +127,7 @@ class StateEstimator:
             False if there is one of this time already or it is older than the history.
         """
         before = self._history.copy()
-        later: list[_Entry] = []
+        later: list[Entry] = []
         while self._history and self._history[-1].stamp > stamp:
             later.append(self._history.pop())
         known = bool(self._history) and self._history[-1].stamp == stamp
@@ -142,10 +156,10 @@ class StateEstimator:
             after, fused = before.updated(stamp, pose, self.noise, self._sent)
             if not fused:
                 after = self._after_outlier(after, stamp, pose)
-        self._history.append(_Entry(stamp, pose, after))
+        self._history.append(Entry(stamp, pose, after))
 
     def _at_pose(self, stamp: float, pose: Vector) -> FilterState:
-        return FilterState.at_pose(stamp, pose, self.noise, self._scaling, self._parameters)
+        return self._kind.at_pose(stamp, pose, self.noise, self._scaling, self._parameters)
 
     def _after_outlier(self, predicted: FilterState, stamp: float, pose: Vector) -> FilterState:
         """Return the prediction, or the state restarted from the last outliers."""

@@ -1,0 +1,106 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Extended Kalman filter with drift, in which pushes are looked for."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sphere_nmpc.estimation.drift_filter_state import PUSHED, DriftFilterState
+from sphere_nmpc.estimation.filter_state import PoseNoise
+from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.state_estimator import Entry, StateEstimator
+from sphere_nmpc.model.state import Vector
+
+_AGES = (2, 5, 10, 16)
+"""Ages of a push that are tried, in poses."""
+_SUSPICIOUS = 1.1
+"""Average innovation ratio above which a push is looked for."""
+_GAIN = 10.0
+"""Logarithm of the ratio of likelihoods above which a push is taken as the cause."""
+
+_BEFORE = 12
+"""Poses that the model without drift must have explained before a push."""
+
+
+class DriftStateEstimator(StateEstimator):
+    """`StateEstimator` whose model has drift.
+
+    A push leaves a few poses inside the gate until the motion shows. So where poses fit badly, the
+    newest ones are fused again after a jump of the momentum before them, and the better history is
+    kept (a generalised likelihood ratio test).
+
+    Parameters
+    ----------
+    sent, scaling, parameters, noise
+        As in `StateEstimator`.
+    """
+
+    def __init__(
+        self,
+        sent: SentInputs,
+        scaling: ParameterScaling,
+        parameters: ParameterDistribution,
+        noise: PoseNoise,
+    ) -> None:
+        super().__init__(sent, scaling, parameters, noise, DriftFilterState)
+        self.pushes = 0
+        """Pushes found since the start."""
+
+    def adopt(self, paper: StateEstimator) -> None:
+        """Continue from the filter of the paper's model and a push if that explains the poses.
+
+        A filter that has had little motion to learn from takes a push for a slope.
+        """
+        entries = paper.entries
+        tried: list[tuple[float, list[Entry]]] = []
+        for age in _AGES:
+            if age + _BEFORE < min(len(entries), len(self._history)):
+                base = entries[-age - 1]
+                start = DriftFilterState.from_paper(base.after, PUSHED)
+                found = self._fused_again(replace(base, after=start), entries[-age:])
+                own = _likelihood(list(self._history)[-age:])
+                tried.append((_likelihood(found[1:]) - own, found))
+        if not tried:
+            return
+        gain, found = max(tried, key=lambda one: one[0])
+        if gain > 0.0:
+            self._history.clear()
+            self._history.extend(found)
+            self._parameters = found[-1].after.parameters
+
+    def _fuse(self, stamp: float, pose: Vector) -> None:
+        before = list(self._history)
+        super()._fuse(stamp, pose)
+        newest = self._history[-1]
+        if newest.after.ratio < _SUSPICIOUS and not newest.after.outliers:
+            return
+        entries = [*before, newest]
+        tried = [self._after_push(entries, age) for age in _AGES if age < len(entries)]
+        if not tried:
+            return
+        gain, found = max(tried, key=lambda one: one[0])
+        if gain > _GAIN:
+            self.pushes += 1
+            self._history.clear()
+            self._history.extend(found)
+
+    def _after_push(self, entries: list[Entry], age: int) -> tuple[float, list[Entry]]:
+        """Return the entries if a push came `age` poses ago, and the gain of likelihood by it."""
+        base, again = entries[-age - 1], entries[-age:]
+        assert isinstance(base.after, DriftFilterState)
+        found = self._fused_again(replace(base, after=base.after.pushed()), again)
+        gain = _likelihood(found[1:]) - _likelihood(again)
+        return gain, [*entries[: -age - 1], *found]
+
+    def _fused_again(self, base: Entry, later: list[Entry]) -> list[Entry]:
+        """Return `base` and the entries after it, fused again."""
+        found, state = [base], replace(base.after, outliers=())
+        for entry in later:
+            state, _ = state.updated(entry.stamp, entry.pose, self.noise, self._sent)
+            found.append(replace(entry, after=state))
+        return found
+
+
+def _likelihood(entries: Sequence[Entry]) -> float:
+    return sum(entry.after.likelihood for entry in entries)

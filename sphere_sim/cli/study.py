@@ -17,8 +17,8 @@ from sphere_sim.world.settings import PLANTS
 
 if TYPE_CHECKING:
     from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
-    from sphere_sim.scenario.scenarios import Scenario
     from sphere_sim.study.conditions import StudyConditions
+    from sphere_sim.study.motion import Motion
 
 _KINDS = ("anywhere", "far", "circle", "half_turn", "upright")
 """Names of `sphere_sim.scenario.draws.DRAWS`, whose import would load NumPy; a test compares."""
@@ -72,14 +72,14 @@ def _run(arguments: argparse.Namespace) -> int:
     conditions = _conditions(arguments, strategies[0])
     study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
 
-    def search(scenarios: "Sequence[Scenario]") -> Sequence[float]:
+    def search(motions: "Sequence[Motion]") -> Sequence[float]:
         progress.close()
         left = (
             f"{arguments.out} has all results but the best known times; the same command "
             "continues the search"
         )
         with if_interrupted(lambda: left):
-            return best_known_times(scenarios, conditions.robot, workers)
+            return best_known_times(motions, conditions.robot, workers)
 
     runs = len(scenarios) * len(strategies)
     jobs = arguments.jobs or cores()

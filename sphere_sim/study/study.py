@@ -17,14 +17,15 @@ from sphere_sim.study.figure import FIGURES, describe, draw
 from sphere_sim.study.fingerprint import fingerprint
 from sphere_sim.study.journal import NAME as JOURNAL
 from sphere_sim.study.journal import Journal
+from sphere_sim.study.motion import Motion, motion_of
 from sphere_sim.study.record import RunRecord, Value
 from sphere_sim.study.single_run import prepare, run_scenario
 from sphere_sim.study.summary import summarise, with_ratios
 from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
 
-BestKnown = Callable[[Sequence[Scenario]], Sequence[float]]
-"""Returns the best known time of each scenario [s]."""
+BestKnown = Callable[[Sequence[Motion]], Sequence[float]]
+"""Returns the best known time of each motion [s]."""
 
 Observer = Callable[[RunRecord], None]
 """Called with each run, those recorded earlier included."""
@@ -98,11 +99,12 @@ class Study:
                 for name, journal in journals.items()
             }
             # The search for best known times may take long and be interrupted.
-            summaries, tables = self._write(folders, records, None)
+            summaries, tables = self._write(folders, records, {})
             for name, folder in folders.items():
                 write_inputs(folder / "inputs.npz", records[name])
             if best_known is not None:
-                summaries, tables = self._write(folders, records, best_known(self.scenarios))
+                times = self._best_known(best_known, records)
+                summaries, tables = self._write(folders, records, times)
             for folder, results in tables.items():
                 self._draw(folder, results, summaries)
         return summaries
@@ -132,6 +134,19 @@ class Study:
                 observer(record)
         return [journal.records[i] for i in range(len(self.scenarios))]
 
+    def _best_known(
+        self, search: BestKnown, records: Mapping[str, Sequence[RunRecord]]
+    ) -> dict[str, Sequence[float]]:
+        """Return the best known time of each run [s], by strategy."""
+        conditions = self.conditions
+        motions = [
+            motion_of(scenario, record, conditions.robot, conditions.disturbances)
+            for found in records.values()
+            for scenario, record in zip(self.scenarios, found, strict=True)
+        ]
+        times, runs = list(search(motions)), len(self.scenarios)
+        return {name: times[i * runs : (i + 1) * runs] for i, name in enumerate(records)}
+
     def _refuse_other_results(self, folders: Iterable[Path]) -> None:
         has_journals = any((folder / JOURNAL).exists() for folder in folders)
         alone = (self.folder / JOURNAL).exists()
@@ -144,11 +159,11 @@ class Study:
         self,
         folders: Mapping[str, Path],
         records: Mapping[str, Sequence[RunRecord]],
-        times: Sequence[float] | None,
+        times: Mapping[str, Sequence[float]],
     ) -> tuple[dict[str, dict[str, Any]], dict[Path, dict[str, list[dict[str, Value]]]]]:
         """Write all tables; return summaries by strategy and results by folder."""
         results = {
-            name: with_ratios([record.results for record in found], times)
+            name: with_ratios([record.results for record in found], times.get(name))
             for name, found in records.items()
         }
         summaries = {name: summarise(self.scenarios, found) for name, found in results.items()}

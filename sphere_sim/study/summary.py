@@ -37,8 +37,8 @@ def with_ratios(
     results : sequence of dict
         Of each run.
     best_known : sequence of float, optional
-        Best known time of each scenario [s]; nan where no motion was found, 0 where the start is
-        at the goal.
+        Best known time of each run [s], from its push on if there was one; nan where no motion was
+        found, 0 where the start is at the goal.
     """
     if best_known is None:
         return [dict(found) for found in results]
@@ -47,7 +47,7 @@ def with_ratios(
         added: dict[str, Value] = {}
         if seconds > 0.0:
             added["bound_s"] = seconds
-            settling = found.get("settle_time_s")
+            settling = found.get("recover_s", found.get("settle_time_s"))
             if isinstance(settling, float):
                 added["ratio"] = settling / seconds
         extended.append({**found, **added})

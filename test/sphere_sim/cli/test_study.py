@@ -14,7 +14,8 @@ from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
-from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.motion import Motion
 from sphere_sim.study.processes import Processes
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -154,7 +155,7 @@ def searched(tmp_path, monkeypatch) -> list[RobotParameters]:
     """Return a list of the robots whose best known times are searched, without a search."""
     robots: list[RobotParameters] = []
 
-    def search(scenario: Scenario, robot: RobotParameters) -> float:
+    def search(motion: Motion, robot: RobotParameters) -> float:
         robots.append(robot)
         return 1.0
 

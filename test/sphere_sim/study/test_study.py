@@ -17,11 +17,11 @@ from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.scenarios import (
     DISTURBANCE_COLUMNS,
     PUSH_COLUMNS,
-    Scenario,
     draw_scenarios,
 )
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
+from sphere_sim.study.motion import Motion
 from sphere_sim.study.record import PUSH_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
@@ -217,7 +217,7 @@ def test_strategies_side_by_side_keep_the_layout_of_one(done, tmp_path) -> None:
 
 
 def test_ratio_is_to_the_best_known_time_where_there_is_one(tmp_path) -> None:
-    def best_known(scenarios: list[Scenario]) -> list[float]:
+    def best_known(motions: list[Motion]) -> list[float]:
         return [0.5, float("nan"), 0.0]
 
     # Goals that are the start settle at once.
@@ -228,9 +228,25 @@ def test_ratio_is_to_the_best_known_time_where_there_is_one(tmp_path) -> None:
     assert [row["ratio"] for row in rows(tmp_path)] == ["0.0", "", ""]
 
 
+def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) -> None:
+    at_goal = replace(SCENARIOS[2], push=Push(0.5, (1e-9, 0.0)))
+    seen: list[Motion] = []
+
+    def best_known(motions: list[Motion]) -> list[float]:
+        seen.extend(motions)
+        return [0.5 * (i + 1) for i in range(len(motions))]
+
+    with Workers() as workers:
+        study = Study([at_goal, SCENARIOS[2]], SHORT, tmp_path, ("paper", "time_optimal"))
+        study.run(workers, best_known)
+    assert [motion.starts_at_rest for motion in seen] == [False, True] * 2
+    assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "1.0", "1.5", "2.0"]
+    assert [row["ratio"] for row in rows(tmp_path / "time_optimal")] == ["0.0"] * 2
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path, error) -> None:
-    def best_known(scenarios: list[Scenario]) -> list[float]:
+    def best_known(motions: list[Motion]) -> list[float]:
         raise error
 
     with pytest.raises((KeyboardInterrupt, OSError)), Workers() as workers:

@@ -1,0 +1,68 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Motion whose best known time a run is compared with."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.study.record import RunRecord
+from sphere_sim.world.disturbances import DisturbanceSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Start and goal of a motion; it ends at rest, with the momentum in the rotors.
+
+    Attributes
+    ----------
+    start, goal : ndarray, shape (6,)
+        States.
+    speeds : ndarray, shape (2,)
+        Rotor speeds at the start [rad/s].
+    drift : Drift
+        Momentum at the start, slope and imbalance.
+    """
+
+    start: Vector
+    goal: Vector
+    speeds: Vector = field(default_factory=lambda: np.zeros(INPUT_SIZE))
+    drift: Drift = NO_DRIFT
+
+    @property
+    def starts_at_rest(self) -> bool:
+        """Whether the sphere is at rest at the start."""
+        held = self.drift.in_body(self.start[QUATERNION])
+        return bool(np.array_equal(held, [*self.speeds, 0.0]))
+
+
+def motion_of(
+    scenario: Scenario, record: RunRecord, robot: RobotParameters, settings: DisturbanceSettings
+) -> Motion:
+    """Return the motion of a run: from its push on if there was one, otherwise from its start.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Start, goal and disturbances of the run.
+    record : RunRecord
+        The run.
+    robot : RobotParameters
+        Robot without errors of its parameters.
+    settings : DisturbanceSettings
+        Disturbances of all runs; the scenario's replace them.
+    """
+    settings = replace(settings, **scenario.disturbances)
+    drift = Drift(
+        slope=slope_torque(robot, settings.slope, settings.slope_direction),
+        imbalance=imbalance_of_offset(robot, np.array(settings.mass_offset)),
+    )
+    if not record.at_push.size:
+        return Motion(scenario.start, scenario.goal, drift=drift)
+    state, speeds, momentum = np.split(record.at_push, (6, 8))
+    drift = replace(drift, momentum=momentum / robot.rotor_axial_inertia)
+    return Motion(state, scenario.goal, speeds, drift)

@@ -60,8 +60,8 @@ _SCALE = np.concatenate((PRIOR_DEVIATION, np.full(3, 30.0), np.full(3, 30.0), np
 """Scale of changes of the unknowns."""
 _STILL_LINEAR = 3e-3
 """Change in that scale up to which a linearisation is kept."""
-_LARGEST = 500.0
-"""Bound of momentum [rad/s], slope and imbalance [rad/s^2], so that no fit diverges."""
+_LARGEST = np.array([50.0, 300.0, 300.0, 300.0, 200.0, 200.0])
+"""Bounds of imbalance [rad/s^2], momentum [rad/s] and slope [rad/s^2], so that no fit diverges."""
 _CONVERGED = 3e-4
 """Change in that scale at which the iteration ends."""
 _SURPRISE = 100.0
@@ -212,15 +212,21 @@ class DriftFit:
         before = self._unknowns
         self._fit()
         if surprise > _NOTICEABLE and self._is_surprising(step):
-            self._unknowns = before
             step.pushed = True
-            self._fit()
-            if float(np.linalg.norm(step.error)) > _EXPLAINED * surprise:
-                self._unknowns = before
+            self._fit_again(before)
+            # Also false where the fit did not end in numbers.
+            if not float(np.linalg.norm(step.error)) < _EXPLAINED * surprise:
                 step.pushed, step.left_out = False, True
-                self._fit()
+                self._fit_again(before)
         self.pushes += int(step.pushed)
         self._adapt()
+
+    def _fit_again(self, unknowns: Vector) -> None:
+        """Fit from other unknowns, after another explanation of the newest transition."""
+        self._unknowns = unknowns
+        for step in self._steps:
+            step.error = np.zeros(ERROR)
+        self._fit()
 
     def _is_surprising(self, step: _Step) -> bool:
         """Return whether the newest transition or the change before it is not due to noise."""
@@ -233,19 +239,21 @@ class DriftFit:
                 after = before.prediction.moved_to(self._unknowns[at])[ERROR:]
                 change = self._unknowns[knot(index)] - after
                 found += float(np.sum((change / _WALK) ** 2)) / before.transition.duration
-        return found > _SURPRISE
+        return not found < _SURPRISE
 
     def _fit(self) -> None:
         for _ in range(_ITERATIONS):
             step = self._built().step()
             moved = self._unknowns + step
-            moved = np.clip(moved, -_LARGEST, _LARGEST)
             moved[PARAMETERS] = self._scaling.within(moved[PARAMETERS])
+            moved[IMBALANCE] = np.clip(moved[IMBALANCE], -_LARGEST[0], _LARGEST[0])
+            knots = moved[COMMON:].reshape(-1, KNOT)
+            moved[COMMON:] = np.clip(knots, -_LARGEST[1:], _LARGEST[1:]).ravel()
             change = np.abs(moved - self._unknowns)
             self._unknowns = moved
             common = np.max(change[:COMMON] / _SCALE[:COMMON])
-            knots = np.max(change[COMMON:].reshape(-1, KNOT) / _SCALE[COMMON:])
-            if max(common, knots) < _CONVERGED:
+            changed = np.max(change[COMMON:].reshape(-1, KNOT) / _SCALE[COMMON:])
+            if max(common, changed) < _CONVERGED:
                 break
         self._equations = self._built()
 

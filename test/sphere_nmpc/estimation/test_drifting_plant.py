@@ -1,0 +1,190 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Momentum, slope and imbalance from exact transitions of a plant with wrong constants.
+
+The transitions are exact to the integrator's error, about 1e-5 in a quarter of a second, and a
+momentum of 1 rad/s moves the sphere by 5e-3 in that time: it is seen to about 2e-3 rad/s, and a
+slope within a second to 1e-2 rad/s^2. Tolerances are five to ten times that.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation.drifting_plant import DriftingPlantEstimator
+from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
+from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.model.drift import (
+    NO_DRIFT,
+    Drift,
+    imbalance_of_offset,
+    momentum_of_push,
+    slope_torque,
+)
+from sphere_nmpc.model.integrator import integrate_with_drift
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, as_state
+from sphere_sim.scenario.perturbation import perturbed
+
+NOMINAL = RobotParameters()
+PERIOD = 0.25
+MOMENTUM_TOLERANCE = 0.02
+SLOPE_TOLERANCE = 0.1
+SLOPE = slope_torque(NOMINAL, np.radians(0.1), 0.7)
+IMBALANCE = imbalance_of_offset(NOMINAL, np.array([3e-4, -4e-4, 5e-4]))
+PUSH = momentum_of_push(NOMINAL, np.array([0.4, 0.3]))
+
+
+class Robot:
+    """A robot with drift, and the estimator that watches it."""
+
+    def __init__(
+        self, percent: float = 3.0, drift: Drift = NO_DRIFT, noise: float = 0.0, seed: int = 1
+    ) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.robot = perturbed(NOMINAL, percent / 100.0, np.random.default_rng(seed + 100))
+        self.constants = self.robot.lumped.as_array()
+        self.state = as_state([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        self.drift, self.noise = drift, noise
+        self.speeds: Vector = np.zeros(2)
+        self.time = 0.0
+        mean = ParameterDistribution.prior(0.0).mean
+        self.estimator = DriftingPlantEstimator(NOMINAL.lumped, mean, True)
+
+    def roll(self, transitions: int, push: Vector | None = None, share: float = 0.4) -> None:
+        """Follow random ramps; a push comes after a share of the first transition."""
+        for _ in range(transitions):
+            self.move(self.rng.uniform(-60.0, 60.0, 2), push, share)
+            push = None
+
+    def rest(self, transitions: int) -> None:
+        """Hold the momentum with the rotors."""
+        for _ in range(transitions):
+            quaternion = self.state[2:]
+            after = self.drift.after_rest(quaternion, PERIOD)
+            self.move(after.rest_speeds(quaternion))
+
+    def move(self, speeds: Vector, push: Vector | None = None, share: float = 1.0) -> None:
+        start, end, since = self.state, self.state, self.speeds
+        middle = since + share * (speeds - since)
+        for here, there, part in ((since, middle, share), (middle, speeds, 1.0 - share)):
+            if part > 0.0:
+                end, momentum = integrate_with_drift(
+                    end, self.drift, here, there, part * PERIOD, self.constants, 0.01
+                )
+                self.drift = replace(self.drift, momentum=momentum)
+            if push is not None:
+                self.drift = replace(self.drift, momentum=self.drift.momentum + push)
+                push = None
+        if self.noise:
+            end = end + self.noise * self.rng.normal(size=6)
+            end[2:] /= np.linalg.norm(end[2:])
+        self.show(start, end, np.vstack((since, speeds)))
+        self.state, self.speeds = end, speeds
+
+    def show(self, start: Vector, end: Vector, inputs: Vector) -> None:
+        connected, self.time = self.time > 0.0, self.time + PERIOD
+        transition = Transition(start, end, np.array([PERIOD]), inputs)
+        self.estimator.observe(transition, self.time, connected)
+
+    @property
+    def found(self) -> Drift:
+        return self.estimator.result.drift
+
+    def momentum_error(self) -> float:
+        return float(np.linalg.norm(self.found.momentum - self.drift.momentum))
+
+
+@pytest.mark.parametrize("percent", [0.0, 3.0, 10.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_nothing_is_invented_on_a_level_floor(percent: float, noise: float) -> None:
+    for seed in range(3):
+        robot = Robot(percent, noise=noise, seed=seed)
+        for _ in range(16):
+            robot.roll(1)
+            assert robot.found is NO_DRIFT
+        robot.move(np.zeros(2))
+        robot.rest(10)
+        assert robot.found is NO_DRIFT
+
+
+@pytest.mark.parametrize("percent", [3.0, 10.0])
+def test_slope_is_found_in_motion(percent: float) -> None:
+    for seed in range(3):
+        robot = Robot(percent, Drift(slope=SLOPE), seed=seed)
+        robot.roll(12)
+        assert robot.momentum_error() < MOMENTUM_TOLERANCE
+        np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
+        np.testing.assert_allclose(robot.found.imbalance, 0.0, atol=SLOPE_TOLERANCE)
+
+
+def test_momentum_slope_and_imbalance_are_found_together() -> None:
+    robot = Robot(3.0, Drift(PUSH, SLOPE, IMBALANCE))
+    robot.roll(16)
+    assert robot.momentum_error() < MOMENTUM_TOLERANCE
+    np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
+    np.testing.assert_allclose(robot.found.imbalance, IMBALANCE, atol=SLOPE_TOLERANCE)
+
+
+def test_slope_is_found_while_the_rotors_stand_still() -> None:
+    robot = Robot(3.0, Drift(slope=SLOPE))
+    for _ in range(8):
+        robot.move(np.zeros(2))
+    # Without motion of the rotors the gain c1 is as good as its prior of 3 %.
+    assert robot.momentum_error() < 0.1 * np.linalg.norm(robot.drift.momentum)
+
+
+def test_long_rest_on_a_slope_loses_nothing() -> None:
+    robot = Robot(3.0, Drift(slope=0.05 * SLOPE))
+    robot.roll(12)
+    before = robot.estimator.result
+    robot.rest(240)
+    after = robot.estimator.result
+    assert robot.momentum_error() < MOMENTUM_TOLERANCE
+    true = robot.robot.lumped.as_array()
+    for result in (before, after):
+        np.testing.assert_allclose(result.plant.constants.as_array(), true, rtol=2e-3)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_push_is_recognised_within_two_samples(share: float) -> None:
+    for seed in range(3):
+        robot = Robot(3.0, seed=seed)
+        robot.roll(8)
+        assert robot.found is NO_DRIFT
+        robot.roll(2, PUSH, share)
+        assert robot.momentum_error() < 0.02 * np.linalg.norm(PUSH)
+        assert robot.estimator.result.plant.noise < 1e-4
+        robot.roll(6)
+        assert robot.momentum_error() < MOMENTUM_TOLERANCE
+
+
+def test_second_push_is_recognised_too() -> None:
+    robot = Robot(3.0)
+    robot.roll(8)
+    robot.roll(6, PUSH)
+    robot.roll(2, -2.0 * PUSH)
+    assert robot.momentum_error() < 0.02 * np.linalg.norm(PUSH)
+
+
+def test_robot_that_was_carried_is_no_push() -> None:
+    robot = Robot(3.0)
+    robot.roll(8)
+    carried = robot.state + np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
+    robot.show(robot.state, carried, np.vstack((robot.speeds, robot.speeds)))
+    robot.state = carried
+    assert robot.found is NO_DRIFT
+    robot.roll(4)
+    assert robot.found is NO_DRIFT
+
+
+def test_drift_that_is_gone_is_no_longer_published() -> None:
+    robot = Robot(3.0)
+    robot.roll(8)
+    robot.roll(6, PUSH)
+    assert robot.found is not NO_DRIFT
+    robot.roll(4, -PUSH)
+    robot.rest(1)
+    robot.roll(14)
+    assert np.linalg.norm(robot.found.momentum) < MOMENTUM_TOLERANCE

@@ -25,6 +25,7 @@ from sphere_nmpc.estimation.drift_equations import (
     knot,
 )
 from sphere_nmpc.estimation.plant_parameters import (
+    LAG,
     LAG_PRIOR,
     PRIOR_DEVIATION,
     ParameterDistribution,
@@ -112,10 +113,8 @@ class DriftFit:
         self._nominal = nominal
         self._scaling = ParameterScaling(nominal)
         deviations = np.concatenate((PRIOR_DEVIATION, _PRIOR))
-        self._prior = Gaussian(np.concatenate((mean, np.zeros(8))), np.diag(deviations**-2.0))
-        self._unknowns: Vector = self._prior.mean
-        self._steps: list[_Step] = []
-        self._equations = NormalEquations(self._unknowns, self._prior)
+        self._steps: list[_Step]
+        self._restart(Gaussian(np.concatenate((mean, np.zeros(8))), np.diag(deviations**-2.0)))
         self._inflation = 1.0
         self.pushes = 0
         """Transitions explained by a push."""
@@ -143,18 +142,23 @@ class DriftFit:
 
     def restarted(self, lag: float) -> "DriftFit":
         """Return a new fit with the present constants and drift, and another lag [s] as prior."""
-        new = DriftFit(self._nominal, self._prior.mean[PARAMETERS])
-        new._prior = self._equations.marginal(len(self._steps))
-        parameters = self.parameters.with_lag_prior(lag)
-        covariance = np.linalg.inv(new._prior.information)
-        covariance[4, :] = covariance[:, 4] = 0.0
-        covariance[4, 4] = parameters.covariance[4, 4]
-        mean = new._prior.mean.copy()
-        mean[PARAMETERS] = parameters.mean
-        new._prior = Gaussian(mean, np.linalg.inv(covariance))
-        new._unknowns = mean
-        new._equations = NormalEquations(mean, new._prior)
+        known = self._summary
+        covariance = np.asarray(np.linalg.inv(known.information), dtype=float)
+        mean = known.mean.copy()
+        parameters = ParameterDistribution(mean[PARAMETERS], covariance[PARAMETERS, PARAMETERS])
+        mean[PARAMETERS] = parameters.with_lag_prior(lag).mean
+        covariance[LAG, :] = covariance[:, LAG] = 0.0
+        covariance[LAG, LAG] = PRIOR_DEVIATION[LAG] ** 2
+        new = DriftFit(self._nominal, mean[PARAMETERS])
+        new._restart(Gaussian(mean, np.linalg.inv(covariance)))
         return new
+
+    def _restart(self, known: Gaussian) -> None:
+        """Begin an empty window with a distribution of common unknowns and first knot."""
+        self._prior = self._summary = known
+        self._unknowns = known.mean
+        self._steps = []
+        self._equations = NormalEquations(self._unknowns, known)
 
     @property
     def innovation(self) -> float:
@@ -162,9 +166,14 @@ class DriftFit:
         return self._steps[-1].innovation
 
     @property
-    def clearly_pushed(self) -> bool:
-        """Whether one of the two newest transitions was pushed, other errors being small."""
-        return self._inflation < _CLEAR and any(step.pushed for step in self._steps[-2:])
+    def clear(self) -> bool:
+        """Whether other causes of errors than drift are small."""
+        return self._inflation < _CLEAR
+
+    @property
+    def pushed(self) -> bool:
+        """Whether one of the two newest transitions was pushed."""
+        return any(step.pushed for step in self._steps[-2:])
 
     def evidence(self, paper: Vector) -> tuple[float, float]:
         """Return how much better the window is explained with drift than without.
@@ -198,6 +207,14 @@ class DriftFit:
 
         `connected` says whether it starts where the last one ended.
         """
+        try:
+            self._take(transition, connected)
+        except Exception:
+            # The momentum at the end of this transition remains unknown.
+            self._restart(_forgotten(self._summary, np.zeros(COMMON), _PUSH**2))
+            raise
+
+    def _take(self, transition: Transition, connected: bool) -> None:
         if not connected:
             self._disconnect()
         while len(self._steps) >= _WINDOW:
@@ -220,6 +237,7 @@ class DriftFit:
                 self._fit_again(before)
         self.pushes += int(step.pushed)
         self._adapt()
+        self._summary = self._equations.marginal(len(self._steps))
 
     def _fit_again(self, unknowns: Vector) -> None:
         """Fit from other unknowns, after another explanation of the newest transition."""
@@ -253,7 +271,7 @@ class DriftFit:
             self._unknowns = moved
             common = np.max(change[:COMMON] / _SCALE[:COMMON])
             changed = np.max(change[COMMON:].reshape(-1, KNOT) / _SCALE[COMMON:])
-            if max(common, changed) < _CONVERGED:
+            if max(common, changed) < _CONVERGED * self._tolerance:
                 break
         self._equations = self._built()
 
@@ -264,10 +282,19 @@ class DriftFit:
         for index, step in enumerate(self._steps[:count]):
             at = self._unknowns[np.r_[0:COMMON, knot(index)]]
             known = step.prediction
-            if known is None or np.max(np.abs(at - known.at) / _SCALE) > _STILL_LINEAR:
+            if known is None or self._left(known, at):
                 known = step.prediction = self._predicted(step.transition, at)
             step.error = equations.add(index, known, self._weights(index))
         return equations
+
+    @property
+    def _tolerance(self) -> float:
+        """Factor on the accuracy of the fit: with more noise less is enough."""
+        return min(30.0, float(np.sqrt(self._inflation)))
+
+    def _left(self, known: Prediction, at: Vector) -> bool:
+        """Return whether the unknowns have left the range of a linearisation."""
+        return bool(np.max(np.abs(at - known.at) / _SCALE) > _STILL_LINEAR * self._tolerance)
 
     def _weights(self, index: int) -> Weights:
         step, newest = self._steps[index], index + 1 == len(self._steps)
@@ -296,9 +323,7 @@ class DriftFit:
         """Sum up the whole window; what happened since is unknown."""
         if self._steps:
             marginal = self._built().marginal(len(self._steps))
-            self._prior = _forgotten(marginal, np.zeros(COMMON), _PUSH**2)
-            self._unknowns = self._prior.mean
-            self._steps.clear()
+            self._restart(_forgotten(marginal, np.zeros(COMMON), _PUSH**2))
 
     def _adapt(self) -> None:
         """Adapt the inflation of the noise to the errors of the fit."""
@@ -334,8 +359,8 @@ class DriftFit:
         # A longer lag adds motion before the transition and takes motion from its end.
         rates = state_rates_with_momentum
         begun = rates(transition.start, drift.momentum, speeds[0], constants)
-        by_unknowns[:8, 4] = LAG_PRIOR * (end.by_start[:, :5] @ begun)
-        by_unknowns[:5, 4] -= LAG_PRIOR * rates(end.state, end.momentum, speeds[-1], constants)
+        by_unknowns[:8, LAG] = LAG_PRIOR * (end.by_start[:, :5] @ begun)
+        by_unknowns[:5, LAG] -= LAG_PRIOR * rates(end.state, end.momentum, speeds[-1], constants)
         by_unknowns[:8, IMBALANCE] = end.by_torques[:, 2:]
         by_unknowns[:8, COMMON : COMMON + 3] = end.by_start[:, 5:]
         by_unknowns[:8, COMMON + 3 :] = end.by_torques[:, :2]

@@ -31,6 +31,9 @@ VANISHES = 3.0
 _COMPARED = 6
 """Transitions whose predictions with and without drift are compared."""
 
+_CONFIRMED = 3
+"""Transitions that drift has to predict better where slip or process noise blur them."""
+
 
 @dataclass(frozen=True, eq=False)
 class DriftingPlant:
@@ -107,24 +110,29 @@ class DriftingPlantEstimator:
         """Fit both models where they are in use or may be, and choose between them."""
         drifting = self._drifting
         without = drifting.error_without_drift(transition, self._parameters.mean)
-        drifting.observe(transition, connected)
-        self._innovations.append((without, drifting.innovation))
         if not self._drifts:
             self._paper.observe(transition)
+        drifting.observe(transition, connected)
+        self._innovations.append((without, drifting.innovation))
         gain, occam = drifting.evidence(self._parameters.mean)
         if self._drifts:
             self._drifts = gain > VANISHES and self._predicts_better()
             if not self._drifts:
                 self._paper = PlantEstimator(self._nominal, drifting.parameters.mean)
-        elif gain - occam > APPEARS and (
-            drifting.clearly_pushed or drifting.innovation < 0.5 * without
-        ):
+        elif gain - occam > APPEARS and self._is_convincing():
             self._drifts = True
             self._innovations.clear()
 
     @property
     def _parameters(self) -> ParameterDistribution:
         return (self._drifting if self._drifts else self._paper).parameters
+
+    def _is_convincing(self) -> bool:
+        """Return whether a push was seen clearly, or drift has predicted much better."""
+        if self._drifting.clear and self._drifting.pushed:
+            return True
+        newest = list(self._innovations)[-1 if self._drifting.clear else -_CONFIRMED :]
+        return all(found < 0.5 * without for without, found in newest)
 
     def _predicts_better(self) -> bool:
         """Return whether drift has improved the predictions."""

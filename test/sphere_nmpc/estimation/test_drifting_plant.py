@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphere_nmpc.estimation.drift_equations import NormalEquations
 from sphere_nmpc.estimation.drifting_plant import DriftingPlantEstimator
+from sphere_nmpc.estimation.plant_estimator import PlantEstimator
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import (
@@ -51,6 +53,7 @@ class Robot:
         self.time = 0.0
         mean = ParameterDistribution.prior(0.0).mean
         self.estimator = DriftingPlantEstimator(NOMINAL.lumped, mean, True)
+        self.paper = PlantEstimator(NOMINAL.lumped, mean)
 
     def roll(self, transitions: int, push: Vector | None = None, share: float = 0.4) -> None:
         """Follow random ramps; a push comes after a share of the first transition."""
@@ -86,6 +89,7 @@ class Robot:
     def show(self, start: Vector, end: Vector, inputs: Vector) -> None:
         connected, self.time = self.time > 0.0, self.time + PERIOD
         transition = Transition(start, end, np.array([PERIOD]), inputs)
+        self.paper.observe(transition)
         self.estimator.observe(transition, self.time, connected)
 
     @property
@@ -107,6 +111,9 @@ def test_nothing_is_invented_on_a_level_floor(percent: float, noise: float) -> N
         robot.move(np.zeros(2))
         robot.rest(10)
         assert robot.found is NO_DRIFT
+        plant = robot.estimator.result.plant
+        assert plant.constants == robot.paper.estimate.constants, "equal to the bit"
+        assert plant.noise == robot.paper.estimate.noise
 
 
 @pytest.mark.parametrize("percent", [3.0, 10.0])
@@ -188,3 +195,28 @@ def test_drift_that_is_gone_is_no_longer_published() -> None:
     robot.rest(1)
     robot.roll(14)
     assert np.linalg.norm(robot.found.momentum) < MOMENTUM_TOLERANCE
+
+
+def test_changed_lag_keeps_the_drift() -> None:
+    robot = Robot(3.0, Drift(slope=SLOPE))
+    robot.roll(12)
+    before = robot.estimator.result
+    robot.estimator = robot.estimator.restarted(0.01)
+    after = robot.estimator.result
+    np.testing.assert_allclose(after.drift.as_array(), before.drift.as_array(), atol=1e-6)
+    assert after.plant.lag == pytest.approx(0.01)
+
+
+def test_update_that_fails_does_not_break_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Robot(3.0, Drift(slope=SLOPE))
+    robot.roll(10)
+
+    def fail(self: NormalEquations) -> Vector:
+        raise np.linalg.LinAlgError("singular")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(NormalEquations, "step", fail)
+        with pytest.raises(np.linalg.LinAlgError):
+            robot.roll(1)
+    robot.roll(8)
+    np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)

@@ -1,0 +1,158 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Both estimators behind the contract on a robot that is pushed or stands on a slope."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation.contract import Estimate, Estimator
+from sphere_nmpc.estimation.factory import make_estimator
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.drift import NO_DRIFT, Drift, momentum_of_push, slope_torque
+from sphere_nmpc.model.error_state import apply_error
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.settings import ControllerSettings
+
+ROBOT = RobotParameters()
+CONSTANTS = ROBOT.lumped.as_array() * np.array([1.0, 1.03, 0.99, 1.01])
+START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
+EXACT = ControllerSettings()
+NOISY = ControllerSettings(pose_position_noise=5e-3, pose_orientation_noise=float(np.radians(1.0)))
+BOTH = pytest.mark.parametrize("settings", [EXACT, NOISY], ids=["exact", "noisy"])
+EXACT_PERIOD, NOISY_PERIOD = 0.25, 0.05
+SLOPE = slope_torque(ROBOT, np.radians(0.3), -1.0)
+PUSH = momentum_of_push(ROBOT, np.array([0.3, -0.4]))
+PUSH_TIME = 3.1
+
+
+class Run:
+    """A robot that follows ramps, and the estimator that sees its poses."""
+
+    def __init__(self, settings: ControllerSettings, drift: Drift, seed: int = 1) -> None:
+        rng = np.random.default_rng(seed)
+        times = np.arange(0.0, 20.0, 0.5)
+        speeds = rng.uniform(-60.0, 60.0, (times.size, 2))
+        speeds[0] = 0.0
+        self.sent = SentInputs()
+        self.sent.record(FirstOrderHold(times, speeds))
+        self.estimator: Estimator = make_estimator(settings, ROBOT.lumped, self.sent)
+        self.noisy = settings.pose_position_noise > 0.0
+        self.deviations = np.array(
+            [settings.pose_position_noise] * 2 + [settings.pose_orientation_noise] * 3
+        )
+        self.rng, self.time, self.state, self.drift = rng, 0.0, START, drift
+        self.observe()
+
+    def observe(self) -> None:
+        pose = apply_error(self.state, self.deviations * self.rng.normal(size=5))
+        assert self.estimator.observe(self.time, pose)
+        self.estimate: Estimate = self.estimated(self.time)
+
+    def estimated(self, time: float) -> Estimate:
+        found = self.estimator.estimate(time)
+        assert found is not None
+        return found
+
+    def advance(self, until: float) -> None:
+        self.state, self.drift = self.sent.predict_with_drift(
+            self.state, self.drift, self.time, until, CONSTANTS, 0.02
+        )
+        self.time = until
+
+    def go(self, until: float, push: Vector | None = None) -> None:
+        """Continue to a time [s]; the push comes at `PUSH_TIME`."""
+        period = NOISY_PERIOD if self.noisy else EXACT_PERIOD
+        first, last = round(self.time / period) + 1, round(until / period)
+        for k in range(first, last + 1):
+            if push is not None and k * period >= PUSH_TIME:
+                self.advance(PUSH_TIME)
+                self.drift = replace(self.drift, momentum=self.drift.momentum + push)
+                push = None
+            self.advance(k * period)
+            self.observe()
+
+    def momentum_error(self) -> float:
+        return float(np.linalg.norm(self.estimate.drift.momentum - self.drift.momentum))
+
+
+@BOTH
+def test_nothing_is_invented(settings: ControllerSettings) -> None:
+    for seed in range(3):
+        run, paper = (Run(one, NO_DRIFT, seed) for one in (settings, replace(
+            settings, momentum=False
+        )))
+        for until in range(1, 8):
+            run.go(float(until))
+            paper.go(float(until))
+            assert run.estimate.drift.is_zero
+            np.testing.assert_array_equal(run.estimate.state, paper.estimate.state)
+            assert run.estimate.plant.constants == paper.estimate.plant.constants
+
+
+@BOTH
+def test_slope_and_momentum_are_estimated(settings: ControllerSettings) -> None:
+    # Noise of 5 mm and 1 degree at 20 Hz: the rate of turn of a second is known to 0.01 rad/s,
+    # that is the momentum to 0.6 rad/s; four seconds improve it, wrong constants do not.
+    momentum, slope = (2.0, 0.8) if settings is NOISY else (0.05, 0.1)
+    run = Run(settings, Drift(slope=SLOPE))
+    run.go(6.0)
+    assert run.momentum_error() < momentum
+    np.testing.assert_allclose(run.estimate.drift.slope, SLOPE, atol=slope)
+
+
+@BOTH
+def test_push_is_estimated(settings: ControllerSettings) -> None:
+    for seed in range(3):
+        run = Run(settings, NO_DRIFT, seed)
+        run.go(3.0)
+        assert run.estimate.drift.is_zero
+        run.go(6.0, PUSH)
+        assert run.momentum_error() < (3.0 if settings is NOISY else 0.05)
+
+
+@BOTH
+def test_drift_is_predicted_to_the_time_of_the_estimate(settings: ControllerSettings) -> None:
+    run = Run(settings, Drift(slope=SLOPE))
+    run.go(6.0)
+    now, later = run.estimate, run.estimated(run.time + 0.4)
+    gained = later.drift.momentum - now.drift.momentum
+    # The imbalance that is estimated beside the slope is within its own error of zero.
+    np.testing.assert_allclose(gained[:2], 0.4 * SLOPE, atol=0.4)
+
+
+@BOTH
+def test_momentum_is_switched_on_and_off_while_running(settings: ControllerSettings) -> None:
+    run = Run(settings, Drift(slope=SLOPE))
+    run.go(6.0)
+    assert not run.estimate.drift.is_zero
+    run.estimator.change(replace(settings, momentum=False))
+    assert run.estimated(run.time).drift.is_zero
+    run.go(8.0)
+    assert run.estimate.drift.is_zero
+    run.estimator.change(settings)
+    run.go(14.0)
+    assert not run.estimate.drift.is_zero
+
+
+@BOTH
+def test_without_learning_drift_is_estimated_with_the_constants_as_built(
+    settings: ControllerSettings,
+) -> None:
+    run = Run(replace(settings, learning=False), Drift(slope=SLOPE))
+    run.go(6.0)
+    assert run.estimate.plant.constants == ROBOT.lumped
+    assert run.momentum_error() < 0.2 * np.linalg.norm(run.drift.momentum)
+
+
+@BOTH
+def test_drift_survives_forgotten_poses(settings: ControllerSettings) -> None:
+    run = Run(settings, Drift(slope=SLOPE))
+    run.go(6.0)
+    run.estimator.forget()
+    run.observe()
+    run.go(12.0)
+    assert run.momentum_error() < (4.0 if settings is NOISY else 0.05)

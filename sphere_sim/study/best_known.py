@@ -9,12 +9,14 @@ The true minimum time may be shorter.
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
 from sphere_nmpc.cache import cache_folder
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import nearer_sign, state_error
 from sphere_nmpc.model.torque import within_torque
@@ -24,7 +26,7 @@ from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.study.best_known_cache import BestKnownCache
-from sphere_sim.study.motion import Motion
+from sphere_sim.study.motion import AT_REST, Motion
 from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
 
@@ -41,8 +43,10 @@ GRIDS = (0.25, 0.125, 0.0625)
 """Spacing of the knots [s], coarse to fine; the search uses the first."""
 _STEP = 0.0625
 """Longest integration step of the final motion [s]."""
-_REST_SPEED = 0.5
-"""Error of the rotor speeds at rest of the final motion [rad/s]."""
+_ITERATIONS = 40
+"""Cap on the iterations of a solve on a finer grid."""
+_DRIFT_STEPS = 16
+"""Steps in which the drift is raised."""
 _STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1)
 """Factors of the duration that are tried in turn on a finer grid [-]."""
 _LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
@@ -68,8 +72,7 @@ def best_known_time(motion: Motion, robot: RobotParameters) -> float:
     )
     earliest = float("nan")
     for seed in range(SEARCHES):
-        search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
-        arrival = search.improve(EFFORT)
+        arrival = _searched(situation, robot, seed)
         for period in GRIDS[1:]:
             if arrival is not None:
                 arrival = _refined(arrival, period, situation, robot)
@@ -78,27 +81,58 @@ def best_known_time(motion: Motion, robot: RobotParameters) -> float:
     return earliest
 
 
+def _searched(situation: Situation, robot: RobotParameters, seed: int) -> Arrival | None:
+    """Return the earliest arrival that a search finds on the coarsest grid.
+
+    Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
+    without drift, from which the drift is raised in steps.
+    """
+    search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
+    arrival = search.improve(EFFORT)
+    is_there = state_error(situation.state, situation.goal) < SETTLED_ERROR
+    if situation.drift.is_zero or is_there:  # without drift it would be there in no time
+        return arrival
+    raised = _searched(replace(situation, drift=NO_DRIFT), robot, seed)
+    solver = ArrivalSolver(robot, GRIDS[0], _accuracy(2 * _ITERATIONS), _TUNING)
+    for step in range(1, _DRIFT_STEPS + 1):
+        if raised is not None:
+            drift = Drift.from_array(step / _DRIFT_STEPS * situation.drift.as_array())
+            raised = _stretched(solver, raised, GRIDS[0], replace(situation, drift=drift))
+    if raised is not None:
+        search.start_from(raised)
+    return search.improve(EFFORT)
+
+
+def _accuracy(iterations: int) -> Accuracy:
+    return Accuracy(iterations, _STEP, 0.1 * _TUNING.coarse_error, AT_REST)
+
+
+def _stretched(
+    solver: ArrivalSolver, guess: Arrival, period: float, situation: Situation
+) -> Arrival | None:
+    """Return an arrival in the shortest of `_STRETCHES` that has one; None where none has."""
+    for stretch in _STRETCHES:
+        duration = stretch * guess.duration
+        found = solver.solve(situation, guess.goal, duration, guess.hold, period)
+        if found.error <= _TUNING.coarse_error:
+            return found
+    return None
+
+
 def _refined(
     arrival: Arrival, period: float, situation: Situation, robot: RobotParameters
 ) -> Arrival | None:
     """Return a shorter arrival with knots `period` [s] apart; None where there is none."""
-    tolerance = _TUNING.coarse_error
-    accuracy = Accuracy(40, _STEP, 0.1 * tolerance, _REST_SPEED)
-    solver = ArrivalSolver(robot, period, accuracy, _TUNING)
-
-    def solve(duration: float, guess: Arrival) -> Arrival | None:
-        found = solver.solve(situation, guess.goal, duration, guess.hold, period)
-        return found if found.error <= tolerance else None
-
+    solver = ArrivalSolver(robot, period, _accuracy(_ITERATIONS), _TUNING)
     # The search integrates with coarse steps: its arrival may have to be slightly later.
-    stretched = (solve(stretch * arrival.duration, arrival) for stretch in _STRETCHES)
-    best = next((found for found in stretched if found is not None), None)
+    best = _stretched(solver, arrival, period, situation)
     if best is None:
         return None
     share = _LARGEST_SHARE
     while share > _SMALLEST_SHARE:
-        shorter = solve((1.0 - share) * best.duration, best)
-        if shorter is None:
+        duration = (1.0 - share) * best.duration
+        shorter = solver.solve(situation, best.goal, duration, best.hold, period)
+        if shorter.error > _TUNING.coarse_error:
             share *= 0.5
         else:
             best = shorter
@@ -148,7 +182,7 @@ def _key(motion: Motion, robot: RobotParameters) -> str:
     limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
     search = (SEARCH_VERSION, SEARCHES, EFFORT, *GRIDS)
     numbers = [*motion.start, *motion.goal, *robot.lumped.as_array(), *limits, *search]
-    if not (motion.drift.is_zero and motion.starts_at_rest):
-        numbers += [*motion.speeds, *motion.drift.as_array()]
+    if motion.speeds.any() or not motion.drift.is_zero:
+        numbers += [*motion.speeds, *motion.drift.as_array(), _DRIFT_STEPS]
     text = " ".join(f"{float(number):.9g}" for number in numbers)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -15,6 +15,7 @@ import pytest
 
 from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_nmpc.model.drift import (
+    NO_DRIFT,
     Drift,
     imbalance_of_offset,
     momentum_of_push,
@@ -25,10 +26,11 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import angle_error, make_state, position_error
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import best_known
 from sphere_sim.study.best_known import best_known_time, best_known_times
-from sphere_sim.study.motion import Motion, motion_of
+from sphere_sim.study.motion import AT_REST, Motion, motion_of
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.workers import Workers
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -174,6 +176,9 @@ def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     # At 400 rad/s^2 the rotors take 15 / 400 s to hold 11 and 15 rad/s.
     seconds = best_known_time(replace(held, speeds=np.zeros(2)), ROBOT)
     assert 15.0 / 400.0 < seconds < 1.0
+    # A search for a motion from rest to rest in place would never end.
+    slight = Drift(momentum=momentum_of_push(ROBOT, np.array([1e-4, 0.0])))
+    assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == 0.0
 
 
 @pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0], [1e-3, 0.0, 1e-3]])
@@ -203,7 +208,7 @@ def test_motion_with_momentum_ends_at_rest_with_it_in_the_rotors(monkeypatch, of
     # The search integrates in steps of 0.125 s here, which costs some millimetres in 6 s.
     assert position_error(state, upright) < 0.01
     assert angle_error(state, upright) < 0.01
-    np.testing.assert_allclose(here, drift.rest_speeds(upright[2:]), atol=best_known._REST_SPEED)
+    np.testing.assert_allclose(here, drift.rest_speeds(upright[2:]), atol=AT_REST)
     assert np.linalg.norm(here) > 5.0
 
 
@@ -215,6 +220,28 @@ def test_torque_limit_of_the_robot_costs_time() -> None:
         for limit in (0.0, 0.4)
     )
     assert weak > 1.05 * strong
+
+
+def test_search_with_momentum_falls_back_on_the_motion_without(monkeypatch) -> None:
+    monkeypatch.setattr(best_known, "EFFORT", 100_000)
+    improve = ArrivalSearch.improve
+    started = set()
+
+    def blind(search: ArrivalSearch, work: int) -> Arrival | None:
+        """Find nothing with momentum unless there is an arrival to start from."""
+        if search.best is None and not search._situation.drift.is_zero:
+            return None
+        started.add(search)
+        return improve(search, work)
+
+    monkeypatch.setattr(ArrivalSearch, "improve", blind)
+    upright = make_state(np.array([1.0, 0.5]), np.array([0.8, 0.0, 0.0, 0.6]))
+    level, pushed = (
+        best_known_time(Motion(SCENARIOS[0].start, upright, drift=drift), ROBOT)
+        for drift in (NO_DRIFT, PUSHED)
+    )
+    assert len(started) == 3
+    assert 0.5 * level < pushed < 2.0 * level
 
 
 def test_search_whose_refinement_fails_leaves_what_the_other_found(monkeypatch) -> None:

@@ -19,8 +19,10 @@ _SUSPICIOUS = 1.1
 _GAIN = 10.0
 """Logarithm of the ratio of likelihoods above which a push is taken as the cause."""
 
+_COMPARED = 40
+"""Poses that are compared when drift appears ..."""
 _BEFORE = 12
-"""Poses that the model without drift must have explained before a push."""
+"""... and the least number that the model without drift must have explained before a push."""
 
 
 class DriftStateEstimator(StateEstimator):
@@ -50,17 +52,20 @@ class DriftStateEstimator(StateEstimator):
     def adopt(self, paper: StateEstimator) -> None:
         """Continue from the filter of the paper's model and a push if that explains the poses.
 
-        A filter that has had little motion to learn from takes a push for a slope.
+        They have to be more likely since the push and in all. A filter that has had little motion
+        to learn from takes a push for a slope.
         """
-        entries = paper.entries
+        count = min(len(paper.entries), len(self._history), _COMPARED)
+        entries, own = paper.entries[-count:], list(self._history)[-count:]
         tried: list[tuple[float, list[Entry]]] = []
         for age in _AGES:
-            if age + _BEFORE < min(len(entries), len(self._history)):
+            if age + _BEFORE < count:
                 base = entries[-age - 1]
                 start = DriftFilterState.from_paper(base.after, PUSHED)
                 found = self._fused_again(replace(base, after=start), entries[-age:])
-                own = _likelihood(list(self._history)[-age:])
-                tried.append((_likelihood(found[1:]) - own, found))
+                since = _likelihood(found[1:]) - _likelihood(own[-age:])
+                before = _likelihood(entries[:-age]) - _likelihood(own[:-age])
+                tried.append((min(since, since + before), found))
         if not tried:
             return
         gain, found = max(tried, key=lambda one: one[0])

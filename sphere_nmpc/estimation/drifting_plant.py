@@ -23,7 +23,7 @@ from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 
-APPEARS = 20.0
+APPEARS = 10.0
 """Logarithm of the evidence for drift above which the model with drift is used ..."""
 VANISHES = 3.0
 """... and of the likelihood gained by it below which it is given up."""
@@ -31,6 +31,8 @@ VANISHES = 3.0
 _COMPARED = 6
 """Transitions whose predictions with and without drift are compared."""
 
+_CERTAIN = 30.0
+"""The same above which nothing else is asked where errors are small otherwise."""
 _CONFIRMED = 3
 """Transitions that drift has to predict better where slip or process noise blur them."""
 
@@ -119,7 +121,7 @@ class DriftingPlantEstimator:
             self._drifts = gain > VANISHES and self._predicts_better()
             if not self._drifts:
                 self._paper = PlantEstimator(self._nominal, drifting.parameters.mean)
-        elif gain - occam > APPEARS and self._is_convincing():
+        elif self._is_convincing(gain - occam):
             self._drifts = True
             self._innovations.clear()
 
@@ -127,9 +129,15 @@ class DriftingPlantEstimator:
     def _parameters(self) -> ParameterDistribution:
         return (self._drifting if self._drifts else self._paper).parameters
 
-    def _is_convincing(self) -> bool:
-        """Return whether a push was seen clearly, or drift has predicted much better."""
-        if self._drifting.clear and self._drifting.pushed:
+    def _is_convincing(self, evidence: float) -> bool:
+        """Return whether the evidence for drift suffices.
+
+        A push, or much evidence, suffices at once where errors are small otherwise; else drift
+        must have improved predictions, of several transitions where slip or noise blur them.
+        """
+        if evidence < APPEARS:
+            return False
+        if self._drifting.clear and (self._drifting.pushed or evidence > _CERTAIN):
             return True
         newest = list(self._innovations)[-1 if self._drifting.clear else -_CONFIRMED :]
         return all(found < 0.5 * without for without, found in newest)

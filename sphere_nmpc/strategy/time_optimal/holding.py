@@ -5,14 +5,18 @@
 Where the sphere has momentum the rotors follow the speeds that hold it. The motion then depends on
 the difference from these speeds as it does on the rotor speeds of a sphere without momentum, so
 that the same corrections are added. An error of the estimated momentum moves the sphere in the
-same way, and is corrected at every sample.
+same way, and is corrected at every sample. Rolling does not correct a turn about the body's z
+axis, but the momentum does: its component along that axis turns the sphere, and a small tilt
+changes it.
 """
 
 import dataclasses
 
 import numpy as np
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import NO_DRIFT
+from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign, state_error
@@ -72,13 +76,35 @@ class RestAtGoal:
         if drift.is_zero:
             return self._corrections.plan(situation)
         in_force = situation.input_in_force - drift.rest_speeds(turn)
+        goal = self._tilted(situation)
         plan = self._corrections.plan(
-            dataclasses.replace(situation, input_in_force=in_force, drift=NO_DRIFT)
+            dataclasses.replace(situation, goal=goal, input_in_force=in_force, drift=NO_DRIFT)
         )
         times = plan.hold.times
         held = [drift.after_rest(turn, float(time) - now).rest_speeds(turn) for time in times]
         hold = FirstOrderHold(times, plan.hold.speeds + np.array(held))
         return dataclasses.replace(plan, hold=hold)
+
+    def _tilted(self, situation: Situation) -> Vector:
+        """Return the goal, shape (6,), tilted so that the momentum corrects the turn about z.
+
+        Where the sphere rests but for the component h3 of the momentum along the body's z axis it
+        turns about that axis at c1 r3 / r1 (1 + r3 k3^2 / (1 - r1 (k1^2 + k2^2) - r3 k3^2)) h3.
+        """
+        goal, tuning = situation.goal, self._tuning
+        h1, h2, h3 = situation.drift.in_body(goal[QUATERNION])
+        level = float(np.hypot(h1, h2))
+        if level < tuning.least_tilting_momentum:
+            return goal
+        _, c1, r1, r3 = situation.constants.as_array()
+        square = rotation.vertical(goal[QUATERNION])[2] ** 2
+        gain = c1 * r3 / r1 * (1.0 + r3 * square / (1.0 - r1 * (1.0 - square) - r3 * square))
+        turned = float(error_between(goal, situation.state)[4])
+        wanted = -turned / (tuning.turning_time * gain)
+        tilt = min(max((h3 - wanted) / level, -tuning.largest_tilt), tuning.largest_tilt)
+        # About the axis h x e3, which lies in the body's x-y plane.
+        step = rotation.exponential(tilt / level * np.array([h2, -h1, 0.0]))
+        return np.concatenate((goal[:2], rotation.product(goal[QUATERNION], step)))
 
     def _for_corrections(self, settings: ControllerSettings) -> ControllerSettings:
         return dataclasses.replace(settings, horizon=self._tuning.correction_horizon)

@@ -176,6 +176,12 @@ class TimeOptimalSettings:
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
     unloaded_share: float = -0.5
     """... until it is at this share, on the other side."""
+    turning_time: float = 3.0
+    """Time constant [s] with which a tilt lets the momentum correct a turn about the body's z."""
+    largest_tilt: float = 4e-3
+    """Largest such tilt [rad]; it adds 2e-3 to the error."""
+    least_tilting_momentum: float = 2.0
+    """Momentum [rad/s] below which it is not used for that."""
     rest_time: float = 1.0
     """Time [s] for which a command goes on to hold the momentum at its end."""
     least_dead_band: float = 2e-3

@@ -14,7 +14,7 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, state_error
+from sphere_nmpc.model.state import INPUT_SIZE, POSITION, Vector, flipped_sign, state_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
@@ -110,6 +110,8 @@ class ArrivalSearch:
         settings = self._settings
         end = self.work + work
         self._deadline = deadline
+        if self._guesses == 0 and not self._situation.drift.is_zero:
+            self._try_rest()
         while self.work < end and time.perf_counter() < deadline:
             self._guesses += 1
             best = self.best
@@ -127,6 +129,17 @@ class ArrivalSearch:
                 if self._duration > longest and not self._situation.drift.is_zero:
                     self._duration = self._first_duration
         return self.best
+
+    def _try_rest(self) -> None:
+        """Try guesses at rest: after a push at the goal the sphere has to roll back a little."""
+        goal = self._situation.goal
+        for duration in self._settings.short_durations:
+            rest = FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
+            arrival = self._attempt(goal, duration, rest, unaware=True)
+            if arrival is not None:
+                self._arrivals += 1
+                self._keep(self._shortened(arrival))
+                return
 
     def _from_random_guess(self) -> Arrival | None:
         settings, duration = self._settings, self._duration

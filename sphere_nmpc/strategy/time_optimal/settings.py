@@ -80,6 +80,8 @@ class TimeOptimalSettings:
     longest_with_momentum: float = 2.0
     """Factor [-] on the first duration at which they begin anew where the sphere has momentum: a
     guess does not come nearer to the goal by rolling on."""
+    short_durations: tuple[float, ...] = (0.6, 1.0, 1.6)
+    """Durations [s] of guesses at rest, which are tried first where the sphere has momentum."""
     independent_arrivals: int = 3
     """Number of arrivals from random guesses before the best one is perturbed. More: local minima
     of later arrivals are left more reliably, with less effort for each."""

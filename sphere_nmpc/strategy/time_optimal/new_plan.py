@@ -73,11 +73,14 @@ class PlanSearch:
             return Searching(strict=state.strict, found_none=True)
         if waited > 0.0:
             planner.grid.begin_again(now)
-        for delay in self._tuning.delays + self._tuning.further_delays:
+        tuning = self._tuning
+        with_momentum = not situation.drift.is_zero
+        accepted = tuning.rolling_back_error if with_momentum else tuning.arrival_error
+        for delay in tuning.delays + tuning.further_delays:
             arrival = planner.solve(
                 situation, found.goal, delay * found.duration, found.hold, new_plan=True
             )
-            if arrival.error <= self._tuning.arrival_error:
+            if arrival.error <= accepted:
                 return Following(arrival, now, planner, unspent)
         return Searching(strict=True)
 

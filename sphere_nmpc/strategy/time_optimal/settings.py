@@ -80,6 +80,9 @@ class TimeOptimalSettings:
     longest_with_momentum: float = 2.0
     """Factor [-] on the first duration at which they begin anew where the sphere has momentum: a
     guess does not come nearer to the goal by rolling on."""
+    rolling_back_error: float = 4e-4
+    """Terminal error [-] that a new plan may have where the sphere has momentum, a fifth of the
+    dead band: rolling back after a push leaves a turn that only a longer manoeuvre corrects."""
     short_durations: tuple[float, ...] = (0.6, 1.0, 1.6)
     """Durations [s] of guesses at rest, which are tried first where the sphere has momentum."""
     independent_arrivals: int = 3

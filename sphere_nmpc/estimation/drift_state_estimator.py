@@ -16,6 +16,8 @@ _AGES = (2, 5, 10, 16)
 """Ages of a push that are tried, in poses."""
 _SUSPICIOUS = 1.1
 """Average innovation ratio above which a push is looked for."""
+_SPACING = 2
+"""Poses between two searches, each of which fuses some thirty poses again."""
 _GAIN = 10.0
 """Logarithm of the ratio of likelihoods above which a push is taken as the cause."""
 
@@ -48,6 +50,7 @@ class DriftStateEstimator(StateEstimator):
         super().__init__(sent, scaling, parameters, noise, DriftFilterState)
         self.pushes = 0
         """Pushes found since the start."""
+        self._since_tried = 0
 
     def adopt(self, paper: StateEstimator) -> None:
         """Continue from the filter of the paper's model and a push if that explains the poses.
@@ -78,8 +81,11 @@ class DriftStateEstimator(StateEstimator):
         before = list(self._history)
         super()._fuse(stamp, pose)
         newest = self._history[-1]
-        if newest.after.ratio < _SUSPICIOUS and not newest.after.outliers:
+        self._since_tried += 1
+        suspicious = newest.after.ratio > _SUSPICIOUS or bool(newest.after.outliers)
+        if not suspicious or self._since_tried < _SPACING:
             return
+        self._since_tried = 0
         entries = [*before, newest]
         tried = [self._after_push(entries, age) for age in _AGES if age < len(entries)]
         if not tried:

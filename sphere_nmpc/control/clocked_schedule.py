@@ -35,6 +35,7 @@ class ClockedSchedule:
         self._grid = SampleGrid(settings.control_period)
         self._planning = PlanningTime(settings.control_period, simulated)
         self._starting = True
+        self._late = 0.0
         self._pose_ahead: TimedPose | None = None
 
     @property
@@ -81,7 +82,9 @@ class ClockedSchedule:
             refused, pose = pose.time - now, None
         if pose is not None:
             self._planning.read(now, wall)
-        request = self._request(self._grid.instant(now), now, self._planning.lead)
+        instant = self._grid.instant(now)
+        self._late = now - instant
+        request = self._request(instant, now, self._planning.lead)
         return Actions(refused=refused, observe=pose, plan=request)
 
     def start(
@@ -111,7 +114,7 @@ class ClockedSchedule:
 
     def completed(self, duration: float, solved: bool) -> None:
         """Record a plan that took `duration` from its request to its command [s, wall]."""
-        self._planning.took(duration)
+        self._planning.took(duration, self._late)
         self._starting = self._starting and not solved
 
     def final_request(self, now: float) -> PlanRequest:

@@ -80,9 +80,12 @@ class PlanningTime:
         """Return the control time [s] when `elapsed` of wall time [s] has passed since `now`."""
         return now + elapsed * (self.pace or 0.0)
 
-    def took(self, duration: float) -> None:
-        """Record the wall time [s] between the request of a plan and its command."""
-        self._took.append(duration * (self.pace or 1.0))
+    def took(self, duration: float, late: float) -> None:
+        """Record the wall time [s] between the request of a plan and its command.
+
+        The request was `late` [s, control time] behind its sampling instant.
+        """
+        self._took.append(late + duration * (self.pace or 1.0))
 
     def expect_all(self) -> None:
         """Predict that the next plan will use its whole time budget, as a first one does."""

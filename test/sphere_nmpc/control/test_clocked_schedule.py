@@ -72,6 +72,15 @@ def test_plan_is_made_for_when_its_command_will_be_ready() -> None:
     assert request.time_budget == pytest.approx(SHARE), "counted from the instant itself"
 
 
+def test_plan_after_late_ticks_is_made_for_when_its_command_will_be_ready() -> None:
+    """A clock of 20 Hz is up to 50 ms late; the pose of a tick must not be newer than its plan."""
+    schedule = clocked()
+    requests(schedule, 1.0, 1.55)
+    schedule.completed(0.04, solved=True)
+    (request,) = requests(schedule, 2.05)
+    assert request.instant == pytest.approx(2.0 + 1.25 * 0.09)
+
+
 def test_pose_is_observed_when_it_arrives() -> None:
     schedule, now = clocked(), pose(1.0)
     assert schedule.pose_received(now, 1.01, WALL).observe is now

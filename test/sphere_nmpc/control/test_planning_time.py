@@ -66,18 +66,18 @@ def test_lead_follows_from_recent_durations() -> None:
     planning.expect_all()
     assert planning.lead == pytest.approx(MOST_LEAD * 0.25)
     for _ in range(8):
-        planning.took(0.02)
+        planning.took(0.02, 0.0)
     assert planning.lead == pytest.approx(0.025)
     for _ in range(8):
-        planning.took(0.001)
+        planning.took(0.001, 0.0)
     assert planning.lead == 0.0, "a negligible duration"
 
 
 def test_lead_is_in_control_time_and_never_more_than_the_share() -> None:
     planning = after(5.0, 1.0)
-    planning.took(0.01)
+    planning.took(0.01, 0.0)
     assert planning.lead == pytest.approx(0.0625)
-    planning.took(1.0)
+    planning.took(1.0, 0.0)
     assert planning.lead == MOST_LEAD * 0.25
 
 

@@ -228,7 +228,8 @@ class DriftFit:
         step.prediction = prediction
         before = self._unknowns
         self._fit()
-        if surprise > _NOTICEABLE and self._is_surprising(step):
+        noticeable = min(_NOTICEABLE, 50.0 * step.noise)
+        if surprise > noticeable and self._is_surprising(step):
             step.pushed = True
             self._fit_again(before)
             # Also false where the fit did not end in numbers.

@@ -23,7 +23,7 @@ from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 
-APPEARS = 10.0
+APPEARS = 20.0
 """Logarithm of the evidence for drift above which the model with drift is used ..."""
 VANISHES = 3.0
 """... and of the likelihood gained by it below which it is given up."""
@@ -31,7 +31,9 @@ VANISHES = 3.0
 _COMPARED = 6
 """Transitions whose predictions with and without drift are compared."""
 
-_CERTAIN = 30.0
+_MISLED = 20.0
+"""Logarithm of the likelihood lost by drift above which its fit begins anew."""
+_CERTAIN = 60.0
 """The same above which nothing else is asked where errors are small otherwise."""
 _CONFIRMED = 3
 """Transitions that drift has to predict better where slip or process noise blur them."""
@@ -121,6 +123,9 @@ class DriftingPlantEstimator:
             self._drifts = gain > VANISHES and self._predicts_better()
             if not self._drifts:
                 self._paper = PlantEstimator(self._nominal, drifting.parameters.mean)
+        elif gain < -_MISLED:
+            # As after slip, which the prior of older transitions does not forget.
+            self._drifting = DriftFit(self._nominal, self._paper.parameters.mean)
         elif self._is_convincing(gain - occam):
             self._drifts = True
             self._innovations.clear()

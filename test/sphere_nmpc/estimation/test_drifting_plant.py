@@ -220,3 +220,18 @@ def test_update_that_fails_does_not_break_the_next_one(monkeypatch: pytest.Monke
             robot.roll(1)
     robot.roll(8)
     np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
+
+
+def test_floor_that_tilts_under_a_resting_sphere_is_noticed_within_three_samples() -> None:
+    robot = Robot(3.0)
+    robot.roll(12)
+    robot.move(np.zeros(2))
+    robot.rest(8)
+    for slope in (2.0 * SLOPE, np.zeros(2)):
+        robot.drift = replace(robot.drift, slope=slope)
+        for _ in range(3):
+            robot.move(robot.found.rest_speeds(robot.state[2:]))
+        assert robot.momentum_error() < MOMENTUM_TOLERANCE
+        # At rest slope and imbalance have the same effect; their sum is what is measured.
+        torque = robot.found.torque_at_rest(robot.state[2:])
+        np.testing.assert_allclose(torque[:2], slope, atol=SLOPE_TOLERANCE)

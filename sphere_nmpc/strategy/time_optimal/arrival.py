@@ -58,6 +58,8 @@ class Arrival:
         Iterations times intervals: cost of the solve, the same on every machine.
     drift : Drift
         Predicted drift at the arrival.
+    momenta : ndarray, shape (K, 3)
+        Predicted momentum at the knots [rad/s; world frame].
     """
 
     hold: FirstOrderHold
@@ -68,6 +70,7 @@ class Arrival:
     kkt_residual: float
     work: int
     drift: Drift
+    momenta: Vector
 
     @property
     def duration(self) -> float:
@@ -192,7 +195,7 @@ class ArrivalSolver:
         return Arrival(
             FirstOrderHold(times, solution.inputs), solution.states, goal,
             float(np.sqrt(solution.cost)), iterations, solution.kkt_residual,
-            _CALL_WORK + (iterations + 1) * problem.intervals, drift,
+            _CALL_WORK + (iterations + 1) * problem.intervals, drift, solution.momenta,
         )
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import QUATERNION
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
@@ -49,7 +49,13 @@ def replan(
         return None
     rest = plan.rest(now)
     if not situation.drift.is_zero:
-        rest = _compensated(rest, plan.arrival, situation.drift, left)
+        change = situation.drift.momentum - plan.prediction(now)[1].momentum
+        if np.max(np.abs(change)) > tuning.large_change_of_momentum:
+            changed = _after_change(plan, situation, rest, left, deadline)
+            if changed is None:
+                return None
+            kept = replace(plan, arrival=changed, planned_at=now)
+            return _improved(kept, situation, settings.planning_effort, deadline, settings)
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:
@@ -72,19 +78,35 @@ def replan(
     return None
 
 
-def _compensated(
-    rest: FirstOrderHold, arrival: Arrival, drift: Drift, left: float
-) -> FirstOrderHold:
-    """Return the rest of a plan with the speeds that hold the change of the momentum since then.
+def _after_change(
+    plan: Following, situation: Situation, rest: FirstOrderHold, left: float, deadline: float
+) -> Arrival | None:
+    """Return an arrival with a momentum that is not the predicted one; None where none is found.
 
-    The change counts where the plan ends, so that what the plan has foreseen is left out.
+    Continuation: from the state and the drift that the plan has predicted for now those that are
+    estimated are approached in steps, each solved from the arrival of the one before.
     """
-    change = drift.after_slope(left).momentum - arrival.drift.momentum
-    if drift.imbalance.any() or arrival.states.shape[0] < rest.times.size:
-        return rest
-    turns = arrival.states[-rest.times.size:, QUATERNION]
-    held = [Drift(change).rest_speeds(turn) for turn in turns]
-    return FirstOrderHold(rest.times, rest.speeds + np.array(held))
+    planner, tuning = plan.planner, plan.planner.tuning
+    state, drift = plan.prediction(situation.time)
+    away = error_between(state, situation.state)
+    known, change = drift.as_array(), situation.drift.as_array() - drift.as_array()
+    arrival: Arrival | None = None
+    goal, hold, duration = plan.arrival.goal, rest, left
+    for share in np.linspace(0.0, 1.0, tuning.momentum_steps + 1)[1:]:
+        between = replace(
+            situation, state=apply_error(state, float(share) * away),
+            drift=Drift.from_array(known + float(share) * change),
+        )
+        for delay in tuning.momentum_delays:
+            if time.perf_counter() > deadline:
+                return None
+            arrival = planner.solve(between, goal, delay * duration, hold, new_plan=False)
+            if arrival.error <= tuning.rolling_back_error:
+                break
+        else:
+            return None
+        hold, duration = arrival.hold, arrival.duration
+    return arrival
 
 
 def _improved(

@@ -142,6 +142,13 @@ class TimeOptimalSettings:
     large_delay: float = 1.03
     """Factor [-] on the time left beyond which the whole planning effort is spent again: the
     robot does not behave as the plan assumed."""
+    large_change_of_momentum: float = 1.0
+    """Difference of the momentum from the predicted one [rad/s] above which the plan is changed in
+    steps ..."""
+    momentum_steps: int = 8
+    """... of this number ..."""
+    momentum_delays: tuple[float, ...] = (1.0, 1.02, 1.05, 1.1, 1.2)
+    """... with these factors [-] on the time left that are tried in each."""
     improvement_divisor: int = 10
     """Each later sample spends the planning effort over this on an earlier arrival."""
     least_search_time: float = 5e-3

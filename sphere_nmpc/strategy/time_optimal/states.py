@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """States of the strategy `time_optimal`; `strategy.py` has the transitions between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import QUATERNION, STATE_SIZE, Vector
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
@@ -73,6 +77,15 @@ class Following:
     def time_left(self, now: float) -> float:
         """Return the time from `now` to the arrival [s]."""
         return self.arrival.duration - (now - self.planned_at)
+
+    def prediction(self, now: float) -> tuple[Vector, Drift]:
+        """Return the state, shape (6,), and the drift that the plan has predicted for `now`."""
+        arrival, elapsed = self.arrival, now - self.planned_at
+        rows = np.hstack((arrival.states, arrival.momenta)).T
+        found = np.array([np.interp(elapsed, arrival.hold.times, row) for row in rows])
+        state, momentum = found[:STATE_SIZE], found[STATE_SIZE:]
+        state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
+        return state, replace(arrival.drift, momentum=momentum)
 
     def rest(self, now: float) -> FirstOrderHold:
         """Return what remains of the plan at `now` [s], from time 0 (now) on."""

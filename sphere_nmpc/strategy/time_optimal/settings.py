@@ -188,6 +188,9 @@ class TimeOptimalSettings:
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
     unloaded_share: float = -0.5
     """... until it is at this share, on the other side."""
+    held_dead_band: float = 7e-3
+    """Error [-] below which the sphere comes to rest at the goal with momentum, which lets all of
+    the error be corrected without another manoeuvre."""
     turning_time: float = 3.0
     """Time constant [s] with which a tilt lets the momentum correct a turn about the body's z."""
     largest_tilt: float = 4e-3

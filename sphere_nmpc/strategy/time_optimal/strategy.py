@@ -146,10 +146,15 @@ class TimeOptimalStrategy:
             if error < max(dead_band, state.leaving_error):
                 return state
             state = Searching()
-        elif at_rest and error < dead_band:
+        elif at_rest and error < self._resting_band(dead_band, situation):
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
         return self._plan_search.search(state, situation, at_rest, deadline, settings)
+
+    def _resting_band(self, dead_band: float, situation: Situation) -> float:
+        """Return the error below which a sphere at rest stays: with momentum it is corrected."""
+        held = 0.0 if situation.drift.is_zero else self._tuning.held_dead_band
+        return max(dead_band, held)
 
     def _is_at_rest(self, situation: Situation) -> bool:
         """Return whether the rotors turn at the speeds at which the sphere rests."""
@@ -177,11 +182,11 @@ class TimeOptimalStrategy:
             end = state.arrival.drift if on_the_way else situation.drift.after_slope(left)
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding))
         if isinstance(state, Following):
-            if angle_error(goal, state.arrival.goal) > self._tuning.largest_change_of_goal:
+            turned = state.arrival.goal.copy()
+            turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]
+            if angle_error(turned, state.arrival.goal) > self._tuning.largest_change_of_goal:
                 self._state = Searching()
-            elif goal is not situation.goal:
-                turned = state.arrival.goal.copy()
-                turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]
+            else:
                 arrival = dataclasses.replace(state.arrival, goal=turned)
                 self._state = dataclasses.replace(state, arrival=arrival)
         return dataclasses.replace(situation, goal=goal)

@@ -181,6 +181,12 @@ class Browser:
         self._click("input.mantine-NumberInput-input", beside)
         self.evaluate("document.activeElement.select()")
         self.call("Input.insertText", text=number)
+        # The page sends the newest change of all fields, at most every 50 ms by its own timer.
+        self.evaluate("window.sent = false; setTimeout(() => { window.sent = true; }, 200)")
+        end = time.monotonic() + PATIENCE
+        while not self.evaluate("window.sent"):
+            assert time.monotonic() < end, "the page's timers do not run"
+            time.sleep(0.05)
 
     def boxes(self, selector: str) -> list[tuple[float, float, float, float]]:
         """Return left, top, width and height of the visible elements of a selector [px]."""

@@ -3,10 +3,7 @@
 """Viewer in a real browser, with real nodes over DDS; the tests depend on their order."""
 
 import re
-import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,19 +11,12 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("viser")
 
-pytest.importorskip("mujoco")
-
-from browser import Browser, find_browser
-from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from browser import find_browser
 from page_helpers import page_of, pixel, scene_of, wait_for_scene
-from rcl_interfaces.srv import GetParameters
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_graph import Graph
+from session import CONTROLLER, Session, open_session
 from verb_process import start, stop
 
 from sphere_nmpc.model.state import state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 BROWSER = find_browser()
@@ -36,72 +26,14 @@ pytestmark = [
 ]
 SIMULATOR = (
     "-p", "initial_state:=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]", "-p", "real_time_factor:=2.0",
-    "-p", "plant:=rigid_body",  # accepts pushes
-)
-CONTROLLER = (
-    "-p", "use_sim_time:=true", "-p", "strategy:=time_optimal",
-    "-p", "goal_memory:=0.0",  # no goal of a controller of another test
 )
 RADIUS = 0.3
 
 
-@dataclass
-class Session:
-    """Nodes, page, and a probe in the graph."""
-
-    page: Browser
-    graph: Graph
-    processes: dict[str, subprocess.Popen]
-    poses: list
-    goals: list
-    statuses: list
-    folder: Path
-
-    @property
-    def time(self) -> int:
-        """Stamp of the newest pose [ns]."""
-        return stamp_from_ros(self.poses[-1].header.stamp)
-
-    @property
-    def status(self) -> dict[str, str]:
-        """Values of the newest status of the controller."""
-        return {pair.key: pair.value for pair in self.statuses[-1].values}
-
-    def real_time_factor(self) -> float:
-        """Return the parameter of the simulator."""
-        request = GetParameters.Request(names=["real_time_factor"])
-        answer = self.graph.call(GetParameters, "simulator/get_parameters", request)
-        return float(answer.values[0].double_value)
-
-    def restart(self, verb: str, *arguments: str) -> None:
-        self.processes[verb] = start(self.folder, verb, "--ros-args", *arguments)
-
-
 @pytest.fixture(scope="module")
 def session(tmp_path_factory) -> Iterator[Session]:
-    folder = tmp_path_factory.mktemp("session")
-    processes = {
-        "simulator": start(folder, "simulator", "--ros-args", *SIMULATOR),
-        "controller": start(folder, "controller", "--ros-args", *CONTROLLER),
-        "viewer": start(folder, "viewer", "--port", "0"),
-    }
-    graph = Graph()
-    poses = graph.collect(PoseStamped, "pose", 1)
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    goals = graph.collect(PoseStamped, "controller/active_goal", latched)
-    statuses = graph.collect(DiagnosticStatus, "controller/status", 1)
-    home = folder / "browser"
-    home.mkdir()
-    try:
-        graph.until(lambda: page_of(folder))
-        with Browser(BROWSER, home) as page:
-            page.open(page_of(folder))
-            yield Session(page, graph, processes, poses, goals, statuses, folder)
-    finally:
-        graph.close()
-        stop(processes.values())
-        for log in sorted(folder.glob("*.log")):  # shown where a test failed
-            print(f"{log.name}:\n{log.read_text(errors='replace')[-3000:]}")
+    with open_session(BROWSER, tmp_path_factory.mktemp("session"), SIMULATOR) as session:
+        yield session
 
 
 def test_page_loads_without_errors_or_other_hosts(session, tmp_path) -> None:
@@ -119,10 +51,10 @@ def test_sphere_rolls_to_a_goal_that_is_dragged(session, tmp_path) -> None:
     grab, release = (pixel(session.page, (x, 0.0, RADIUS)) for x in (0.5, 1.5))
     session.page.drag(grab, release)
     session.graph.until(lambda: session.goals)
-    goal = pose_from_ros(session.goals[-1])
+    goal = session.goal
     assert goal[0] == pytest.approx(1.0, abs=0.3) and abs(goal[1]) < 1e-3
     assert abs(goal[2]) == pytest.approx(1.0, abs=1e-3)
-    session.graph.until(lambda: state_error(pose_from_ros(session.poses[-1]), goal) < 0.05)
+    session.graph.until(lambda: session.error < 0.05)
     session.graph.until(
         lambda: np.mean(np.abs(scene_of(session.page, tmp_path / "after.png") - before)) > 1.0
     )
@@ -138,13 +70,6 @@ def test_pause_and_resume_reach_the_simulator(session) -> None:
     session.page.click_button("Resume")
     session.graph.until(lambda: session.time > paused_at)
     session.page.wait_for("live")
-
-
-def test_controller_recovers_from_a_push(session) -> None:
-    goal = pose_from_ros(session.goals[-1])
-    session.page.click_button("Push")
-    session.graph.until(lambda: state_error(pose_from_ros(session.poses[-1]), goal) > 0.1)
-    session.graph.until(lambda: state_error(pose_from_ros(session.poses[-1]), goal) < 0.05)
 
 
 def test_speed_and_strategy_can_be_changed(session) -> None:
@@ -166,9 +91,7 @@ def test_speed_and_strategy_can_be_changed(session) -> None:
 
 def test_goal_can_be_selected_from_the_list(session) -> None:
     session.page.choose("pick a goal …", "goal of the paper's case 2")
-    session.graph.until(
-        lambda: state_error(pose_from_ros(session.goals[-1]), PAPER_CASES[2].goal) < 1e-9
-    )
+    session.graph.until(lambda: state_error(session.goal, PAPER_CASES[2].goal) < 1e-9)
 
 
 def test_viewer_and_page_that_start_late_show_the_present_state(session) -> None:

@@ -1,0 +1,144 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals aimed at with momentum: as given, the nearest that can be held, or to unload rotors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.holdable_goal import holdable_goal
+from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
+from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+
+ROBOT = RobotParameters()
+LIMIT = ROBOT.max_rotor_speed
+TUNING = TimeOptimalSettings()
+UPRIGHT = make_state(np.array([1.0, -2.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+TILTED = make_state(np.zeros(2), rotation.exponential(np.array([0.4, 0.0, 0.0])))
+OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
+LOADING = np.array([0.0, 1.0, 0.0])
+"""Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
+
+
+def situation(goal: Vector, drift: Drift, state: Vector | None = None) -> Situation:
+    here = goal if state is None else state
+    return Situation(0.0, here, goal, np.zeros(2), ROBOT.lumped, drift=drift)
+
+
+def out_of_balance(momentum: float, slope: Vector | None = None) -> Drift:
+    """Return a drift with momentum along the torque of the imbalance [rad/s]."""
+    drift = Drift(momentum * LOADING, imbalance=OFFSET)
+    return drift if slope is None else replace(drift, slope=slope)
+
+
+@pytest.fixture
+def held() -> HeldGoal:
+    return HeldGoal(LIMIT, TUNING)
+
+
+def test_goal_is_kept_without_momentum_and_where_it_can_be_held(held: HeldGoal) -> None:
+    for drift in (NO_DRIFT, Drift(np.array([30.0, -20.0, 0.0])), out_of_balance(50.0)):
+        for holding in (False, True):
+            assert held.goal(situation(UPRIGHT, drift), None, holding) is UPRIGHT
+            assert held.given_up == ""
+
+
+def test_change_of_the_orientation_is_told(held: HeldGoal) -> None:
+    drift = Drift(np.array([0.0, 40.0, 0.0]))
+    found = held.goal(situation(TILTED, drift), None, holding=False)
+    assert angle_error(found, TILTED) == pytest.approx(0.4, abs=5e-3)
+    told = f"orientation by {np.degrees(angle_error(found, TILTED)):.1f} deg"
+    assert told in held.given_up
+    assert held.goal(situation(TILTED, NO_DRIFT), None, holding=False) is TILTED
+    assert held.given_up == ""
+
+
+def test_goal_is_held_with_the_momentum_at_the_arrival(held: HeldGoal) -> None:
+    """Of a push and a slope the sum is held: their directions differ."""
+    drift = Drift(np.array([25.0, 5.0, 0.0]), slope_torque(ROBOT, np.radians(0.3), 2.0))
+    way = make_state(np.array([3.0, 0.0]), TILTED[QUATERNION])
+    travel = TUNING.manoeuvre_allowance + 3.0 / cruise_speed(ROBOT.lumped, LIMIT)
+    now = situation(TILTED, drift, way)
+    ends = {None: drift.after_slope(travel), 1.3: drift.after_slope(1.3)}
+    found = []
+    for known, end in ends.items():
+        aimed = held.goal(now, None if known is None else end, holding=False)
+        np.testing.assert_array_equal(aimed, holdable_goal(TILTED, end))
+        found.append(aimed)
+    assert angle_error(*found) > 1e-2
+    # At rest nothing lies ahead.
+    resting = held.goal(now, None, holding=True)
+    np.testing.assert_array_equal(resting, holdable_goal(TILTED, drift))
+
+
+@pytest.mark.parametrize(
+    ("drift", "holding"),
+    [
+        (out_of_balance(88.0), True),
+        (out_of_balance(92.0), False),
+        # The torque of the imbalance unloads the rotors where they are.
+        (out_of_balance(-92.0), True),
+        (Drift(92.0 * LOADING), True),
+        # A slope of 1 degree loads them faster, 24.4 rad/s^2, than an offset of 2.2 mm unloads.
+        (out_of_balance(92.0, slope_torque(ROBOT, np.radians(1.0), 0.0)), True),
+    ],
+    ids=["not yet", "on the way", "by itself", "balanced", "steep"],
+)
+def test_rotors_are_not_unloaded(held: HeldGoal, drift: Drift, holding: bool) -> None:
+    assert held.goal(situation(UPRIGHT, drift), None, holding) is UPRIGHT
+    assert held.given_up == ""
+
+
+def test_rotors_are_unloaded_at_the_orientation_that_does_so_fastest(held: HeldGoal) -> None:
+    drift = out_of_balance(92.0)
+    assert drift.torque_at_rest(UPRIGHT[QUATERNION]) @ LOADING > 0.0
+    aimed = held.goal(situation(UPRIGHT, drift), None, holding=True)
+    assert "unloads" in held.given_up
+    np.testing.assert_array_equal(aimed[:2], UPRIGHT[:2])
+    # No torque is larger than that of a horizontal offset.
+    torque = drift.torque_at_rest(aimed[QUATERNION])
+    assert torque @ LOADING == pytest.approx(-np.linalg.norm(OFFSET), rel=1e-9)
+    # It can be held there: neither is along the body's z axis.
+    assert holdable_goal(aimed, drift) is aimed
+    # The other such orientation, half a turn about the offset away, is further.
+    half_turn = rotation.exponential(np.array([np.pi, 0.0, 0.0]))
+    other = make_state(UPRIGHT[:2], rotation.product(half_turn, aimed[QUATERNION]))
+    assert drift.torque_at_rest(other[QUATERNION]) @ LOADING == pytest.approx(torque @ LOADING)
+    assert angle_error(aimed, UPRIGHT) < angle_error(other, UPRIGHT) - 0.1
+
+
+def test_unloading_goes_on_until_the_rotors_are_half_loaded_on_the_other_side(
+    held: HeldGoal,
+) -> None:
+    first = held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
+    for momentum in (60.0, 5.0, -5.0, -49.0):
+        # The direction stays as it is where the momentum passes zero.
+        aimed = held.goal(
+            situation(UPRIGHT, out_of_balance(momentum)), None, holding=momentum < 0.0
+        )
+        assert angle_error(aimed, first) < 1e-6
+    assert held.goal(situation(UPRIGHT, out_of_balance(-51.0)), None, True) is UPRIGHT
+    assert held.given_up == ""
+
+
+def test_unloading_follows_the_direction_of_the_momentum(held: HeldGoal) -> None:
+    held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
+    turned = np.array([np.sin(0.3), np.cos(0.3), 0.0])
+    drift = Drift(70.0 * turned, imbalance=OFFSET)
+    aimed = held.goal(situation(UPRIGHT, drift), None, holding=True)
+    torque = drift.torque_at_rest(aimed[QUATERNION])
+    assert torque @ turned == pytest.approx(-np.linalg.norm(OFFSET), rel=1e-9)
+
+
+def test_reset_forgets_to_unload(held: HeldGoal) -> None:
+    held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
+    held.reset()
+    assert held.given_up == ""
+    assert held.goal(situation(UPRIGHT, out_of_balance(60.0)), None, holding=True) is UPRIGHT

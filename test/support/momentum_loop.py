@@ -1,0 +1,123 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Closed loop of a strategy on the ideal plant, with the drift known exactly."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sphere_nmpc.control.commands import Commands
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, state_error
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.registry import make_strategy
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+
+ROBOT = RobotParameters()
+_STEPS = 10
+"""Steps of the plant in a sample period."""
+
+
+@dataclass
+class MomentumLoop:
+    """A strategy and a plant; the commands are joined as those of the controller.
+
+    Attributes
+    ----------
+    goal, start : ndarray, shape (6,)
+    world : DisturbanceSettings
+        Slope and offset of the plant.
+    name : str
+        Name of the strategy.
+    """
+
+    start: Vector
+    goal: Vector
+    world: DisturbanceSettings = field(default_factory=DisturbanceSettings)
+    name: str = "time_optimal"
+    planning_effort: int = 20_000
+
+    def __post_init__(self) -> None:
+        settings = ControllerSettings(strategy=self.name, planning_effort=self.planning_effort)
+        self.period = settings.period
+        self.strategy: Strategy = make_strategy(settings, ROBOT)
+        self.plant = RollingPlant(ROBOT, self.start, self.world)
+        self.commands = Commands(ROBOT)
+        self.samples = 0
+        self.plans: list[Plan] = []
+        self.holds: list[FirstOrderHold] = []
+        self.errors: list[float] = []
+        """Distance of the state from the goal in R^6 at each sample, before its plan."""
+        self.momenta: list[Vector] = []
+        """Momentum at each sample [rad/s; world frame]."""
+
+    @property
+    def time(self) -> float:
+        """Control time [s]."""
+        return self.samples * self.period
+
+    @property
+    def drift(self) -> Drift:
+        """True drift of the plant."""
+        return Drift(
+            self.plant.momentum / ROBOT.rotor_axial_inertia,
+            slope_torque(ROBOT, self.world.slope, self.world.slope_direction),
+            imbalance_of_offset(ROBOT, np.array(self.world.mass_offset)),
+        )
+
+    @property
+    def error(self) -> float:
+        """Present distance of the state from the goal in R^6."""
+        return state_error(self.plant.state, self.goal)
+
+    def push_momentum(self, momentum: Vector) -> None:
+        """Push so that the momentum jumps by `momentum`, shape (3,) [rad/s; world frame]."""
+        size = ROBOT.rotor_axial_inertia / ROBOT.shell_radius
+        self.plant.push(size * np.array([momentum[1], -momentum[0]]))
+
+    def tilt(self, slope: float, direction: float = 0.0) -> None:
+        """Change the inclination of the floor and its downhill direction [rad]."""
+        self.world = DisturbanceSettings(slope=slope, slope_direction=direction)
+        self.plant.tilt(slope, direction)
+
+    def situation(self) -> Situation:
+        """Return the situation of now, with nothing to be estimated."""
+        in_force = self.commands.sent.at(self.time)
+        return Situation(
+            self.time, self.plant.state, self.goal, in_force, ROBOT.lumped, drift=self.drift
+        )
+
+    def run(self, duration: float) -> list[Plan]:
+        """Continue for a time [s]; return the plans made in it."""
+        before = len(self.plans)
+        for _ in range(round(duration / self.period)):
+            self.errors.append(self.error)
+            self.momenta.append(self.drift.momentum)
+            plan = self.strategy.plan(self.situation())
+            hold = self.commands.joined(plan.hold, self.time)
+            self.commands.sent.record(hold)
+            self.plans.append(plan)
+            self.holds.append(hold)
+            step = self.period / _STEPS
+            for k in range(_STEPS):
+                self.plant.advance(hold.at(self.time + (k + 1) * step), step)
+            self.samples += 1
+        return self.plans[before:]
+
+    def check_limits(self) -> None:
+        """Check every command that was sent, to its end."""
+        for hold in self.holds:
+            assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed + 1e-9
+            slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
+            assert np.max(slopes, initial=0.0) <= ROBOT.max_rotor_acceleration + 1e-6
+            np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
+
+
+def statuses(plans: list[Plan]) -> set[PlanStatus]:
+    """Return the statuses of plans."""
+    return {plan.status for plan in plans}

@@ -1,0 +1,170 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Figure of docs/momentum.md: how long momentum can be held, and two closed loops that hold it.
+
+    python bench/documents/holding_figure.py --out docs/momentum.svg
+
+Left: time at an upright goal from rotors at rest until one is at its limit. Right: the plant with
+contact at an upright goal, pushed at rest, and on a slope until a rotor is at its limit.
+"""
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import exponential
+from sphere_nmpc.model.saturation import time_to_saturation
+from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
+from sphere_sim.report.figures.style import BLUE, GREY, SMALLEST_ERROR, VERMILION, styled
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.push import Push
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+ROBOT = RobotParameters()
+GOAL: Vector = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+SLOPES = np.geomspace(0.03, 3.0, 41)
+"""Inclinations [degree]."""
+OFFSETS = np.geomspace(0.05, 5.0, 41)
+"""Distances of the centre of mass from the centre of the sphere [mm]."""
+HEADINGS: Vector = np.radians(np.arange(0.0, 180.0, 15.0))
+PUSH = Push(2.0, (1.0, 0.0))
+SLOPE = math.radians(0.5)
+
+
+def times_on_slope(angle: float) -> tuple[float, float]:
+    """Return the shortest and longest time [s] over all headings on a slope of `angle` [rad]."""
+    drift = Drift(slope=slope_torque(ROBOT, angle, 0.0))
+    times = [
+        time_to_saturation(drift, exponential(np.array([0.0, 0.0, h])), ROBOT.max_rotor_speed)
+        for h in HEADINGS
+    ]
+    return min(times), max(times)
+
+
+def time_out_of_balance(offset: float) -> float:
+    """Return the time [s] with the centre of mass `offset` [m] along the axis of a rotor."""
+    drift = Drift(imbalance=imbalance_of_offset(ROBOT, np.array([offset, 0.0, 0.0])))
+    return time_to_saturation(drift, GOAL[QUATERNION], ROBOT.max_rotor_speed)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldRun:
+    """Closed loop of a sphere that starts at its goal.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K,)
+        Times of errors and rotor speeds [s].
+    errors : ndarray, shape (K,)
+        Distance to the goal in R^6 [mixed units].
+    speeds : ndarray, shape (K, 2)
+        Rotor speeds [rad/s].
+    samples : ndarray, shape (M,)
+        Sampling instants [s].
+    rest_speeds : ndarray, shape (M, 2)
+        Speeds at which the sphere rests at the goal with the estimated momentum [rad/s].
+    """
+
+    times: Vector
+    errors: Vector
+    speeds: Vector
+    samples: Vector
+    rest_speeds: Vector
+
+
+def run(duration: float, push: Push | None = None, slope: float = 0.0) -> HeldRun:
+    """Return a run of `duration` [s] on a slope [rad], with the default strategy."""
+    settings = ControllerSettings()
+    plant = RigidBodyPlant(ROBOT, GOAL, disturbances=DisturbanceSettings(slope=slope))
+    world = SimulatorSettings(initial_state=tuple(GOAL.tolist()))
+    found = run_closed_loop(
+        Simulator(world, ROBOT, plant), Controller(settings, ROBOT), GOAL, duration,
+        settings.control_period, push=push,
+    )
+    return HeldRun(
+        found.times,
+        state_errors(found.states, GOAL),
+        found.speeds,
+        np.array([settings.control_period * k for k in range(len(found.decisions))]),
+        np.array([d.drift.rest_speeds(GOAL[QUATERNION]) for d in found.decisions]),
+    )
+
+
+def draw_times(on_slope: Axes, out_of_balance: Axes) -> None:
+    """Draw how long an upright goal can be held."""
+    worst, best = np.array([times_on_slope(math.radians(angle)) for angle in SLOPES]).T
+    on_slope.loglog(SLOPES, best, color=BLUE, linestyle="--", label="best heading")
+    on_slope.loglog(SLOPES, worst, color=VERMILION, label="worst heading")
+    on_slope.set_title("a: time on a slope")
+    on_slope.set_xlabel("inclination [°]")
+    on_slope.legend()
+    times = [time_out_of_balance(1e-3 * offset) for offset in OFFSETS]
+    out_of_balance.loglog(OFFSETS, times, color=VERMILION, label="worst orientation")
+    out_of_balance.set_title("b: time out of balance, without unloading")
+    out_of_balance.set_xlabel("offset of the centre of mass [mm]")
+    out_of_balance.legend()
+    for axes in (on_slope, out_of_balance):
+        axes.set_ylabel("time until saturation [s]")
+
+
+def draw_run(held: HeldRun, error: Axes, speed: Axes, name: str) -> None:
+    """Draw errors and rotor speeds of a run, with the speeds of rest."""
+    error.semilogy(held.times, np.maximum(held.errors, SMALLEST_ERROR), color=BLUE)
+    error.axhline(SETTLED_ERROR, color=GREY, linestyle=":", label="settled below")
+    error.set_title(f"{name}: error")
+    error.set_ylabel(r"$\|x - x_d\|$ [m, -]")
+    error.legend()
+    for rotor, colour in enumerate((BLUE, VERMILION)):
+        speed.plot(held.times, held.speeds[:, rotor], color=colour, label=f"rotor {rotor + 1}")
+        speed.plot(held.samples, held.rest_speeds[:, rotor], color=colour, linestyle="--",
+                   label=f"rotor {rotor + 1}, speed of rest")
+    limit = ROBOT.max_rotor_speed
+    for side, label in ((-limit, "limit"), (limit, None)):
+        speed.axhline(side, color=GREY, linestyle=":", label=label)
+    speed.set_ylim(-1.3 * limit, 1.3 * limit)
+    speed.set_title(f"{name}: rotor speeds")
+    speed.set_ylabel("rotor speed [rad/s]")
+    speed.set_xlabel("time [s]")
+
+
+def draw(pushed: HeldRun, tilted: HeldRun) -> Figure:
+    """Return the figure."""
+    with styled():
+        figure = Figure(figsize=(12.0, 6.4), layout="constrained")
+        rows = figure.subplots(2, 3)
+        draw_times(rows[0, 0], rows[1, 0])
+        draw_run(pushed, rows[0, 1], rows[1, 1], "c: push of 1 N s at 2 s")
+        draw_run(tilted, rows[0, 2], rows[1, 2], "d: slope of 0.5°")
+        rows[1, 1].legend(loc="lower right")
+    return figure
+
+
+def main() -> None:
+    """Write the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("docs/momentum.svg"))
+    parser.add_argument("--duration", type=float, default=12.0)
+    arguments = parser.parse_args()
+    pushed = run(arguments.duration, push=PUSH)
+    tilted = run(arguments.duration, slope=SLOPE)
+    figure = draw(pushed, tilted)
+    dated = {"Date": None} if arguments.out.suffix == ".svg" else None
+    with styled():
+        figure.savefig(arguments.out, metadata=dated)
+
+
+if __name__ == "__main__":
+    main()

@@ -15,6 +15,8 @@ _NO_DRIFT: Vector = np.zeros(DRIFT_SIZE)
 _NO_DRIFT.flags.writeable = False
 _ZERO_INPUT: Vector = np.zeros(INPUT_SIZE)
 _ZERO_INPUT.flags.writeable = False
+_NO_MOMENTUM_ROW: Vector = np.zeros(3)
+_NO_MOMENTUM_ROW.flags.writeable = False
 
 
 # Treated as immutable, but not frozen: that would take as long as a third of an iteration.
@@ -24,7 +26,7 @@ class HoldProblem:
 
     Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction),
 
-        w_T |x_N - x_d|^2 + w_x sum_{m=1}^{N-1} |x_m - x_d|^2
+        w_T (|x_N - x_d|^2 + (r_h . h_N)^2) + w_x sum_{m=1}^{N-1} |x_m - x_d|^2
             + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
             + w_s sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
 
@@ -56,6 +58,9 @@ class HoldProblem:
         Longest integration step [s].
     drift : ndarray, shape (8,)
         Drift at the start as an array, `sphere_nmpc.model.drift.Drift.as_array`.
+    momentum_row : ndarray, shape (3,)
+        r_h [s/rad; world frame], weighs a component of the momentum at the end; has no effect
+        with a stage cost, nor without drift.
     input_reference : ndarray, shape (2,)
         u_ref [rad/s]: rotor speeds that cost nothing.
     """
@@ -76,6 +81,7 @@ class HoldProblem:
     max_step: float = DEFAULT_MAX_STEP
     drift: Vector = field(default_factory=lambda: _NO_DRIFT)
     input_reference: Vector = field(default_factory=lambda: _ZERO_INPUT)
+    momentum_row: Vector = field(default_factory=lambda: _NO_MOMENTUM_ROW)
 
     @property
     def intervals(self) -> int:
@@ -88,7 +94,7 @@ class HoldProblem:
             self.state, goal, self.input_in_force, self.durations, self.constants, self.lower,
             self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
             self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
-            self.drift, self.input_reference,
+            self.drift, self.input_reference, self.momentum_row,
         )
 
 

@@ -35,6 +35,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "max_acceleration": 150.0,
         "drift": DRIFT,
         "input_reference": np.array([30.0, -20.0]),
+        "momentum_row": np.array([0.01, -0.02, 0.015]),
     },
     "drift and stages": {
         "intervals": 4,

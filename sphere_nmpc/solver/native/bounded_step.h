@@ -87,19 +87,20 @@ static int dense_step(workspace *w, double damping, int64_t size)
     return 1;
 }
 
-/* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 6 x 6 system
+/* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 7 x 7 system
  * (Woodbury's formula). */
 static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end,
-                       int64_t size)
+                       double momentum_error, int64_t size)
 {
-    double small[6 * 6], error[6], *z = w->solved;
+    double small[END * END], error[END], *z = w->solved;
     for (int l = 0; l < 6; l++)
         error[l] = x_end[l] - p->goal[l];
+    error[6] = momentum_error;
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
             w->step[i] = 0.0;
         else if (w->step[i] != 0.0)
-            for (int l = 0; l < 6; l++)
+            for (int l = 0; l < END; l++)
                 error[l] += w->rows[i * ROW + l] * w->step[i];
     }
     for (int64_t i = 0; i < size; i++) {
@@ -111,7 +112,7 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
             continue;
         }
         memcpy(row, w->rows + i * ROW, ROW * sizeof *row);
-        row[6] = w->partial_gradient[i] + banded_product(w, w->step, i, size);
+        row[END] = w->partial_gradient[i] + banded_product(w, w->step, i, size);
         const int coupled = i >= 2 && w->free[i - 2];
         const double off = coupled ? w->subdiagonal[i] : 0.0;
         w->pivot[i] = w->diagonal[i] + damping;
@@ -125,7 +126,7 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
         if (!(w->pivot[i] > 0.0))
             return 0;
     }
-    double sums[6][ROW] = {{0.0}};
+    double sums[END][ROW] = {{0.0}};
     for (int64_t i = size; i-- > 0;) {
         double *row = z + i * ROW;
         const double inverse = 1.0 / w->pivot[i];
@@ -135,21 +136,21 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
             for (int l = 0; l < ROW; l++)
                 row[l] -= w->ratio[i + 2] * row[l + 2 * ROW];
         if (w->free[i])
-            for (int k = 0; k < 6; k++)
+            for (int k = 0; k < END; k++)
                 for (int l = 0; l < ROW; l++)
                     sums[k][l] += w->rows[i * ROW + k] * row[l];
     }
-    for (int k = 0; k < 6; k++) {
-        memcpy(small + 6 * k, sums[k], 6 * sizeof(double));
-        small[7 * k] += 1.0 / (2.0 * p->terminal_weight);
-        error[k] -= sums[k][6];
+    for (int k = 0; k < END; k++) {
+        memcpy(small + END * k, sums[k], END * sizeof(double));
+        small[(END + 1) * k] += 1.0 / (2.0 * p->terminal_weight);
+        error[k] -= sums[k][END];
     }
-    if (!cholesky_solve(small, 6, 6, error))
+    if (!cholesky_solve(small, END, END, error))
         return 0;
     for (int64_t i = 0; i < size; i++)
         if (w->free[i]) {
-            double sum = z[i * ROW + 6];
-            for (int l = 0; l < 6; l++)
+            double sum = z[i * ROW + END];
+            for (int l = 0; l < END; l++)
                 sum += z[i * ROW + l] * error[l];
             w->step[i] = -sum;
         }
@@ -157,7 +158,8 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
 }
 
 /* Minimise the damped model within the bounds; 0 where the factorisation fails. */
-static int bounded_step(const problem *p, workspace *w, double damping, const double *states)
+static int bounded_step(const problem *p, workspace *w, double damping, const double *states,
+                        const double *momenta)
 {
     const int64_t size = 2 * p->intervals;
     int any = 0;
@@ -172,7 +174,8 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     for (int pass = 0; pass < BOUND_PASSES && any; pass++) {
         int crossed = 0;
         if (!(is_dense(p) ? dense_step(w, damping, size)
-                          : sparse_step(p, w, damping, states + 6 * p->intervals, size)))
+                          : sparse_step(p, w, damping, states + 6 * p->intervals,
+                                        p->drifts ? momentum_residual(p, momenta) : 0.0, size)))
             return 0;
         any = 0;
         for (int64_t i = 0; i < size; i++) {

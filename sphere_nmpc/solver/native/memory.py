@@ -80,6 +80,7 @@ class Slot:
         self._constants = self._words[span("constants")]
         self._drift = self._words[span("drift")]
         self._input_reference = self._words[span("input_reference")]
+        self._momentum_row = self._words[span("momentum_row")]
         self._scalars = self._words[span("input_scale", "max_step")]
 
     def write_settings(self, settings: SolverSettings) -> None:
@@ -102,6 +103,7 @@ class Slot:
         self._constants[:] = problem.constants
         self._drift[:] = problem.drift
         self._input_reference[:] = problem.input_reference
+        self._momentum_row[:] = problem.momentum_row
         self._scalars[:] = (
             problem.input_scale,
             problem.terminal_weight,

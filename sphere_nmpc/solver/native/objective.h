@@ -3,8 +3,9 @@
  *
  * Cost, gradient and Gauss-Newton Hessian, as in sphere_nmpc/solver/reference/objective.py.
  *
- * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 6 plus D, tridiagonal
- * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed.
+ * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 7 plus D, tridiagonal
+ * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed,
+ * and the momentum at the end has no cost.
  */
 static int is_dense(const problem *p)
 {
@@ -30,13 +31,24 @@ static double input_excess(const problem *p, const double *v, int64_t i)
     return v[i] - p->input_reference[i % 2] / p->input_scale;
 }
 
+/* Residual of the momentum at the end, h_N. */
+static double momentum_residual(const problem *p, const double *momenta)
+{
+    const double *row = p->momentum_row, *end = momenta + 3 * p->intervals;
+    return row[0] * end[0] + row[1] * end[1] + row[2] * end[2];
+}
+
 static double cost_of(const problem *p, const double *v, const double *inputs,
-                      const double *states)
+                      const double *states, const double *momenta)
 {
     const int64_t n = p->intervals;
     double terminal = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;
     for (int k = 0; k < 6; k++) {
         const double error = states[6 * n + k] - p->goal[k];
+        terminal += error * error;
+    }
+    if (p->drifts && !is_dense(p)) {
+        const double error = momentum_residual(p, momenta);
         terminal += error * error;
     }
     if (p->stage_weight > 0.0)
@@ -67,7 +79,7 @@ static double evaluate(const problem *p, const double *v, double *inputs, double
     for (int64_t i = 0; i < 2 * p->intervals; i++)
         inputs[i + 2] = p->input_scale * v[i];
     shoot(p, inputs, states, momenta, jacobians);
-    return cost_of(p, v, inputs, states);
+    return cost_of(p, v, inputs, states, momenta);
 }
 
 static void dense_states_part(const problem *p, workspace *w, const double *states)
@@ -103,7 +115,7 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
 /* Gradient and Gauss-Newton Hessian from the intervals' derivatives; the form of the Hessian
  * depends on `is_dense`. */
 static void expand(const problem *p, workspace *w, const double *v, const double *inputs,
-                   const double *states)
+                   const double *states, const double *momenta)
 {
     const int64_t size = 2 * p->intervals;
     for (int64_t i = 0; i < size; i++) {
@@ -133,6 +145,8 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     double error[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
         error[l] = 2.0 * p->terminal_weight * (states[6 * p->intervals + l] - p->goal[l]);
+    if (p->drifts)
+        error[6] = 2.0 * p->terminal_weight * momentum_residual(p, momenta);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;
         for (int l = 0; l < ROW; l++)

@@ -121,13 +121,16 @@ static void NAME(shoot)(const problem *p, const double *inputs, double *states, 
                              states + 6 * m + 6, momenta + 3 * m + 3, jacobians + m * DERIVATIVE);
 }
 
-/* rows_i = d x_N / d v_i, backwards: `sensitivity` is d x_N / d y_m, and d x_N / d xy_m is one. */
+/* rows_i = d [x_N, residual of h_N] / d v_i, backwards: `sensitivity` is the derivative by y_m, and
+ * d x_N / d xy_m is one. */
 static void NAME(terminal_rows)(const problem *p, workspace *w)
 {
     const int64_t n = p->intervals;
     double sensitivity[CARRIED][ROW] = {{0.0}};
     for (int k = 0; k < 4; k++)
         sensitivity[k][2 + k] = 1.0;
+    for (int k = 4; k < CARRIED; k++)
+        sensitivity[k][6] = p->momentum_row[k - 4];
     memset(w->rows, 0, (size_t)(2 * n * ROW) * sizeof *w->rows);
     for (int64_t m = n; m-- > 0;) {
         const double *a = w->interval + m * DERIVATIVE;

@@ -17,7 +17,8 @@
 #define MIN_DAMPING 1e-12
 #define MAX_DAMPING 1e12
 #define BOUND_PASSES 4
-#define ROW 8 /* 6 state components, a right-hand side, and one more to fill a register */
+#define END 7 /* residuals at the end: 6 state components, and one of the momentum */
+#define ROW 8 /* these and a right-hand side */
 
 #include "problem.h"
 #include "vectors.h"
@@ -50,7 +51,7 @@ void hold_solve(problem *p)
         p->status = NOT_FINITE;
     while (p->status != NOT_FINITE) {
         if (!expanded) {
-            expand(p, &w, w.v, p->inputs, p->states);
+            expand(p, &w, w.v, p->inputs, p->states, p->momenta);
             expanded = 1;
             p->kkt_residual = projected_gradient(&w, size);
             if (p->kkt_residual <= p->gradient_tolerance || p->cost <= p->target_cost) {
@@ -66,7 +67,7 @@ void hold_solve(problem *p)
         }
         p->iterations++;
         double value = NAN;
-        if (bounded_step(p, &w, damping, p->states)) {
+        if (bounded_step(p, &w, damping, p->states, p->momenta)) {
             for (int64_t i = 0; i < size; i++)
                 w.trial[i] = clip(w.v[i] + w.step[i], w.lower[i], w.upper[i]);
             value = evaluate(p, w.trial, w.inputs, w.states, w.momenta, w.interval);
@@ -87,7 +88,7 @@ void hold_solve(problem *p)
             p->cost = value;
             expanded = 0;
             if (small) {
-                expand(p, &w, w.v, p->inputs, p->states);
+                expand(p, &w, w.v, p->inputs, p->states, p->momenta);
                 p->kkt_residual = projected_gradient(&w, size);
                 p->status = CONVERGED;
                 break;
@@ -115,7 +116,7 @@ void hold_expand(problem *p, double *gradient, double *hessian, double *sensitiv
     const int64_t size = 2 * p->intervals, block = 6 * size;
     prepare(p, &w);
     p->cost = evaluate(p, w.v, p->inputs, p->states, p->momenta, w.interval);
-    expand(p, &w, w.v, p->inputs, p->states);
+    expand(p, &w, w.v, p->inputs, p->states, p->momenta);
     p->kkt_residual = projected_gradient(&w, size);
     memcpy(gradient, w.gradient, (size_t)size * sizeof *gradient);
     for (int64_t j = 0; j < size; j++) {
@@ -127,7 +128,7 @@ void hold_expand(problem *p, double *gradient, double *hessian, double *sensitiv
                 sum = dense_product(&w, w.step, i, size);
             } else {
                 sum = banded_product(&w, w.step, i, size);
-                for (int l = 0; l < 6; l++)
+                for (int l = 0; l < END; l++)
                     sum += 2.0 * p->terminal_weight * w.rows[i * ROW + l] * w.rows[j * ROW + l];
             }
             hessian[i * size + j] = sum;

@@ -87,7 +87,7 @@ class DriftHorizon:
         return states
 
     def sensitivities(self) -> Vector:
-        """Return d x_m / d (u_1 ... u_N) per rad/s, (N + 1, 6, 2 N), of the last `states`."""
+        """Return d [x_m, h_m] / d (u_1 ... u_N) per rad/s, (N + 1, 9, 2 N), of the last call."""
         n = self._ends.size
         if self._tangents is None:
             self._tangents = _Tangents(self._given)
@@ -103,7 +103,7 @@ class DriftHorizon:
             after[:, 2 * m + 2 : 2 * m + 4] += a * start + b * end
             along = by_knots[m + 1] = after
         # The knot in force is given.
-        sensitivities: Vector = by_knots[:, :6, 2:]
+        sensitivities: Vector = by_knots[:, :, 2:]
         return sensitivities
 
 

@@ -1,6 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of a `HoldProblem` with drift, for the NumPy solver; a residual has all six components."""
+"""Cost of a `HoldProblem` with drift, for the NumPy solver.
+
+A residual has all six components of the state, that at the end one of the momentum besides.
+"""
+
+import numpy as np
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.numpy_backend.drift_horizon import DriftHorizon
@@ -24,17 +29,25 @@ class DriftObjective(VectorObjective):
         self._states(self.inputs(v))
         return self._with_drift.momenta
 
+    def _momentum_cost(self) -> float:
+        residual = float(self._problem.momentum_row @ self._with_drift.momenta[-1])
+        return 0.0 if self._is_dense else residual * residual
+
     def _terminal_rows(self) -> tuple[Vector, Vector]:
-        return self._sensitivities()[-1], self._errors[-1]
+        row = self._problem.momentum_row
+        by_end = self._by_knots()[-1]
+        rows = np.vstack((by_end[:6], row @ by_end[6:]))
+        residual = float(row @ self._with_drift.momenta[-1])
+        return rows, np.append(self._errors[-1], residual)
 
     def _all_rows(self) -> tuple[Vector, Vector]:
         weights = self._root_weights()
-        rows = weights[:, :, None] * self._sensitivities()
+        rows = weights[:, :, None] * self._by_knots()[:, :6]
         return rows.reshape(-1, rows.shape[2]), (weights * self._errors).ravel()
 
-    def _sensitivities(self) -> Vector:
-        """Return the derivatives of x_1 ... x_N by v, shape (N, 6, 2 N)."""
+    def _by_knots(self) -> Vector:
+        """Return the derivatives of [x_m, h_m], m = 1 ... N, by v, shape (N, 9, 2 N)."""
         problem, n = self._problem, self._problem.intervals
-        by_knot = self._with_drift.sensitivities()[1:].reshape(n, 6, n, 2)
-        scaled: Vector = problem.input_scale * by_knot.swapaxes(2, 3).reshape(n, 6, 2 * n)
+        by_knot = self._with_drift.sensitivities()[1:].reshape(n, 9, n, 2)
+        scaled: Vector = problem.input_scale * by_knot.swapaxes(2, 3).reshape(n, 9, 2 * n)
         return scaled

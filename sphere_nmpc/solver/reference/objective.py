@@ -18,13 +18,15 @@ def all_knots(problem: HoldProblem, scaled: Vector) -> Vector:
 def cost(problem: HoldProblem, scaled: Vector) -> tuple[float, Vector]:
     """Return the cost and the states, shape (N + 1, 6), at scaled knots v, shape (2 N,)."""
     inputs = all_knots(problem, scaled)
-    states = roll_out(problem, inputs)
-    return _cost_of(problem, inputs, states), states
+    states, momentum = roll_out(problem, inputs)
+    return _cost_of(problem, inputs, states, momentum), states
 
 
-def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector) -> float:
+def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector, momentum: Vector) -> float:
     errors = states[1:] - problem.goal
     value = problem.terminal_weight * float(errors[-1] @ errors[-1])
+    if not problem.stage_weight > 0.0:
+        value += problem.terminal_weight * float(problem.momentum_row @ momentum) ** 2
     value += problem.stage_weight * float(np.sum(errors[:-1] ** 2))
     effort = (inputs[1:] - problem.input_reference) / problem.input_scale
     value += problem.input_weight * float(np.sum(effort**2))
@@ -47,7 +49,7 @@ def expand(problem: HoldProblem, scaled: Vector) -> tuple[Vector, Vector]:
     Second derivatives of the states are left out.
     """
     inputs = all_knots(problem, scaled)
-    states, sensitivities = roll_out_with_sensitivity(problem, inputs)
+    states, sensitivities, momentum, by_momentum = roll_out_with_sensitivity(problem, inputs)
     size = scaled.size
     reference = np.tile(problem.input_reference / problem.input_scale, problem.intervals)
     gradient = 2.0 * problem.input_weight * (scaled - reference)
@@ -59,6 +61,11 @@ def expand(problem: HoldProblem, scaled: Vector) -> tuple[Vector, Vector]:
             jacobian = problem.input_scale * sensitivities[m]
             gradient += 2.0 * weights[m - 1] * jacobian.T @ (states[m] - problem.goal)
             hessian += 2.0 * weights[m - 1] * jacobian.T @ jacobian
+    if not problem.stage_weight > 0.0:
+        row = problem.input_scale * problem.momentum_row @ by_momentum
+        residual = float(problem.momentum_row @ momentum)
+        gradient += 2.0 * problem.terminal_weight * residual * row
+        hessian += 2.0 * problem.terminal_weight * np.outer(row, row)
     if problem.slew_weight > 0.0:
         _add_slew(problem, inputs, gradient, hessian)
     return gradient, hessian

@@ -20,14 +20,17 @@ Step = Callable[..., tuple[Vector, Vector, Vector, Vector]]
 integration step; y is the quaternion and, with drift, the momentum (4 or 7 components)."""
 
 
-def roll_out(problem: HoldProblem, inputs: Vector) -> Vector:
-    """Return the states at the knots, shape (N + 1, 6), under knots `inputs`, shape (N + 1, 2)."""
+def roll_out(problem: HoldProblem, inputs: Vector) -> tuple[Vector, Vector]:
+    """Return states (N + 1, 6) at the knots `inputs`, (N + 1, 2), and momentum (3,) at the end."""
     # With no directions the same function is a step without sensitivities.
-    return _shoot(problem, inputs, False)[0]
+    found = _shoot(problem, inputs, False)[0]
+    return found[:, :6], _momentum(found)
 
 
-def roll_out_with_sensitivity(problem: HoldProblem, inputs: Vector) -> tuple[Vector, Vector]:
-    """Return the states at the knots and their derivatives by the free knots.
+def roll_out_with_sensitivity(
+    problem: HoldProblem, inputs: Vector
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return states at the knots and the momentum at the end, with derivatives by the free knots.
 
     Parameters
     ----------
@@ -41,8 +44,21 @@ def roll_out_with_sensitivity(problem: HoldProblem, inputs: Vector) -> tuple[Vec
     states : ndarray, shape (N + 1, 6)
     sensitivities : ndarray, shape (N + 1, 6, 2 N)
         d x_m / d (u_1, ..., u_N), per rad/s.
+    momentum : ndarray, shape (3,)
+        h_N [rad/s; world frame]; zero without drift.
+    by_momentum : ndarray, shape (3, 2 N)
+        d h_N / d (u_1, ..., u_N).
     """
-    return _shoot(problem, inputs, True)
+    found, derivatives = _shoot(problem, inputs, True)
+    by_momentum = derivatives[-1, 6:]
+    if not len(by_momentum):
+        by_momentum = np.zeros((3, 2 * problem.intervals))
+    return found[:, :6], derivatives[:, :6], _momentum(found), by_momentum
+
+
+def _momentum(found: Vector) -> Vector:
+    momentum: Vector = found[-1, 6:] if found.shape[1] > 6 else np.zeros(3)
+    return momentum
 
 
 def _shoot(problem: HoldProblem, inputs: Vector, derive: bool) -> tuple[Vector, Vector]:
@@ -78,7 +94,7 @@ def _shoot(problem: HoldProblem, inputs: Vector, derive: bool) -> tuple[Vector, 
             if m > 0:
                 sensitivities[m + 1, :, 2 * m - 2 : 2 * m] += local[:, carried : carried + 2]
             sensitivities[m + 1, :, 2 * m : 2 * m + 2] += local[:, carried + 2 :]
-    return states[:, :6], sensitivities[:, :6]
+    return states, sensitivities
 
 
 def _plain_step(problem: HoldProblem, directions: int) -> Step:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -222,6 +223,16 @@ class ArrivalSolver:
             return replace(drift, momentum=momenta[-1])
         return drift.after_slope(float(np.sum(durations)))
 
+    def _momentum_row(self, drift: Drift, goal: Vector) -> Vector:
+        """Return what lets a plan end without momentum along the body's z axis, shape (3,).
+
+        On the way an imbalance changes that component; all else leaves it as it is.
+        """
+        if not drift.imbalance.any():
+            return np.zeros(3)
+        row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
+        return row
+
     def _rest_at(self, drift: Drift, goal: Vector) -> Vector:
         """Return the rotor speeds of rest at the goal within the limit [rad/s], shape (2,)."""
         held = drift.rest_speeds(goal[QUATERNION])
@@ -261,4 +272,5 @@ class ArrivalSolver:
             max_acceleration=self._acceleration,
             max_step=self._max_step,
             drift=situation.drift.as_array(),
+            momentum_row=self._momentum_row(situation.drift, goal),
         )

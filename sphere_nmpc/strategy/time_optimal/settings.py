@@ -28,6 +28,9 @@ class TimeOptimalSettings:
     slew_weight: float = 10.0
     """Weight [-] of accelerations beyond the limit between inner knots. Too small: they are
     exceeded where the terminal error falls by it; too large: slower convergence."""
+    momentum_weight: float = 0.02
+    """Error [-] that 1 rad/s of momentum along the body's z axis at the end counts as, where an
+    imbalance lets the plan change it: it turns the sphere at 0.05 rad/s."""
     acceleration_share: float = 0.998
     """Share [-] of the acceleration limit that plans use, so that what little the penalty leaves
     stays within the limit."""

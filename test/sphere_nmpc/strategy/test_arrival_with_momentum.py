@@ -122,3 +122,19 @@ def test_solve_without_drift_is_the_same_to_the_bit() -> None:
     np.testing.assert_array_equal(found.hold.speeds, expected.hold.speeds)
     np.testing.assert_array_equal(found.states, expected.states)
     np.testing.assert_array_equal(found.hold.speeds[-1], [0.0, 0.0])
+
+
+def test_first_and_last_ramp_keep_the_limit_of_any_solution() -> None:
+    """Between a start and an end that are both fixed, with too little time to reach the goal."""
+    guess = FirstOrderHold(np.array([0.0, 0.8]), np.array([[0.0, 0.0], [80.0, -80.0]]))
+    drift = Drift(np.array([60.0, -70.0, 0.0]))
+    now = replace(situation(drift), input_in_force=np.array([-60.0, 50.0]))
+    arrival = planner().solve(now, GOAL, 0.85, guess, new_plan=True)
+    assert arrival.error > 0.1
+    durations = np.diff(arrival.hold.times)
+    assert durations[-1] == pytest.approx(0.1)
+    slopes = np.abs(np.diff(arrival.hold.speeds, axis=0)) / durations[:, None]
+    allowed = TUNING.acceleration_share * ROBOT.max_rotor_acceleration
+    # Rounding of 100 rad/s in a tenth of a second.
+    assert np.max(slopes[[0, -1]]) <= allowed + 1e-9
+    np.testing.assert_allclose(arrival.hold.speeds[-1], drift.rest_speeds(GOAL[QUATERNION]))

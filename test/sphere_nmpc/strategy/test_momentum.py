@@ -15,6 +15,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.holdable_goal import MOMENTUM_TOLERANCE
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.registry import make_strategy
 from sphere_nmpc.strategy.rest import SATURATED
@@ -170,15 +171,32 @@ def test_sphere_stays_where_little_momentum_turns_it() -> None:
     assert max(loop.errors) < SETTLED
 
 
+def test_plan_ends_where_the_momentum_of_its_arrival_can_be_held() -> None:
+    """On the slope the momentum turns: the nearest goal to be held is another one by then."""
+    goal = make_state(np.zeros(2), rotation.exponential(np.array([0.15, 0.0, 0.0])))
+    world = DisturbanceSettings(slope=float(np.radians(0.3)), slope_direction=0.0)
+    loop = MomentumLoop(upright(0.8, 0.4, 0.6), goal, world)
+    loop.push_momentum(np.array([25.0, 5.0, 0.0]))
+    for _ in range(4):
+        loop.run(loop.period)
+        now = loop.situation()
+        plan = loop.strategy.plan(now)
+        assert plan.status is PlanStatus.SOLVED
+        end = now.drift.after_slope(plan.arrival - now.time)
+        turned = plan.states[-1][QUATERNION]
+        # The tolerance of the goal; an error of the plan of 1e-4 at 30 rad/s is little beside it.
+        assert abs(end.in_body(turned)[2]) < 1.2 * MOMENTUM_TOLERANCE
+
+
 def test_plan_follows_its_goal_back_when_that_can_be_held_after_all() -> None:
     goal = make_state(np.zeros(2), rotation.exponential(np.array([0.15, 0.0, 0.0])))
     loop = MomentumLoop(upright(0.8, 0.4, 0.6), goal)
-    loop.push_momentum(np.array([0.0, 30.0, 0.0]))
+    loop.push_momentum(np.array([0.0, 15.0, 0.0]))
     turned = loop.run(0.75)[-1]
     assert turned.status is PlanStatus.SOLVED and "orientation by 8." in turned.given_up
     # Half the angle of 0.15 rad, in R^6.
     assert state_error(turned.states[-1], goal) == pytest.approx(0.075, rel=0.05)
-    loop.push_momentum(np.array([0.0, -30.0, 0.0]))
+    loop.push_momentum(np.array([0.0, -15.0, 0.0]))
     followed = loop.run(0.25)[-1]
     assert followed.status is PlanStatus.SOLVED and followed.given_up == ""
     assert state_error(followed.states[-1], goal) < 1e-3

@@ -223,12 +223,14 @@ class ArrivalSolver:
             return replace(drift, momentum=momenta[-1])
         return drift.after_slope(float(np.sum(durations)))
 
-    def _momentum_row(self, drift: Drift, goal: Vector) -> Vector:
+    def _momentum_row(self, situation: Situation, goal: Vector) -> Vector:
         """Return what lets a plan end without momentum along the body's z axis, shape (3,).
 
-        On the way an imbalance changes that component; all else leaves it as it is.
+        On the way an imbalance changes that component; all else leaves it as it is. Where poses
+        are noisy its estimate changes from sample to sample by more than a plan can follow, and
+        it is left to the tilt at rest.
         """
-        if not drift.imbalance.any():
+        if not situation.drift.imbalance.any() or situation.uncertainty > 0.0:
             return np.zeros(3)
         row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
         return row
@@ -272,5 +274,5 @@ class ArrivalSolver:
             max_acceleration=self._acceleration,
             max_step=self._max_step,
             drift=situation.drift.as_array(),
-            momentum_row=self._momentum_row(situation.drift, goal),
+            momentum_row=self._momentum_row(situation, goal),
         )

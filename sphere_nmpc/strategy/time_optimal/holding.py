@@ -100,8 +100,11 @@ class RestAtGoal:
         square = rotation.vertical(goal[QUATERNION])[2] ** 2
         gain = c1 * r3 / r1 * (1.0 + r3 * square / (1.0 - r1 * (1.0 - square) - r3 * square))
         turned = float(error_between(goal, situation.state)[4])
-        wanted = -turned / (tuning.turning_time * gain)
-        tilt = min(max((h3 - wanted) / level, -tuning.largest_tilt), tuning.largest_tilt)
+        uncertainty = situation.uncertainty
+        time = tuning.noisy_turning_time if uncertainty > 0.0 else tuning.turning_time
+        wanted = -turned / (time * gain)
+        largest = tuning.largest_tilt + tuning.tilt_factor * uncertainty
+        tilt = min(max((h3 - wanted) / level, -largest), largest)
         # About the axis h x e3, which lies in the body's x-y plane.
         step = rotation.exponential(tilt / level * np.array([h2, -h1, 0.0]))
         return np.concatenate((goal[:2], rotation.product(goal[QUATERNION], step)))

@@ -184,6 +184,10 @@ class TimeOptimalSettings:
     held_speed: float = 1.0
     """The same where they hold momentum [rad/s]: deviation from the speeds of rest, of which the
     estimate of the momentum has an error."""
+    held_speed_factor: float = 500.0
+    """What is added to it, over the standard deviation of the state estimate [rad/s]: noise of the
+    poses moves the estimate of the momentum by a few rad/s, to which no rotor has to be ramped
+    before the sphere counts as resting."""
     largest_change_of_goal: float = 0.2
     """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
     cannot be held at the goal itself."""
@@ -195,9 +199,14 @@ class TimeOptimalSettings:
     """Error [-] below which the sphere comes to rest at the goal with momentum, which lets all of
     the error be corrected without another manoeuvre."""
     turning_time: float = 3.0
-    """Time constant [s] with which a tilt lets the momentum correct a turn about the body's z."""
+    """Time constant [s] with which a tilt lets the momentum correct a turn about body z ..."""
+    noisy_turning_time: float = 1.2
+    """... and where poses are noisy: the more momentum, the faster a tilt that is not known turns
+    the sphere, and near the limit of the rotors 3 s let it turn by 3 degrees."""
     largest_tilt: float = 4e-3
     """Largest such tilt [rad]; it adds 2e-3 to the error."""
+    tilt_factor: float = 2.0
+    """What is added to it, over the standard deviation of the state estimate [rad]."""
     least_tilting_momentum: float = 2.0
     """Momentum [rad/s] below which it is not used for that."""
     rest_time: float = 1.0

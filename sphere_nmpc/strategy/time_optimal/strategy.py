@@ -162,7 +162,8 @@ class TimeOptimalStrategy:
         if drift.is_zero:
             return bool(np.all(np.abs(in_force) < tuning.rest_speed))
         held = speeds_of_rest(drift, situation.state[QUATERNION], self._robot.max_rotor_speed)
-        return bool(np.all(np.abs(in_force - held) < tuning.held_speed))
+        near = tuning.held_speed + tuning.held_speed_factor * situation.uncertainty
+        return bool(np.all(np.abs(in_force - held) < near))
 
     def _is_saturated(self, situation: Situation) -> bool:
         limit = self._robot.max_rotor_speed

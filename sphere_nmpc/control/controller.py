@@ -192,7 +192,9 @@ class Controller:
         newest = self._estimator.newest
         if newest is None:
             mode = Mode.NO_POSE
-            return Decision(mode, self._ramp_to_rest(time, mode), None)
+            return Decision(
+                mode, self._ramp_to_rest(time, mode), None, drift=self._estimator.drift
+            )
         stamp, state = newest
         age = time - stamp
         if abs(age) > self._settings.pose_timeout:
@@ -202,7 +204,10 @@ class Controller:
             self._reset_strategy()
             self._arrival.reset()
             mode = Mode.NO_FRESH_POSE
-            return Decision(mode, self._ramp_to_rest(time, mode), None, pose_age=age)
+            return Decision(
+                mode, self._ramp_to_rest(time, mode), None, pose_age=age,
+                drift=self._estimator.drift,
+            )
         estimate, failure = self._estimate(time)
         if estimate is not None:
             state = estimate.state

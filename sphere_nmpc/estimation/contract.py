@@ -91,6 +91,11 @@ class Estimator(Protocol):
         """Distribution of the estimated parameters, from which another estimator can start."""
         ...
 
+    @property
+    def drift(self) -> Drift:
+        """Drift at the newest pose taken into account, kept where poses are forgotten."""
+        ...
+
     def observe(self, time: float, pose: Vector) -> bool:
         """Take a pose, shape (6,), measured at control time `time` [s]; False if outdated."""
         ...
@@ -110,5 +115,8 @@ class Estimator(Protocol):
         ...
 
     def forget(self) -> None:
-        """Discard all poses, as after a jump of the clock; estimated parameters stay."""
+        """Discard all poses, as after a jump of the clock.
+
+        Estimated parameters and drift stay; the momentum may have changed meanwhile.
+        """
         ...

@@ -13,7 +13,11 @@ from sphere_nmpc.estimation.filter_state import (
     PoseNoise,
     State,
 )
-from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
+from sphere_nmpc.estimation.plant_parameters import (
+    PRIOR_DEVIATION,
+    ParameterDistribution,
+    ParameterScaling,
+)
 from sphere_nmpc.model.drift import DRIFT_SIZE, IMBALANCE, MOMENTUM, SLOPE, Drift
 from sphere_nmpc.model.drift_propagation import propagate_with_drift, state_rates_with_momentum
 from sphere_nmpc.model.state import QUATERNION, Vector
@@ -31,6 +35,7 @@ _Drift = slice(SIZE, SIZE + DRIFT_SIZE)
 _Momentum = slice(SIZE, SIZE + 3)
 _Torques = slice(SIZE + 3, SIZE + DRIFT_SIZE)
 _Moving = np.r_[State, _Momentum]
+_Learnt = np.r_[Constants, _Torques]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +81,26 @@ class DriftFilterState(FilterState):
         joint = self.joint.copy()
         joint[_Drift, _Drift] += np.diag(PUSH**2)
         return replace(self, joint=joint)
+
+    def with_drift_of(self, known: "DriftFilterState") -> "DriftFilterState":
+        """Return the state with a drift that was known before, with the variance of a push."""
+        joint = self.joint.copy()
+        joint[_Drift, _Drift] = known.joint[_Drift, _Drift] + np.diag(PUSH**2)
+        return replace(self, joint=joint, values=known.values)
+
+    def doubted(self) -> "DriftFilterState":
+        """Return the state with little faith in what was learnt: torques and parameters.
+
+        Both were fitted to a motion with another cause. The lag is kept, and parameters that are
+        taken as exact.
+        """
+        joint, values = self.joint.copy(), self.values.copy()
+        joint[_Learnt, :] = joint[:, _Learnt] = 0.0
+        joint[_Drift, _Drift] += np.diag(PRIOR**2)
+        if self.joint[Constants, Constants].any():
+            joint[Constants, Constants] = np.diag(PRIOR_DEVIATION[:-1] ** 2)
+        values[SLOPE] = values[IMBALANCE] = 0.0
+        return replace(self, joint=joint, values=values)
 
     def _rates(self, speeds: Vector, constants: Vector) -> Vector:
         return state_rates_with_momentum(self.state, self.values[MOMENTUM], speeds, constants)

@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extended Kalman filter with drift, in which pushes are looked for."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from sphere_nmpc.estimation.drift_filter_state import PUSHED, DriftFilterState
-from sphere_nmpc.estimation.filter_state import PoseNoise
+from sphere_nmpc.estimation.filter_state import FilterState, PoseNoise
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import Entry, StateEstimator
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.state import Vector
 
 _AGES = (2, 5, 10, 16)
@@ -20,7 +22,9 @@ _SPACING = 2
 """Poses between two searches, each of which fuses some thirty poses again."""
 _GAIN = 10.0
 """Logarithm of the ratio of likelihoods above which a push is taken as the cause."""
-
+_REPEATED = 3.0
+"""Time after a push [s] within which another one is not believed: rather slope and imbalance are
+wrong, and all of the drift but the momentum is learnt again."""
 _COMPARED = 40
 """Poses that are compared when drift appears ..."""
 _BEFORE = 12
@@ -51,6 +55,27 @@ class DriftStateEstimator(StateEstimator):
         self.pushes = 0
         """Pushes found since the start."""
         self._since_tried = 0
+        self._pushed_at = -math.inf
+        self._before: FilterState | None = None
+
+    @property
+    def drift(self) -> Drift:
+        """Drift after the newest pose, or before the poses were forgotten."""
+        return super().drift if self._before is None else self._before.drift
+
+    def forget(self) -> None:
+        """Discard all poses; parameters and drift stay, the momentum with a large variance."""
+        if self._history:
+            self._before = self._history[-1].after
+        self._pushed_at = -math.inf
+        super().forget()
+
+    def _at_pose(self, stamp: float, pose: Vector) -> FilterState:
+        begun = super()._at_pose(stamp, pose)
+        known, self._before = self._before, None
+        if isinstance(begun, DriftFilterState) and isinstance(known, DriftFilterState):
+            return begun.with_drift_of(known)
+        return begun
 
     def adopt(self, paper: StateEstimator) -> None:
         """Continue from the filter of the paper's model and a push if that explains the poses.
@@ -64,15 +89,17 @@ class DriftStateEstimator(StateEstimator):
         for age in _AGES:
             if age + _BEFORE < count:
                 base = entries[-age - 1]
-                start = DriftFilterState.from_paper(base.after, PUSHED)
-                found = self._fused_again(replace(base, after=start), entries[-age:])
-                since = _likelihood(found[1:]) - _likelihood(own[-age:])
                 before = _likelihood(entries[:-age]) - _likelihood(own[:-age])
-                tried.append((min(since, since + before), found))
+                pushed = DriftFilterState.from_paper(base.after, PUSHED)
+                for start in (pushed, pushed.doubted()):
+                    found = self._fused_again(replace(base, after=start), entries[-age:])
+                    since = _likelihood(found[1:]) - _likelihood(own[-age:])
+                    tried.append((min(since, since + before), found))
         if not tried:
             return
         gain, found = max(tried, key=lambda one: one[0])
         if gain > 0.0:
+            self._pushed_at = found[-1].stamp
             self._history.clear()
             self._history.extend(found)
             self._parameters = found[-1].after.parameters
@@ -87,20 +114,28 @@ class DriftStateEstimator(StateEstimator):
             return
         self._since_tried = 0
         entries = [*before, newest]
-        tried = [self._after_push(entries, age) for age in _AGES if age < len(entries)]
-        if not tried:
+        ages = [age for age in _AGES if age < len(entries)]
+        if not ages:
             return
+        pushed, doubted = DriftFilterState.pushed, DriftFilterState.doubted
+        again = stamp - self._pushed_at < _REPEATED
+        tried = [self._changed(entries, age, doubted if again else pushed) for age in ages]
+        if not again:
+            tried.append(self._changed(entries, ages[-1], doubted))
         gain, found = max(tried, key=lambda one: one[0])
         if gain > _GAIN:
             self.pushes += 1
+            self._pushed_at = stamp
             self._history.clear()
             self._history.extend(found)
 
-    def _after_push(self, entries: list[Entry], age: int) -> tuple[float, list[Entry]]:
-        """Return the entries if a push came `age` poses ago, and the gain of likelihood by it."""
+    def _changed(
+        self, entries: list[Entry], age: int, change: Callable[[DriftFilterState], FilterState]
+    ) -> tuple[float, list[Entry]]:
+        """Return the entries with a change `age` poses ago, and the likelihood gained by it."""
         base, again = entries[-age - 1], entries[-age:]
         assert isinstance(base.after, DriftFilterState)
-        found = self._fused_again(replace(base, after=base.after.pushed()), again)
+        found = self._fused_again(replace(base, after=change(base.after)), again)
         gain = _likelihood(found[1:]) - _likelihood(again)
         return gain, [*entries[: -age - 1], *found]
 

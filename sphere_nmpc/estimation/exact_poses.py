@@ -73,6 +73,11 @@ class ExactPoseEstimator:
             self._nominal, self._settings.drive_lag, learnt.noise, learnt.deviations
         )
 
+    @property
+    def drift(self) -> Drift:
+        """Drift of the last fit."""
+        return self._fit.result.drift
+
     def observe(self, time: float, pose: Vector) -> bool:
         """Take a pose; False if it is not newer than the newest."""
         if self._newest is not None and time <= self._newest[0]:

@@ -17,6 +17,7 @@ from sphere_nmpc.estimation.plant_parameters import (
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import StateEstimator
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -100,6 +101,11 @@ class NoisyPoseEstimator:
         lag = significant(self._scaling.lag(mean))
         return PlantEstimate(self._scaling.lumped(mean), lag, noise)
 
+    @property
+    def drift(self) -> Drift:
+        """Drift after the newest pose, or before the poses were forgotten."""
+        return self._filter.drift
+
     def observe(self, time: float, pose: Vector) -> bool:
         """Fuse a pose; False if it is known already or too old to be inserted."""
         accepted = self._paper.observe(time, pose)
@@ -141,7 +147,7 @@ class NoisyPoseEstimator:
             self._drifting = self._with_drift()
 
     def forget(self) -> None:
-        """Discard all poses; estimated parameters stay."""
+        """Discard all poses; estimated parameters and drift stay."""
         self._paper.forget()
         self._drifting.forget()
 

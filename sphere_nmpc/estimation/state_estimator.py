@@ -21,6 +21,7 @@ import numpy as np
 from sphere_nmpc.estimation.filter_state import REST_NOISE, FilterState, PoseNoise
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.state import Vector
 
 AGREEING_OUTLIERS = 3
@@ -86,6 +87,11 @@ class StateEstimator:
     def parameters(self) -> ParameterDistribution:
         """Distribution of the parameters after the last pose."""
         return self._parameters
+
+    @property
+    def drift(self) -> Drift:
+        """Drift after the newest pose."""
+        return self._history[-1].after.drift if self._history else NO_DRIFT
 
     @property
     def entries(self) -> list[Entry]:

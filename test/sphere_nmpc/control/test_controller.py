@@ -14,6 +14,7 @@ from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate
 from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
@@ -139,6 +140,19 @@ def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit(controller: Controller
     assert hold.end - late == pytest.approx(np.max(np.abs(in_force)) / 400.0)
     # At rest and still without a pose, nothing more is sent.
     assert controller.commit(controller.decide(late + 1.0), late + 1.0) is None
+
+
+def test_without_fresh_poses_the_known_drift_is_reported(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track(controller)
+    known = Drift(slope=np.array([2.0, -1.0]))
+    monkeypatch.setattr(type(controller.estimator), "drift", property(lambda _: known))
+    assert controller.decide(SETTINGS.pose_timeout + 0.01).drift is known
+    controller.forget()
+    decision = controller.decide(1.0)
+    assert decision.mode is Mode.NO_POSE
+    assert decision.drift is known
 
 
 def test_pose_after_an_interruption_resumes_tracking(controller: Controller) -> None:

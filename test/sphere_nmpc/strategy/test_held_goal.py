@@ -78,6 +78,14 @@ def test_goal_is_held_with_the_momentum_at_the_arrival(held: HeldGoal) -> None:
     np.testing.assert_array_equal(resting, holdable_goal(TILTED, drift))
 
 
+def test_out_of_balance_a_new_plan_holds_the_torque_whatever_the_momentum(held: HeldGoal) -> None:
+    """What the way adds to the momentum is not known; the plan's own prediction is then used."""
+    drift = Drift(np.array([10.0, 30.0, 0.0]), imbalance=OFFSET)
+    expected = holdable_goal(TILTED, replace(drift, momentum=np.zeros(3)))
+    assert angle_error(expected, holdable_goal(TILTED, drift)) > 1e-2
+    np.testing.assert_array_equal(held.goal(situation(TILTED, drift), None, False), expected)
+
+
 @pytest.mark.parametrize(
     ("drift", "holding"),
     [

@@ -50,7 +50,7 @@ CHARTS = (
           colours.ROTORS, (-100.0, 100.0)),
     Chart("rotor torques [N m]", ("torque_1", "torque_2"), ("rotor 1", "rotor 2"),
           colours.ROTORS, (-2.0, 2.0)),
-    Chart("momentum about the contact point [N m s]",
+    Chart("momentum about the contact point, world [N m s]",
           ("momentum_x", "momentum_y", "momentum_z"), ("x", "y", "z"),
           (colours.BLUE, colours.VERMILION, colours.INK), (-0.2, 0.2),
           disturbances=True),

@@ -32,7 +32,7 @@ SIMULATOR = (
 )
 TOLERANCE = 1e-2
 """Error from the goal within which the sphere is back; the controller's `goal_tolerance`."""
-PLOT = "momentum about the contact point [N m s]"
+PLOT = "momentum about the contact point, world [N m s]"
 PUSHES = ((0.6, 30.0), (1.0, 210.0))
 """Impulses [N s] and directions [degrees]; the second one reverses the momentum."""
 

@@ -175,6 +175,11 @@ class DriftFit:
         """Whether one of the two newest transitions was pushed."""
         return any(step.pushed for step in self._steps[-2:])
 
+    @property
+    def newest_was_pushed(self) -> bool:
+        """Whether the newest transition is explained by a push, or not at all."""
+        return bool(self._steps) and (self._steps[-1].pushed or self._steps[-1].left_out)
+
     def evidence(self, paper: Vector) -> tuple[float, float]:
         """Return how much better the window is explained with drift than without.
 

@@ -35,6 +35,10 @@ _MISLED = 20.0
 """Logarithm of the likelihood lost by drift above which its fit begins anew."""
 _CERTAIN = 60.0
 """The same above which nothing else is asked where errors are small otherwise."""
+_MOST_PUSHES, _PUSHES_OVER = 3, 10
+"""More pushes than the first number, within the second one of transitions, are no pushes: the
+motion differs from the model otherwise, as where a drive is weaker than assumed or the shell
+slips. One push may count twice."""
 _CONFIRMED = 3
 """Transitions that drift has to predict better where slip or process noise blur them."""
 
@@ -85,6 +89,7 @@ class DriftingPlantEstimator:
         self._momentum = momentum
         self._drifts = False
         self._innovations: deque[tuple[float, float]] = deque(maxlen=_COMPARED)
+        self._pushed: deque[bool] = deque(maxlen=_PUSHES_OVER)
         self.result = DriftingPlant(self._paper.estimate, self._paper.parameters)
         """Estimate after the last complete update."""
 
@@ -118,9 +123,12 @@ class DriftingPlantEstimator:
             self._paper.observe(transition)
         drifting.observe(transition, connected)
         self._innovations.append((without, drifting.innovation))
+        self._pushed.append(drifting.newest_was_pushed)
         gain, occam = drifting.evidence(self._parameters.mean)
         if self._drifts:
-            self._drifts = gain > VANISHES and self._predicts_better()
+            self._drifts = (
+                gain > VANISHES and self._predicts_better() and not self._is_something_else
+            )
             if not self._drifts:
                 self._paper = PlantEstimator(self._nominal, drifting.parameters.mean)
         elif gain < -_MISLED:
@@ -140,12 +148,17 @@ class DriftingPlantEstimator:
         A push, or much evidence, suffices at once where errors are small otherwise; else drift
         must have improved predictions, of several transitions where slip or noise blur them.
         """
-        if evidence < APPEARS:
+        if evidence < APPEARS or self._is_something_else:
             return False
         if self._drifting.clear and (self._drifting.pushed or evidence > _CERTAIN):
             return True
         newest = list(self._innovations)[-1 if self._drifting.clear else -_CONFIRMED :]
         return all(found < 0.5 * without for without, found in newest)
+
+    @property
+    def _is_something_else(self) -> bool:
+        """Whether there are more pushes than anybody pushes."""
+        return sum(self._pushed) > _MOST_PUSHES
 
     def _predicts_better(self) -> bool:
         """Return whether drift has improved the predictions."""

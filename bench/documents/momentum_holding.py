@@ -1,0 +1,185 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How long a sphere stays at its goal on a slope or out of balance, of the time that it could.
+
+``python bench/documents/momentum_holding.py --runs 48`` prints a table for docs/momentum.md:
+closed loops on ``rigid_body`` with parameters wrong by 3 %, to drawn upright goals. A sphere has
+arrived when its error falls below 1e-2 for half a second and stays until the error exceeds it. It
+could stay until a rotor at rest at the goal would be at its limit, with the true momentum and
+torques of the plant; what it could not reach before that is not counted.
+"""
+
+import argparse
+import math
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import repeat
+
+import numpy as np
+
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.saturation import time_to_saturation
+from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
+from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+from sphere_sim.scenario.perturbation import perturbed
+from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import prepare
+
+PERTURBATION = 3.0
+"""Largest error of the parameters [%]."""
+SEED = 31
+DWELL = 0.5
+"""Time for which the error has to be small for an arrival [s]."""
+OUTPUT = 0.02
+"""Spacing of the rows of a run [s]."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Disturbance of a row of the table.
+
+    Attributes
+    ----------
+    slope : float
+        Inclination [deg].
+    offset : float
+        Distance of the centre of mass from the centre [mm].
+    friction : float
+        Rolling friction [mm].
+    duration : float
+        Length of a run [s].
+    """
+
+    slope: float = 0.0
+    offset: float = 0.0
+    friction: float = 0.0
+    duration: float = 30.0
+
+    @property
+    def name(self) -> str:
+        """What is printed."""
+        parts = [f"slope {self.slope:g}°"] if self.slope else []
+        parts += [f"{self.offset:g} mm off"] if self.offset else []
+        parts += [f"rolling friction {self.friction:g} mm"] if self.friction else []
+        return ", ".join(parts)
+
+
+CASES = (
+    Case(slope=0.1), Case(slope=0.5, duration=15.0), Case(slope=1.0, duration=10.0),
+    Case(offset=0.5), Case(offset=1.0), Case(offset=2.0), Case(offset=1.0, friction=0.1),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Times of a run [s]: arrival (nan if none), leaving and limit, and of the limit as predicted.
+
+    Attributes
+    ----------
+    arrived, left, limit : float
+        `left` is the end of the run for a sphere that stays; `limit` is inf if there is none.
+    predicted : float
+        Time from the arrival to saturation that the controller predicted.
+    """
+
+    arrived: float
+    left: float
+    limit: float
+    predicted: float
+
+
+def run(case: Case, index: int) -> Outcome:
+    """Run a drawn scenario."""
+    draws = DisturbanceDraws(slope=math.radians(case.slope), offset=1e-3 * case.offset)
+    scenario = draws.applied_to(draw_scenarios(index + 1, SEED, "upright")[index])
+    settings = [("simulator.plant", "rigid_body"), ("rolling_friction", str(1e-3 * case.friction))]
+    conditions = StudyConditions(case.duration, PERTURBATION).with_settings(settings)
+    simulator, controller = prepare(conditions, scenario)
+    momenta: dict[int, Vector] = {}
+    advance = simulator.advance_to
+
+    def record(then: int) -> None:
+        momenta[simulator.now] = simulator.plant.momentum
+        advance(then)
+
+    simulator.advance_to = record  # type: ignore[method-assign]
+    period = conditions.controller.control_period
+    found = run_closed_loop(simulator, controller, scenario.goal, case.duration, period, OUTPUT)
+    small = state_errors(found.states, scenario.goal) < SETTLED_ERROR
+    rows = round(DWELL / OUTPUT)
+    starts = [i for i in range(small.size - rows) if small[i : i + rows].all()]
+    if not starts:
+        return Outcome(math.nan, math.nan, math.inf, math.nan)
+    first = starts[0]
+    outside = np.flatnonzero(~small[first:])
+    left = found.times[first + int(outside[0])] if outside.size else case.duration
+    arrived, robot = float(found.times[first]), conditions.robot
+    # The sampling instant after the arrival, at which the controller holds.
+    instant = math.ceil(arrived / period) * period
+    truth = momenta[round(instant * 1e9)]
+    drift = _true_drift(scenario.disturbances, robot, scenario.seed, truth)
+    turn, limit = scenario.goal[QUATERNION], robot.max_rotor_speed
+    estimated = found.decisions[round(instant / period)].drift
+    return Outcome(
+        arrived, float(left), instant + time_to_saturation(drift, turn, limit),
+        instant + time_to_saturation(estimated, turn, limit) - arrived,
+    )
+
+
+def _true_drift(
+    disturbances: dict[str, float], robot: RobotParameters, seed: int, momentum: Vector
+) -> Drift:
+    """Return the drift of the robot that was drawn, at an angular momentum [N m s]."""
+    robot = perturbed(robot, PERTURBATION / 100.0, np.random.default_rng([seed, 2]))
+    offset = np.array([disturbances.get(f"mass_offset_{axis}", 0.0) for axis in "xyz"])
+    slope = disturbances.get("slope", 0.0), disturbances.get("slope_direction", 0.0)
+    return Drift(
+        momentum / robot.rotor_axial_inertia, slope_torque(robot, *slope),
+        imbalance_of_offset(robot, offset),
+    )
+
+
+def _row(case: Case, outcomes: list[Outcome]) -> str:
+    arrived = [o for o in outcomes if not math.isnan(o.arrived)]
+    possible = [o for o in arrived if min(o.limit, case.duration) > o.arrived + DWELL]
+    shares = [
+        (o.left - o.arrived) / (min(o.limit, case.duration) - o.arrived) for o in possible
+    ]
+    errors = [
+        abs(o.predicted / (o.limit - o.arrived) - 1.0) for o in possible
+        if math.isfinite(o.limit)
+    ]
+    enough = sum(share >= 0.8 for share in shares)
+    times = [o.arrived for o in arrived]
+    shown = [
+        case.name, f"{len(arrived)} of {len(outcomes)}",
+        f"{np.median(times):.1f} ({max(times):.1f})" if times else "-",
+        f"{enough} of {len(shares)}",
+        f"{np.median(shares):.2f} ({min(shares):.2f})" if shares else "-",
+        f"{100 * np.median(errors):.1f} % ({100 * max(errors):.1f} %)" if errors else "-",
+    ]
+    return f"| {' | '.join(shown)} |"
+
+
+def main() -> None:
+    """Print a row for each disturbance."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=48)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--cases", type=int, nargs="+", default=list(range(len(CASES))))
+    arguments = parser.parse_args()
+    print("| disturbance | arrived | after, median (worst) [s] | stayed 80 % of the time it could "
+          "| share of it, median (least) | predicted time to saturation off by, median (worst) |")
+    print("|---|---|---|---|---|---|")
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        for case in (CASES[i] for i in arguments.cases):
+            outcomes = list(pool.map(run, repeat(case), range(arguments.runs)))
+            print(_row(case, outcomes), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -29,7 +29,7 @@ _LARGEST_TURN = 0.5
 """Largest change of an iteration [rad]."""
 
 
-def holdable_goal(goal: Vector, drift: Drift) -> Vector:
+def holdable_goal(goal: Vector, drift: Drift, margin: float = 0.0) -> Vector:
     """Return the goal, shape (6,), with the nearest orientation that can be held.
 
     Parameters
@@ -38,6 +38,8 @@ def holdable_goal(goal: Vector, drift: Drift) -> Vector:
         Goal; its position can always be held.
     drift : Drift
         Drift at the arrival.
+    margin : float, optional
+        What is added to both tolerances [rad/s, rad/s^2], for the error of an estimated drift.
 
     Returns
     -------
@@ -45,18 +47,18 @@ def holdable_goal(goal: Vector, drift: Drift) -> Vector:
         The goal itself where it can be held, else a new array.
     """
     q = goal[QUATERNION]
-    found = _excess(q, drift)
+    found = _excess(q, drift, margin)
     if not found.any():
         return goal
     for _ in range(_ITERATIONS):
         steps = _STEP * np.eye(3)
         jacobian = np.column_stack(
-            [(_excess(_turned(q, step), drift) - found) / _STEP for step in steps]
+            [(_excess(_turned(q, step), drift, margin) - found) / _STEP for step in steps]
         )
         turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
         angle = float(np.linalg.norm(turn))
         q = _turned(q, turn * min(1.0, _LARGEST_TURN / max(angle, _STEP)))
-        found = _excess(q, drift)
+        found = _excess(q, drift, margin)
         if not found.any():
             break
     held: Vector = goal.copy()
@@ -71,7 +73,7 @@ def given_up_angle(angle: float) -> str:
     return f"orientation by {np.degrees(angle):.1f} deg: the rotors cannot hold the momentum there"
 
 
-def _excess(q: Vector, drift: Drift) -> Vector:
+def _excess(q: Vector, drift: Drift, margin: float) -> Vector:
     """Return the excess along the body's z axis, relative, for h and dh/dt, shape (2,)."""
     axis = rotation.matrix(q)[:, 2]
     parts = (
@@ -81,7 +83,7 @@ def _excess(q: Vector, drift: Drift) -> Vector:
     found = []
     for vector, tolerance in parts:
         along, length = float(axis @ vector), float(np.linalg.norm(vector))
-        beyond = max(0.0, abs(along) - tolerance)
+        beyond = max(0.0, abs(along) - tolerance - margin)
         found.append(np.copysign(beyond, along) / length if beyond > 0.0 else 0.0)
     return np.array(found)
 

@@ -69,7 +69,8 @@ class HeldGoal:
         if self._is_unloading(situation, holding):
             self.given_up = "orientation for a while: it unloads the rotors"
             return np.concatenate((goal[:2], self._unloading_at(end or drift)))
-        found = holdable_goal(goal, end or self._expected(situation, holding))
+        margin = self._settings.held_goal_factor * situation.uncertainty
+        found = holdable_goal(goal, end or self._expected(situation, holding), margin)
         self.given_up = given_up_angle(angle_error(found, goal))
         return found
 

@@ -188,6 +188,9 @@ class TimeOptimalSettings:
     """What is added to it, over the standard deviation of the state estimate [rad/s]: noise of the
     poses moves the estimate of the momentum by a few rad/s, to which no rotor has to be ramped
     before the sphere counts as resting."""
+    held_goal_factor: float = 60.0
+    """Momentum along the body's z axis that a goal may have besides, over the same [rad/s]: with a
+    momentum of 1 rad/s noise of 0.1 rad/s would tilt the goal by 6 degrees."""
     largest_change_of_goal: float = 0.2
     """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
     cannot be held at the goal itself."""

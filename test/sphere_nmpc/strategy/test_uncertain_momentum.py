@@ -30,10 +30,21 @@ HELD = np.array([0.0, 60.0])
 
 @dataclass
 class UncertainLoop(MomentumLoop):
-    """Loop whose strategy is told that its state is uncertain, although it is exact."""
+    """Loop whose strategy is told that its state is uncertain, although it is exact.
+
+    Attributes
+    ----------
+    wrong : float
+        Error of the estimated momentum along the vertical [rad/s].
+    """
+
+    wrong: float = 0.0
 
     def situation(self) -> Situation:
-        return replace(super().situation(), uncertainty=UNCERTAINTY)
+        known = super().situation()
+        momentum = known.drift.momentum + np.array([0.0, 0.0, self.wrong])
+        drift = replace(known.drift, momentum=momentum)
+        return replace(known, uncertainty=UNCERTAINTY, drift=drift)
 
 
 @pytest.mark.parametrize(
@@ -49,6 +60,16 @@ def test_sphere_rests_where_the_speeds_are_those_of_rest_but_for_noise(
     )
     plan = make_strategy(ControllerSettings(planning_effort=2000), ROBOT).plan(situation)
     assert (plan.status is PlanStatus.HOLDING) == rests
+
+
+def test_goal_is_not_tilted_by_the_noise_of_little_momentum() -> None:
+    loop = UncertainLoop(ORIGIN, ORIGIN)
+    loop.run(0.5)
+    loop.push_momentum(np.array([0.8, 0.7, 0.0]))
+    # Errors at the goal are up to 0.1 to 0.2 rad/s.
+    loop.wrong = 0.15
+    assert statuses(loop.run(1.0)) == {PlanStatus.HOLDING}
+    assert not any(plan.given_up for plan in loop.plans)
 
 
 def test_turn_is_corrected_faster_among_noise() -> None:

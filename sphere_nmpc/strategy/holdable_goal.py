@@ -50,10 +50,14 @@ def holdable_goal(goal: Vector, drift: Drift, margin: float = 0.0) -> Vector:
     found = _excess(q, drift, margin)
     if not found.any():
         return goal
+    violated = found != 0.0
     for _ in range(_ITERATIONS):
-        steps = _STEP * np.eye(3)
-        jacobian = np.column_stack(
-            [(_excess(_turned(q, step), drift, margin) - found) / _STEP for step in steps]
+        # A condition that has been violated once is kept from then on: corrected one at a time,
+        # in turn, two that are nearly parallel would take hundreds of iterations.
+        violated |= found != 0.0
+        here = _components(q, drift)
+        jacobian = violated[:, None] * np.column_stack(
+            [(_components(_turned(q, step), drift) - here) / _STEP for step in _STEP * np.eye(3)]
         )
         turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
         angle = float(np.linalg.norm(turn))
@@ -73,19 +77,21 @@ def given_up_angle(angle: float) -> str:
     return f"orientation by {np.degrees(angle):.1f} deg: the rotors cannot hold the momentum there"
 
 
-def _excess(q: Vector, drift: Drift, margin: float) -> Vector:
-    """Return the excess along the body's z axis, relative, for h and dh/dt, shape (2,)."""
+def _components(q: Vector, drift: Drift) -> Vector:
+    """Return the shares of h and dh/dt along the body's z axis, shape (2,)."""
     axis = rotation.matrix(q)[:, 2]
-    parts = (
-        (drift.momentum, MOMENTUM_TOLERANCE),
-        (drift.torque_at_rest(q), TORQUE_TOLERANCE),
-    )
-    found = []
-    for vector, tolerance in parts:
-        along, length = float(axis @ vector), float(np.linalg.norm(vector))
-        beyond = max(0.0, abs(along) - tolerance - margin)
-        found.append(np.copysign(beyond, along) / length if beyond > 0.0 else 0.0)
-    return np.array(found)
+    vectors = (drift.momentum, drift.torque_at_rest(q))
+    return np.array([float(axis @ v) / max(float(np.linalg.norm(v)), 1e-12) for v in vectors])
+
+
+def _excess(q: Vector, drift: Drift, margin: float) -> Vector:
+    """Return what the shares of h and dh/dt exceed their tolerances by, shape (2,)."""
+    lengths = [float(np.linalg.norm(v)) for v in (drift.momentum, drift.torque_at_rest(q))]
+    tolerances = margin + np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
+    allowed = tolerances / np.maximum(lengths, 1e-12)
+    along = _components(q, drift)
+    excess: Vector = np.copysign(np.maximum(0.0, np.abs(along) - allowed), along)
+    return excess
 
 
 def _turned(q: Vector, turn: Vector) -> Vector:

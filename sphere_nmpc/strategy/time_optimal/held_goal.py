@@ -49,7 +49,9 @@ class HeldGoal:
         self.given_up = ""
         """What is given up of the goal and why; empty where nothing is."""
 
-    def goal(self, situation: Situation, end: Drift | None, holding: bool) -> Vector:
+    def goal(
+        self, situation: Situation, end: Drift | None, holding: bool, found_none: bool = False
+    ) -> Vector:
         """Return the goal to aim at, shape (6,): the given object where that can be held.
 
         Parameters
@@ -60,6 +62,9 @@ class HeldGoal:
             Predicted drift at the arrival of the plan that is being followed; None without one.
         holding : bool
             Whether the sphere rests at the goal.
+        found_none : bool, optional
+            Whether the last search has found no arrival; another orientation that unloads the
+            rotors is then aimed at.
         """
         drift, goal = situation.drift, situation.goal
         self.given_up = ""
@@ -68,7 +73,7 @@ class HeldGoal:
             return goal
         if self._is_unloading(situation, holding):
             self.given_up = "orientation for a while: it unloads the rotors"
-            return np.concatenate((goal[:2], self._unloading_at(end or drift)))
+            return np.concatenate((goal[:2], self._unloading_at(end or drift, found_none)))
         margin = self._settings.held_goal_factor * situation.uncertainty
         found = holdable_goal(goal, end or self._expected(situation, holding), margin)
         self.given_up = given_up_angle(angle_error(found, goal))
@@ -104,14 +109,18 @@ class HeldGoal:
         return self._unloading is not None
 
     def _begin(self, drift: Drift, quaternion: Vector) -> None:
-        """Begin to unload the rotors unless a slope loads them faster."""
+        """Begin to unload the rotors unless a slope loads them much faster.
+
+        At rest a slope and an imbalance look alike: part of the slope may be an imbalance.
+        """
         level = drift.momentum * (1.0, 1.0, 0.0)
         self._direction = level / np.linalg.norm(level)
         unload = float(np.linalg.norm(drift.imbalance))
-        if float(self._direction[:2] @ drift.slope) < unload:
+        slope = float(self._direction[:2] @ drift.slope)
+        if slope < self._settings.largest_slope_share * unload:
             self._unloading = quaternion
 
-    def _unloading_at(self, drift: Drift) -> Vector:
+    def _unloading_at(self, drift: Drift, other: bool) -> Vector:
         """Return the orientation, shape (4,), that unloads the momentum of `drift` fastest."""
         assert self._unloading is not None
         level = drift.momentum * (1.0, 1.0, 0.0)
@@ -120,16 +129,19 @@ class HeldGoal:
         if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
             self._direction = level / length
         self._unloading = _unloading_orientation(
-            drift.imbalance, self._direction, self._unloading
+            drift.imbalance, self._direction, self._unloading, other
         )
         return self._unloading
 
 
-def _unloading_orientation(imbalance: Vector, direction: Vector, near: Vector) -> Vector:
+def _unloading_orientation(
+    imbalance: Vector, direction: Vector, near: Vector, other: bool
+) -> Vector:
     """Return the orientation whose torque opposes a momentum along `direction` the most.
 
     The torque e3 x (R a) is largest where R a is horizontal. The momentum lies along the body
-    axis that is perpendicular to z and the imbalance, in either sense: the one nearer to `near`.
+    axis that is perpendicular to z and the imbalance, in either sense: the one nearer to `near`,
+    or the `other` one.
     """
     unit = imbalance / np.linalg.norm(imbalance)
     axis = np.cross([0.0, 0.0, 1.0], unit)
@@ -141,4 +153,5 @@ def _unloading_orientation(imbalance: Vector, direction: Vector, near: Vector) -
     for along in (direction, -direction):
         world = np.column_stack((along, out, np.cross(along, out)))
         found.append(rotation.from_matrix(world @ body.T))
-    return min(found, key=lambda q: float(rotation.angle_between(q, near)))
+    nearer, farther = sorted(found, key=lambda q: float(rotation.angle_between(q, near)))
+    return farther if other else nearer

@@ -181,7 +181,8 @@ class TimeOptimalStrategy:
             on_the_way = situation.drift.imbalance.any()
             left = state.time_left(situation.time)
             end = state.arrival.drift if on_the_way else situation.drift.after_slope(left)
-        goal = self._held_goal.goal(situation, end, isinstance(state, Holding))
+        found_none = isinstance(state, Searching) and state.found_none
+        goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
         if isinstance(state, Following):
             turned = state.arrival.goal.copy()
             turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]

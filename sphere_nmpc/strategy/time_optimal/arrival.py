@@ -230,7 +230,8 @@ class ArrivalSolver:
         are noisy its estimate changes from sample to sample by more than a plan can follow, and
         it is left to the tilt at rest.
         """
-        if not situation.drift.imbalance.any() or situation.uncertainty > 0.0:
+        imbalance = float(np.linalg.norm(situation.drift.imbalance))
+        if imbalance < self._settings.least_imbalance or situation.uncertainty > 0.0:
             return np.zeros(3)
         row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
         return row

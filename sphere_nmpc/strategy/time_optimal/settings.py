@@ -31,6 +31,9 @@ class TimeOptimalSettings:
     momentum_weight: float = 0.02
     """Error [-] that 1 rad/s of momentum along the body's z axis at the end counts as, where an
     imbalance lets the plan change it: it turns the sphere at 0.05 rad/s."""
+    least_imbalance: float = 1.5
+    """Imbalance [rad/s^2] below which it counts nothing: 0.3 mm for the robot of Table 1. Just
+    after a push as much may be estimated where there is none."""
     acceleration_share: float = 0.998
     """Share [-] of the acceleration limit that plans use, so that what little the penalty leaves
     stays within the limit."""

@@ -94,11 +94,13 @@ class HeldGoal:
     def _is_unloading(self, situation: Situation, holding: bool) -> bool:
         """Return whether the rotors are being unloaded, after beginning or ending it."""
         settings, drift = self._settings, situation.drift
-        if self._unloading is not None:
+        if not drift.imbalance.any():
+            self._unloading = None
+        elif self._unloading is not None:
             along = float(self._direction @ drift.momentum)
             if along <= settings.unloaded_share * self._max_speed:
                 self._unloading = None
-        elif holding and drift.imbalance.any():
+        elif holding:
             quaternion = situation.goal[QUATERNION]
             speeds = drift.rest_speeds(quaternion)
             rates = (rotation.matrix(quaternion).T @ drift.torque_at_rest(quaternion))[:2]

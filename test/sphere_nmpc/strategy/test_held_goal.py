@@ -136,6 +136,13 @@ def test_unloading_goes_on_until_the_rotors_are_half_loaded_on_the_other_side(
     assert held.given_up == ""
 
 
+def test_unloading_ends_where_the_imbalance_was_none(held: HeldGoal) -> None:
+    held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
+    assert "unloads" in held.given_up
+    assert held.goal(situation(UPRIGHT, Drift(60.0 * LOADING)), None, False) is UPRIGHT
+    assert held.given_up == ""
+
+
 def test_unloading_follows_the_direction_of_the_momentum(held: HeldGoal) -> None:
     held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
     turned = np.array([np.sin(0.3), np.cos(0.3), 0.0])

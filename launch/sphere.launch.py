@@ -36,10 +36,11 @@ PACKAGE = "sphere_nmpc"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands",
     "controller/active_goal", "controller/at_goal", "controller/predicted_path",
-    "controller/status",
+    "controller/status", "simulator/pushed",
 )
-"""Without goal_pose: `ros2 topic pub --once` ends after the first matched subscription, which has
-to be the controller's. The accepted goals are in active_goal."""
+"""Without goal_pose and simulator/push: `ros2 topic pub --once` ends after the first matched
+subscription, which has to be the one that is meant. The accepted goals are in active_goal, the
+pushes in pushed."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]

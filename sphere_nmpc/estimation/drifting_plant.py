@@ -39,6 +39,9 @@ _MOST_PUSHES, _PUSHES_OVER = 3, 10
 """More pushes than the first number, within the second one of transitions, are no pushes: the
 motion differs from the model otherwise, as where a drive is weaker than assumed or the shell
 slips. One push may count twice."""
+_LEAST_MOMENTUM, _LEAST_TORQUE = 0.3, 1.0
+"""Momentum [rad/s] and slope or imbalance [rad/s^2: 0.04 degrees, 0.2 mm] below which drift is not
+used: what slip leaves behind is of this size, and the torque of a real one soon makes more."""
 _CONFIRMED = 3
 """Transitions that drift has to predict better where slip or process noise blur them."""
 
@@ -148,7 +151,7 @@ class DriftingPlantEstimator:
         A push, or much evidence, suffices at once where errors are small otherwise; else drift
         must have improved predictions, of several transitions where slip or noise blur them.
         """
-        if evidence < APPEARS or self._is_something_else:
+        if evidence < APPEARS or self._is_something_else or not self._is_large:
             return False
         if self._drifting.clear and (self._drifting.pushed or evidence > _CERTAIN):
             return True
@@ -159,6 +162,15 @@ class DriftingPlantEstimator:
     def _is_something_else(self) -> bool:
         """Whether there are more pushes than anybody pushes."""
         return sum(self._pushed) > _MOST_PUSHES
+
+    @property
+    def _is_large(self) -> bool:
+        """Whether drift is large enough to be used."""
+        drift = self._drifting.drift
+        torque = max(np.linalg.norm(drift.slope), np.linalg.norm(drift.imbalance))
+        return bool(
+            np.linalg.norm(drift.momentum) > _LEAST_MOMENTUM or torque > _LEAST_TORQUE
+        )
 
     def _predicts_better(self) -> bool:
         """Return whether drift has improved the predictions."""

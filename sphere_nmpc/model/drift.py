@@ -70,6 +70,9 @@ class Drift:
     @property
     def is_zero(self) -> bool:
         """Whether the model is the paper's: no momentum, level and balanced."""
+        # The identity first: this is asked several times a solve.
+        if self is NO_DRIFT:
+            return True
         return not (self.momentum.any() or self.slope.any() or self.imbalance.any())
 
     def torque_at_rest(self, quaternion: Vector) -> Vector:
@@ -79,6 +82,8 @@ class Drift:
 
     def in_body(self, quaternion: Vector) -> Vector:
         """Return the momentum in the body frame at an orientation (4,) [rad/s], shape (3,)."""
+        if self is NO_DRIFT:
+            return np.zeros(3)
         turned: Vector = rotation.matrix(quaternion).T @ self.momentum
         return turned
 
@@ -92,6 +97,8 @@ class Drift:
 
     def after_slope(self, duration: float) -> "Drift":
         """Return the drift after `duration` [s] of the slope's torque alone."""
+        if self is NO_DRIFT:
+            return self
         gained = duration * np.append(self.slope, 0.0)
         return replace(self, momentum=self.momentum + gained)
 

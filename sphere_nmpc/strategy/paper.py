@@ -59,13 +59,11 @@ class PaperStrategy:
         """Forget the warm start and the grid of knots."""
         self._last: FirstOrderHold | None = None
         self._origin: float | None = None
-        self._rest: Vector = np.zeros(INPUT_SIZE)
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
         times = self._knot_times(situation.time)
         problem = self._problem(situation, times)
-        self._rest = problem.input_reference
         solution = self._solve(problem, times, situation.time_budget)
         if solution.status is SolveStatus.NOT_FINITE:
             raise ArithmeticError("the optimal control problem has no finite cost")
@@ -85,7 +83,7 @@ class PaperStrategy:
         )
 
     def _solve(self, problem: HoldProblem, times: Vector, time_budget: float) -> HoldSolution:
-        start = self._warm_start(self._last, times[1:])
+        start = self._warm_start(self._last, times[1:], problem.input_reference)
         solution = self._solver.solve(problem, start, time_budget)
         self._last = FirstOrderHold(times, solution.inputs)
         return solution
@@ -98,14 +96,12 @@ class PaperStrategy:
         knots = self._origin + period * (passed + np.arange(1, self._settings.horizon + 1))
         return np.concatenate(([now], knots))
 
-    def _warm_start(self, last: FirstOrderHold | None, times: Vector) -> Vector:
-        """Return the last plan at the new knots, rest beyond its end (step 6), shape (N, 2)."""
+    def _warm_start(self, last: FirstOrderHold | None, times: Vector, rest: Vector) -> Vector:
+        """Return the last plan at the new knots, `rest` beyond its end (step 6), shape (N, 2)."""
         if last is None:
-            return np.tile(self._rest, (times.size, 1))
+            return np.tile(rest, (times.size, 1))
         known = times <= last.end + _SHORTEST_INTERVAL
-        return np.array(
-            [last.at(t) if k else self._rest for t, k in zip(times, known, strict=True)]
-        )
+        return np.array([last.at(t) if k else rest for t, k in zip(times, known, strict=True)])
 
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
         settings, limit = self._settings, self._robot.max_rotor_speed

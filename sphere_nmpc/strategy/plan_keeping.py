@@ -13,6 +13,7 @@ that the rotors can hold, and inputs are weighed by their difference from the sp
 
 from dataclasses import replace
 
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
 from sphere_nmpc.settings import ControllerSettings
@@ -43,24 +44,27 @@ class PlanKeepingStrategy(PaperStrategy):
         """Solve the problem for both signs of the goal that the rotors can hold."""
         if situation.drift.is_zero:
             return super().plan(situation)
-        end = situation.drift.after_slope(self._settings.horizon * self._settings.period)
-        goal = holdable_goal(situation.goal, end)
-        limit = self._robot.max_rotor_speed
-        self._end = speeds_of_rest(end, goal[QUATERNION], limit)
+        goal = holdable_goal(situation.goal, self._drift_at_end(situation))
         plan = super().plan(replace(situation, goal=goal))
-        angle = angle_error(goal, situation.goal)
-        if is_saturated(situation.drift, goal[QUATERNION], limit):
+        if is_saturated(situation.drift, goal[QUATERNION], self._robot.max_rotor_speed):
             return replace(plan, status=PlanStatus.SATURATED, given_up=SATURATED)
-        return replace(plan, given_up=given_up_angle(angle))
+        return replace(plan, given_up=given_up_angle(angle_error(goal, situation.goal)))
 
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
         problem = super()._problem(situation, times)
         if situation.drift.is_zero:
             return problem
-        return replace(problem, drift=situation.drift.as_array(), input_reference=self._end)
+        end, limit = self._drift_at_end(situation), self._robot.max_rotor_speed
+        rest = speeds_of_rest(end, situation.goal[QUATERNION], limit)
+        return replace(problem, drift=situation.drift.as_array(), input_reference=rest)
+
+    def _drift_at_end(self, situation: Situation) -> Drift:
+        """Return the drift at the end of the horizon."""
+        return situation.drift.after_slope(self._settings.horizon * self._settings.period)
 
     def _solve(self, problem: HoldProblem, times: Vector, time_budget: float) -> HoldSolution:
-        first, second = (self._warm_start(plan, times[1:]) for plan in self._plans)
+        rest = problem.input_reference
+        first, second = (self._warm_start(plan, times[1:], rest) for plan in self._plans)
         answer = solve_both_signs(
             self._solvers, problem, (first, second), self._followed, time_budget=time_budget
         )

@@ -5,10 +5,8 @@
 import math
 from dataclasses import dataclass
 
+from sphere_nmpc.model.drift import GRAVITY
 from sphere_nmpc.quantity import quantity, validate
-
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
 
 
 @dataclass(frozen=True)

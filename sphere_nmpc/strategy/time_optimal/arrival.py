@@ -20,6 +20,7 @@ from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.rest import speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.grid import knot_durations
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
@@ -183,14 +184,15 @@ class ArrivalSolver:
         drift = self._drift_at_end(situation, durations, start)
         iterations = 0
         for _ in range(_SOLVES):
-            rest = self._rest_at(drift, goal)
+            rest = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
             problem = self._problem(situation, goal, durations, rest)
             solution = self._solver.solve(problem, start)
             iterations += solution.iterations
-            if not situation.drift.imbalance.any():
+            if situation.drift.is_zero or not situation.drift.imbalance.any():
                 break
             drift = replace(situation.drift, momentum=solution.momenta[-1])
-            if np.max(np.abs(self._rest_at(drift, goal) - rest)) <= self._rest_speed:
+            ended = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
+            if np.max(np.abs(ended - rest)) <= self._rest_speed:
                 break
             start = solution.inputs[1:]
         return Arrival(
@@ -214,7 +216,7 @@ class ArrivalSolver:
     def _drift_at_end(self, situation: Situation, durations: Vector, knots: Vector) -> Drift:
         """Return the drift after knots u_1 ... u_N [rad/s], shape (N, 2)."""
         drift = situation.drift
-        if drift.imbalance.any():
+        if not drift.is_zero and drift.imbalance.any():
             inputs = np.vstack((situation.input_in_force, knots))
             _, momenta = roll_out_with_momentum(
                 situation.state, drift, inputs, durations, situation.constants.as_array(),
@@ -230,17 +232,13 @@ class ArrivalSolver:
         are noisy its estimate changes from sample to sample by more than a plan can follow, and
         it is left to the tilt at rest.
         """
+        if situation.drift.is_zero:
+            return np.zeros(3)
         imbalance = float(np.linalg.norm(situation.drift.imbalance))
         if imbalance < self._settings.least_imbalance or situation.uncertainty > 0.0:
             return np.zeros(3)
         row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
         return row
-
-    def _rest_at(self, drift: Drift, goal: Vector) -> Vector:
-        """Return the rotor speeds of rest at the goal within the limit [rad/s], shape (2,)."""
-        held = drift.rest_speeds(goal[QUATERNION])
-        rest: Vector = np.minimum(np.maximum(held, -self._max_speed), self._max_speed)
-        return rest
 
     def _problem(
         self, situation: Situation, goal: Vector, durations: Vector, rest: Vector

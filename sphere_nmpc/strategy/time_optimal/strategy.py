@@ -101,8 +101,8 @@ class TimeOptimalStrategy:
         situation = self._aim(self._holdable(situation))
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)
-        given_up = plan.given_up or self._held_goal.given_up
-        plan = dataclasses.replace(plan, given_up=given_up)
+        if not plan.given_up and self._held_goal.given_up:
+            plan = dataclasses.replace(plan, given_up=self._held_goal.given_up)
         if isinstance(self._state, Holding):
             return plan
         return dataclasses.replace(plan, solve_time=time.perf_counter() - began)
@@ -112,12 +112,13 @@ class TimeOptimalStrategy:
             return self._rest_at_goal.plan(situation)
         if isinstance(state, Following):
             return self._as_plan(state)
-        status, message = PlanStatus.RAMP_TO_REST, "no arrival found yet"
-        given_up = ""
+        robot, rest_time = self._robot, self._tuning.rest_time
         if isinstance(state, Saturated):
-            status, message, given_up = PlanStatus.SATURATED, "saturated", SATURATED
-        plan = come_to_rest(situation, self._robot, self._tuning.rest_time, message, status)
-        return dataclasses.replace(plan, given_up=given_up)
+            status = PlanStatus.SATURATED
+            plan = come_to_rest(situation, robot, rest_time, "saturated", status)
+            return dataclasses.replace(plan, given_up=SATURATED)
+        status = PlanStatus.RAMP_TO_REST
+        return come_to_rest(situation, robot, rest_time, "no arrival found yet", status)
 
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows from `state` and the present situation.
@@ -136,7 +137,8 @@ class TimeOptimalStrategy:
             if followed is not None:
                 return followed
             state = Searching()
-        if self._is_saturated(situation):
+        limit = self._robot.max_rotor_speed
+        if is_saturated(situation.drift, situation.goal[QUATERNION], limit):
             return Saturated()
         if isinstance(state, Saturated):
             state = Searching()
@@ -165,10 +167,6 @@ class TimeOptimalStrategy:
         near = tuning.held_speed + tuning.held_speed_factor * situation.uncertainty
         return bool(np.all(np.abs(in_force - held) < near))
 
-    def _is_saturated(self, situation: Situation) -> bool:
-        limit = self._robot.max_rotor_speed
-        return is_saturated(situation.drift, situation.goal[QUATERNION], limit)
-
     def _holdable(self, situation: Situation) -> Situation:
         """Return the situation with a goal at which the rotors hold the momentum.
 
@@ -177,21 +175,24 @@ class TimeOptimalStrategy:
         """
         state, end = self._state, None
         if isinstance(state, Following):
-            # Out of balance the momentum at the arrival depends on the way: that of the last plan.
-            on_the_way = situation.drift.imbalance.any()
-            left = state.time_left(situation.time)
-            end = state.arrival.drift if on_the_way else situation.drift.after_slope(left)
+            end = situation.drift.after_slope(state.time_left(situation.time))
+            if end.imbalance.any():
+                # The momentum at the arrival depends on the way: that of the last plan.
+                end = state.arrival.drift
         found_none = isinstance(state, Searching) and state.found_none
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
         if isinstance(state, Following):
             turned = state.arrival.goal.copy()
             turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]
-            if angle_error(turned, state.arrival.goal) > self._tuning.largest_change_of_goal:
+            change = 0.0
+            if not np.array_equal(turned, state.arrival.goal):
+                change = angle_error(turned, state.arrival.goal)
+            if change > self._tuning.largest_change_of_goal:
                 self._state = Searching()
-            else:
+            elif change > 0.0:
                 arrival = dataclasses.replace(state.arrival, goal=turned)
                 self._state = dataclasses.replace(state, arrival=arrival)
-        return dataclasses.replace(situation, goal=goal)
+        return situation if goal is situation.goal else dataclasses.replace(situation, goal=goal)
 
     def _aim(self, situation: Situation) -> Situation:
         """Return the situation with a goal near enough to plan for.

@@ -25,6 +25,8 @@ _KINDS = ("anywhere", "far", "circle", "half_turn", "upright")
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
 _STEEPEST, _FARTHEST_OFF = 28.0, 30.0  # [degree], [mm]
 """Largest numbers that are accepted."""
+_EFFORTS = 0.01, 1000.0
+"""Least and largest factor that is accepted."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -79,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
             "continues the search"
         )
         with if_interrupted(lambda: left):
-            return best_known_times(motions, conditions.robot, workers)
+            return best_known_times(motions, conditions.robot, workers, arguments.bound_effort)
 
     runs = len(scenarios) * len(strategies)
     jobs = arguments.jobs or cores()
@@ -202,8 +204,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--no-learning", action="store_true", help="do not estimate the robot's parameters"
     )
-    parser.add_argument(
+    bound = parser.add_mutually_exclusive_group()
+    bound.add_argument(
         "--no-bound", action="store_true", help="do not search for the best known times"
+    )
+    bound.add_argument(
+        "--bound-effort", type=number(*_EFFORTS), default=1.0, metavar="FACTOR",
+        help="factor on the effort of the searches for best known times (1)",
     )
     parser.add_argument(
         "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",

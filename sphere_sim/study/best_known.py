@@ -36,7 +36,7 @@ the cache are not used."""
 SEARCHES = 2
 """Independent searches for each scenario."""
 EFFORT = 400_000
-"""Work of each search: solver iterations times intervals, about a microsecond each."""
+"""Work of each search by default: solver iterations times intervals, about a microsecond each."""
 _TUNING = TimeOptimalSettings()
 """Tuning of the searches: that of the strategy."""
 GRIDS = (0.25, 0.125, 0.0625)
@@ -53,7 +53,7 @@ _LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
 """Share of the duration by which a motion is shortened, at first and at last [-]."""
 
 
-def best_known_time(motion: Motion, robot: RobotParameters) -> float:
+def best_known_time(motion: Motion, robot: RobotParameters, factor: float = 1.0) -> float:
     """Return the time of the fastest motion found [s]; nan if none, 0 if the start is settled.
 
     Parameters
@@ -62,6 +62,8 @@ def best_known_time(motion: Motion, robot: RobotParameters) -> float:
         Start, goal and drift.
     robot : RobotParameters
         Parameters and limits of the robot that moves.
+    factor : float, optional
+        Work of each search over `EFFORT` [-].
     """
     if state_error(motion.start, motion.goal) < SETTLED_ERROR and motion.starts_at_rest:
         return 0.0
@@ -72,7 +74,7 @@ def best_known_time(motion: Motion, robot: RobotParameters) -> float:
     )
     earliest = float("nan")
     for seed in range(SEARCHES):
-        arrival = _searched(situation, robot, seed)
+        arrival = _searched(situation, robot, seed, _work(factor))
         for period in GRIDS[1:]:
             if arrival is not None:
                 arrival = _refined(arrival, period, situation, robot)
@@ -81,18 +83,25 @@ def best_known_time(motion: Motion, robot: RobotParameters) -> float:
     return earliest
 
 
-def _searched(situation: Situation, robot: RobotParameters, seed: int) -> Arrival | None:
+def _work(factor: float) -> int:
+    """Return the work of a search."""
+    return round(factor * EFFORT)
+
+
+def _searched(
+    situation: Situation, robot: RobotParameters, seed: int, work: int
+) -> Arrival | None:
     """Return the earliest arrival that a search finds on the coarsest grid.
 
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
     without drift, from which the drift is raised in steps.
     """
     search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
-    arrival = search.improve(EFFORT)
+    arrival = search.improve(work)
     is_there = state_error(situation.state, situation.goal) < SETTLED_ERROR
     if situation.drift.is_zero or is_there:  # without drift it would be there in no time
         return arrival
-    raised = _searched(replace(situation, drift=NO_DRIFT), robot, seed)
+    raised = _searched(replace(situation, drift=NO_DRIFT), robot, seed, work)
     solver = ArrivalSolver(robot, GRIDS[0], _accuracy(2 * _ITERATIONS), _TUNING)
     for step in range(1, _DRIFT_STEPS + 1):
         if raised is not None:
@@ -100,7 +109,7 @@ def _searched(situation: Situation, robot: RobotParameters, seed: int) -> Arriva
             raised = _stretched(solver, raised, GRIDS[0], replace(situation, drift=drift))
     if raised is not None:
         search.start_from(raised)
-    return search.improve(EFFORT)
+    return search.improve(work)
 
 
 def _accuracy(iterations: int) -> Accuracy:
@@ -140,7 +149,7 @@ def _refined(
 
 
 def best_known_times(
-    motions: Sequence[Motion], robot: RobotParameters, workers: Workers
+    motions: Sequence[Motion], robot: RobotParameters, workers: Workers, factor: float = 1.0
 ) -> list[float]:
     """Return the best known time of each motion [s], from the cache where it is there.
 
@@ -154,6 +163,8 @@ def best_known_times(
         Parameters and limits of the robot that moves.
     workers : Workers
         Where the searches run.
+    factor : float, optional
+        Work of each search over `EFFORT` [-]; times of another factor are not used.
 
     Raises
     ------
@@ -163,24 +174,24 @@ def best_known_times(
         If the torque limit leaves no acceleration.
     """
     cache = BestKnownCache(cache_folder() / "best_known_times.jsonl")
-    keys = [_key(motion, robot) for motion in motions]
+    keys = [_key(motion, robot, factor) for motion in motions]
     missing = {key: m for key, m in zip(keys, motions, strict=True) if key not in cache.known}
     if missing:
         columns = Progress.get_default_columns()
         bar = Progress(*columns, console=Console(stderr=True), transient=True)
         with shown(bar) as progress:
             task = progress.add_task("best known times", total=len(missing))
-            searches = [(key, (motion, robot)) for key, motion in missing.items()]
+            searches = [(key, (motion, robot, factor)) for key, motion in missing.items()]
             for key, seconds in workers.run(best_known_time, searches, "search"):
                 cache.add(key, seconds)
                 progress.advance(task)
     return [cache.known[key] for key in keys]
 
 
-def _key(motion: Motion, robot: RobotParameters) -> str:
+def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
     """Return a key of all that the best known time depends on, to nine digits."""
     limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
-    search = (SEARCH_VERSION, SEARCHES, EFFORT, *GRIDS)
+    search = (SEARCH_VERSION, SEARCHES, _work(factor), *GRIDS)
     numbers = [*motion.start, *motion.goal, *robot.lumped.as_array(), *limits, *search]
     if motion.speeds.any() or not motion.drift.is_zero:
         numbers += [*motion.speeds, *motion.drift.as_array(), _DRIFT_STEPS]

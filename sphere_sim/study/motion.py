@@ -1,7 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion whose best known time a run is compared with."""
+"""Motion whose lower bound and best known time a run is compared with."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.study.lower_bound import lower_bound
 from sphere_sim.study.record import RunRecord
 from sphere_sim.world.disturbances import DisturbanceSettings
 
@@ -36,6 +38,15 @@ class Motion:
     goal: Vector
     speeds: Vector = field(default_factory=lambda: np.zeros(INPUT_SIZE))
     drift: Drift = NO_DRIFT
+
+    def lower_bound(self, robot: RobotParameters) -> float:
+        """Return a time [s] in which no motion is possible; nan where no bound is known.
+
+        `sphere_sim.study.lower_bound` has the bound, which holds without drift and from rest.
+        """
+        if self.speeds.any() or not self.drift.is_zero:
+            return math.nan
+        return lower_bound(self.start, self.goal, robot)
 
     @property
     def starts_at_rest(self) -> bool:

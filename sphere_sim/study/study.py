@@ -20,7 +20,7 @@ from sphere_sim.study.journal import Journal
 from sphere_sim.study.motion import Motion, motion_of
 from sphere_sim.study.record import RunRecord, Value
 from sphere_sim.study.single_run import prepare, run_scenario
-from sphere_sim.study.summary import summarise, with_ratios
+from sphere_sim.study.summary import summarise, with_bounds
 from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
 
@@ -98,13 +98,14 @@ class Study:
                 name: self._records(self._with(name), journal, workers, observer)
                 for name, journal in journals.items()
             }
+            motions = {name: self._motions(found) for name, found in records.items()}
             # The search for best known times may take long and be interrupted.
-            summaries, tables = self._write(folders, records, {})
+            summaries, tables = self._write(folders, records, motions, {})
             for name, folder in folders.items():
                 write_inputs(folder / "inputs.npz", records[name])
             if best_known is not None:
-                times = self._best_known(best_known, records)
-                summaries, tables = self._write(folders, records, times)
+                times = self._best_known(best_known, motions)
+                summaries, tables = self._write(folders, records, motions, times)
             for folder, results in tables.items():
                 self._draw(folder, results, summaries)
         return summaries
@@ -134,18 +135,21 @@ class Study:
                 observer(record)
         return [journal.records[i] for i in range(len(self.scenarios))]
 
+    def _motions(self, records: Sequence[RunRecord]) -> list[Motion]:
+        """Return the motion of each run."""
+        conditions = self.conditions
+        return [
+            motion_of(scenario, record, conditions.robot, conditions.disturbances)
+            for scenario, record in zip(self.scenarios, records, strict=True)
+        ]
+
     def _best_known(
-        self, search: BestKnown, records: Mapping[str, Sequence[RunRecord]]
+        self, search: BestKnown, motions: Mapping[str, Sequence[Motion]]
     ) -> dict[str, Sequence[float]]:
         """Return the best known time of each run [s], by strategy."""
-        conditions = self.conditions
-        motions = [
-            motion_of(scenario, record, conditions.robot, conditions.disturbances)
-            for found in records.values()
-            for scenario, record in zip(self.scenarios, found, strict=True)
-        ]
-        times, runs = list(search(motions)), len(self.scenarios)
-        return {name: times[i * runs : (i + 1) * runs] for i, name in enumerate(records)}
+        times = list(search([motion for found in motions.values() for motion in found]))
+        runs = len(self.scenarios)
+        return {name: times[i * runs : (i + 1) * runs] for i, name in enumerate(motions)}
 
     def _refuse_other_results(self, folders: Iterable[Path]) -> None:
         has_journals = any((folder / JOURNAL).exists() for folder in folders)
@@ -159,11 +163,17 @@ class Study:
         self,
         folders: Mapping[str, Path],
         records: Mapping[str, Sequence[RunRecord]],
+        motions: Mapping[str, Sequence[Motion]],
         times: Mapping[str, Sequence[float]],
     ) -> tuple[dict[str, dict[str, Any]], dict[Path, dict[str, list[dict[str, Value]]]]]:
         """Write all tables; return summaries by strategy and results by folder."""
+        robot = self.conditions.robot
         results = {
-            name: with_ratios([record.results for record in found], times.get(name))
+            name: with_bounds(
+                [record.results for record in found],
+                [motion.lower_bound(robot) for motion in motions[name]],
+                times.get(name),
+            )
             for name, found in records.items()
         }
         summaries = {name: summarise(self.scenarios, found) for name, found in results.items()}

@@ -10,7 +10,7 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import Scenario
-from sphere_sim.study.record import PUSH_RESULT_COLUMNS, Value
+from sphere_sim.study.record import PUSH_RESULT_COLUMNS, Value, finite
 
 Results = Sequence[dict[str, Value]]
 """Results of each run by the names of `RESULT_COLUMNS`."""
@@ -27,24 +27,25 @@ _DISTRIBUTIONS = (
 _PEAKS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque_nm")
 
 
-def with_ratios(
-    results: Results, best_known: Sequence[float] | None
+def with_bounds(
+    results: Results, lower_bounds: Sequence[float], best_known: Sequence[float] | None
 ) -> list[dict[str, Value]]:
-    """Return the results with best known time and ratio to it where there are such.
+    """Return the results with lower bound, best known time and ratio to it where there are such.
 
     Parameters
     ----------
     results : sequence of dict
         Of each run.
+    lower_bounds : sequence of float
+        Lower bound of the time of each run [s]; nan where there is none.
     best_known : sequence of float, optional
         Best known time of each run [s], from its push on if there was one; nan where no motion was
         found, 0 where the start is at the goal.
     """
-    if best_known is None:
-        return [dict(found) for found in results]
+    known = [0.0] * len(results) if best_known is None else map(float, best_known)
     extended = []
-    for found, seconds in zip(results, map(float, best_known), strict=True):
-        added: dict[str, Value] = {}
+    for found, bound, seconds in zip(results, lower_bounds, known, strict=True):
+        added: dict[str, Value] = {"lower_bound_s": finite(bound)}
         if seconds > 0.0:
             added["bound_s"] = seconds
             settling = found.get("recover_s", found.get("settle_time_s"))
@@ -73,6 +74,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
         "settled": int(sum(bool(found["settled"]) for found in results)),
         "settled_error": SETTLED_ERROR,
         **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
+        "beyond_lower_bound_s": _distribution(_beyond_lower_bound(results)),
         **{n: _distribution(column(results, n)) for n in PUSH_RESULT_COLUMNS if pushed},
         **{name: _largest(column(results, name)) for name in _PEAKS},
         "failed_solves": int(np.sum(column(results, "failures"))),
@@ -93,6 +95,15 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
             "solve_ms_max": _largest(column(results, "solve_ms_max")),
         },
     }
+
+
+def _beyond_lower_bound(results: Results) -> Vector:
+    """Return settling time less lower bound [s] of the runs that have both."""
+    pairs = ((found.get("settle_time_s"), found.get("lower_bound_s")) for found in results)
+    return np.array(
+        [time - bound for time, bound in pairs
+         if isinstance(time, float) and isinstance(bound, float)]
+    )
 
 
 def headline(summary: dict[str, Any]) -> str:

@@ -112,6 +112,8 @@ def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) 
         ["--draw", "1", "--strategy", "none"],
         ["--draw", "1", "--jobs", "1", "--scheduler", "tcp://127.0.0.1:1"],
         ["--draw", "1", "--set", "horizon"],
+        ["--draw", "1", "--bound-effort", "0"],
+        ["--draw", "1", "--bound-effort", "2", "--no-bound"],
         ["--draw", "1" + 9 * "0"],
         ["--draw", "1", "--seed", "-1"],
         ["--draw", "1", "--jobs", "99999"],
@@ -155,7 +157,7 @@ def searched(tmp_path, monkeypatch) -> list[RobotParameters]:
     """Return a list of the robots whose best known times are searched, without a search."""
     robots: list[RobotParameters] = []
 
-    def search(motion: Motion, robot: RobotParameters) -> float:
+    def search(motion: Motion, robot: RobotParameters, factor: float) -> float:
         robots.append(robot)
         return 1.0
 
@@ -182,6 +184,20 @@ def test_best_known_times_are_those_of_the_robot_that_is_set(tmp_path, searched)
     robot = ["--set", "robot.shell_mass=1.5", "max_rotor_speed=60"]
     assert main([*options, *robot, "--out", str(tmp_path / "out")]) == 0
     assert searched == [RobotParameters(shell_mass=1.5, max_rotor_speed=60.0)]
+
+
+def test_effort_of_best_known_times_is_multiplied(tmp_path, monkeypatch) -> None:
+    factors = []
+
+    def search(motions, robot, workers, factor):
+        factors.append(factor)
+        return [1.0] * len(motions)
+
+    monkeypatch.setattr("sphere_sim.study.best_known.best_known_times", search)
+    options = ["--draw", "1", "--duration", "0.5", "--strategy", "paper", "--jobs", "1"]
+    for words in ([], ["--bound-effort", "10"]):
+        assert main([*options, *words, "--out", str(tmp_path / "out")]) == 0
+    assert factors == [1.0, 10.0]
 
 
 def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:

@@ -66,7 +66,7 @@ def searched(cache, monkeypatch) -> list[tuple[Motion, RobotParameters]]:
     """Return a list of the searches that are made; their results are their numbers."""
     made: list[tuple[Motion, RobotParameters]] = []
 
-    def search(motion: Motion, robot: RobotParameters) -> float:
+    def search(motion: Motion, robot: RobotParameters, factor: float) -> float:
         made.append((motion, robot))
         return float(len(made))
 
@@ -78,7 +78,7 @@ def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
     found = times()
     assert [line[1] for line in map(json.loads, cache.read_text().splitlines())] == found
 
-    def search(motion: Motion, robot: object) -> float:
+    def search(motion: Motion, robot: object, factor: float) -> float:
         raise AssertionError("searched for again")
 
     monkeypatch.setattr(best_known, "best_known_time", search)
@@ -101,6 +101,21 @@ def test_another_robot_has_times_of_its_own(searched, change) -> None:
     assert times() == [1.0, 2.0]
     assert times(robot=replace(ROBOT, **change)) == [3.0, 4.0]
     assert times() == [1.0, 2.0]
+
+
+def test_another_effort_has_times_of_its_own(searched, cache) -> None:
+    first = times()
+    with Workers() as workers:
+        assert best_known_times(MOTIONS, ROBOT, workers, 2.0) == [3.0, 4.0]
+        assert best_known_times(MOTIONS, ROBOT, workers, 1.0) == first
+
+
+def test_factor_multiplies_the_effort_of_each_search(monkeypatch) -> None:
+    made = []
+    monkeypatch.setattr(ArrivalSearch, "improve", lambda search, work: made.append(work))
+    best_known_time(MOTIONS[0], ROBOT, 2.5)
+    best_known_time(MOTIONS[0], ROBOT)
+    assert made == [75_000, 30_000]
 
 
 def test_robots_that_move_alike_share_their_times(searched) -> None:

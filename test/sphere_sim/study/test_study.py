@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
@@ -21,6 +22,7 @@ from sphere_sim.scenario.scenarios import (
 )
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
+from sphere_sim.study.lower_bound import lower_bound
 from sphere_sim.study.motion import Motion
 from sphere_sim.study.record import PUSH_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
@@ -242,6 +244,31 @@ def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) 
     assert [motion.drift.is_zero for motion in seen] == [False, True] * 2
     assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "1.0", "1.5", "2.0"]
     assert [row["ratio"] for row in rows(tmp_path / "time_optimal")] == ["0.0"] * 2
+
+
+def test_lower_bound_is_there_without_a_search(done) -> None:
+    bounds = [float(row["lower_bound_s"]) for row in rows(done)]
+    robot = RobotParameters()
+    assert bounds == [lower_bound(s.start, s.goal, robot) for s in SCENARIOS]
+    assert bounds[0] > SHORT.duration / 2.0 and bounds[2] == 0.0
+    beyond = json.loads((done / "summary.json").read_text())["beyond_lower_bound_s"]
+    assert (beyond["count"], beyond["max"]) == (1, 0.0)
+
+
+def test_lower_bound_is_of_the_nominal_robot_and_none_with_drift(tmp_path) -> None:
+    slow = SHORT.with_settings([("max_rotor_speed", "60")])
+    make(tmp_path / "slow", conditions=replace(slow, duration=0.5), scenarios=SCENARIOS[:1])
+    (row,) = rows(tmp_path / "slow")
+    robot = RobotParameters(max_rotor_speed=60.0)
+    expected = lower_bound(SCENARIOS[0].start, SCENARIOS[0].goal, robot)
+    assert float(row["lower_bound_s"]) == expected
+    drifting = [
+        replace(SCENARIOS[2], push=Push(0.1, (0.1, 0.0))),
+        replace(SCENARIOS[2], disturbances={"slope": 1e-3}),
+        replace(SCENARIOS[2], disturbances={"mass_offset_z": 1e-4}),
+    ]
+    make(tmp_path / "drift", conditions=replace(SHORT, duration=0.5), scenarios=drifting)
+    assert [row["lower_bound_s"] for row in rows(tmp_path / "drift")] == [""] * 3
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])

@@ -1,0 +1,214 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Lower bound of the time: its identity, motions that attain it, and motions that do not."""
+
+import math
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.dynamics import body_rate
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion, vertical
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
+from sphere_nmpc.model.torque import within_torque
+from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
+from sphere_sim.study import best_known
+from sphere_sim.study.best_known import best_known_time
+from sphere_sim.study.lower_bound import lower_bound
+from sphere_sim.study.motion import Motion
+from sphere_sim.world.plant import rolling_plant
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+
+TABLE_1 = RobotParameters()
+HEAVY_ROTORS = RobotParameters(
+    shell_mass=0.4, shell_radius=0.25, shell_inertia=0.02, rotor_offset=0.11,
+    counterweight_mass=1.3, rotor_mass=1.3, rotor_axial_inertia=0.011,
+    rotor_transverse_inertia=0.006, counterweight_axial_inertia=0.002,
+    counterweight_transverse_inertia=0.001,
+)
+CENTRED_ROTORS = replace(TABLE_1, rotor_offset=0.0, shell_inertia=0.001)
+"""Inertia about the body's z axis is the smaller one, r3 > r1, unlike in the others."""
+ROBOTS = [TABLE_1, HEAVY_ROTORS, CENTRED_ROTORS]
+NAMES = ["table 1", "heavy rotors", "centred rotors"]
+
+ATTAINED = 1e-6
+"""Difference of times [s] that the plant's integration causes: in steps of 1 ms less than 1e-8 s
+where the shell rotates the fastest."""
+DIAGONAL = math.sqrt(0.5)
+
+
+@pytest.fixture(autouse=True)
+def short_steps(monkeypatch) -> None:
+    monkeypatch.setattr(rolling_plant, "MAX_STEP", 1e-3)
+
+
+def moved(robot: RobotParameters, start: Vector, knots: list[tuple[float, Vector]]) -> Vector:
+    """Return the state after a first-order hold of durations [s] and rotor speeds [rad/s]."""
+    plant = RollingPlant(robot, start)
+    for duration, speeds in knots:
+        if duration > 0.0:
+            plant.advance(np.asarray(speeds), duration)
+    return plant.state
+
+
+def trapezoid(robot: RobotParameters, direction: Vector, steady: float, peak: float = 1.0):
+    """Return knots that ramp to a peak [of the speed limit], keep it and ramp back."""
+    speeds = peak * robot.max_rotor_speed * np.asarray(direction)
+    ramp = peak * robot.max_rotor_speed / robot.max_rotor_acceleration
+    return [(ramp, speeds), (steady, speeds), (ramp, 0.0 * speeds)]
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
+def test_rotor_speeds_are_shared_by_rolling_and_turning(robot) -> None:
+    q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
+    constants = robot.lumped
+    rate = ca.Function("rate", [q, u], [body_rate(q, u, constants.as_array())])
+    rng, number = np.random.default_rng(1), 20_000
+    turns = np.array([random_quaternion(rng) for _ in range(number)])
+    speeds = rng.uniform(-100.0, 100.0, (number, 2))
+    omega = np.array(rate.map(number)(turns.T, speeds.T)).T
+    k = vertical(turns)
+    spin = np.sum(omega * k, axis=1)
+    rolling = np.linalg.norm(omega - spin[:, None] * k, axis=1)
+    gain, r1, r3 = constants.input_gain, constants.transverse_ratio, constants.axial_ratio
+    share = (1.0 - r1) ** 2 - ((r1 - r3) * k[:, 2]) ** 2
+    given = gain * np.linalg.norm(speeds, axis=1)
+    np.testing.assert_allclose(np.hypot(rolling, np.sqrt(share) * spin), given, rtol=1e-9)
+    assert np.all(rolling <= given * (1.0 + 1e-9)) and np.max(rolling / given) > 0.999
+
+
+def test_turning_share_is_positive_for_any_robot() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(1000):
+        masses = 10.0 ** rng.uniform(-3.0, 1.0, 3)
+        inertias = 10.0 ** rng.uniform(-6.0, 0.0, 5)
+        robot = RobotParameters(
+            shell_radius=0.3, rotor_offset=rng.uniform(0.0, 0.29),
+            **dict(zip(("shell_mass", "counterweight_mass", "rotor_mass"), masses, strict=True)),
+            **dict(zip(
+                ("shell_inertia", "rotor_axial_inertia", "rotor_transverse_inertia",
+                 "counterweight_axial_inertia", "counterweight_transverse_inertia"),
+                inertias, strict=True,
+            )),
+        )
+        r1, r3 = robot.lumped.transverse_ratio, robot.lumped.axial_ratio
+        assert abs(r1 - r3) < 1.0 - r1
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
+@pytest.mark.parametrize(
+    ("steady", "peak"), [(0.0, 0.3), (0.0, 1.0), (0.7, 1.0), (20.0, 1.0)], ids=str
+)
+def test_straight_rolling_attains_the_bound(robot, steady, peak) -> None:
+    start = make_state([0.3, -0.2], [1.0, 0.0, 0.0, 0.0])
+    knots = trapezoid(robot, np.array([1.0, -1.0]), steady, peak)
+    goal = moved(robot, start, knots)
+    seconds = sum(duration for duration, _ in knots)
+    assert lower_bound(start, goal, robot) == pytest.approx(seconds, abs=ATTAINED)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
+@pytest.mark.parametrize("angle", [0.3, 3.1])
+def test_turn_about_a_vertical_diagonal_attains_the_bound(robot, angle) -> None:
+    # Body (1, 1, 0) is upwards: half a turn about the bisector of it and the z axis.
+    half = np.array([0.5, 0.5, DIAGONAL])
+    start = make_state([0.0, 0.0], [0.0, *half])
+    np.testing.assert_allclose(vertical(start[QUATERNION]), [DIAGONAL, DIAGONAL, 0.0], atol=1e-12)
+    constants = robot.lumped
+    fastest = constants.input_gain / (1.0 - constants.transverse_ratio) * math.sqrt(2.0) * 100.0
+    knots = trapezoid(
+        robot, np.array([1.0, 1.0]), max(0.0, angle / fastest - 0.25),
+        min(1.0, math.sqrt(angle / fastest / 0.25)),
+    )
+    goal = moved(robot, start, knots)
+    np.testing.assert_allclose(goal[:2], 0.0, atol=1e-12)
+    assert angle_error(start, goal) == pytest.approx(angle, abs=1e-5)
+    seconds = sum(duration for duration, _ in knots)
+    assert lower_bound(start, goal, robot) == pytest.approx(seconds, abs=ATTAINED)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
+def test_no_motion_is_faster_than_the_bound(robot) -> None:
+    rng = np.random.default_rng(3)
+    closest = 0.0
+    for _ in range(150):
+        start = make_state(rng.uniform(-1.0, 1.0, 2), random_quaternion(rng))
+        if rng.random() < 0.5:  # upright, or with a horizontal diagonal
+            start[QUATERNION] = [1.0, 0.0, 0.0, 0.0]
+        # Triangles and trapezoids from and to rest, at the limits as often as not.
+        knots = []
+        for _ in range(rng.integers(1, 4)):
+            direction = np.clip(rng.uniform(-2.0, 2.0, 2), -1.0, 1.0)
+            knots += trapezoid(robot, direction, rng.exponential(0.5), rng.uniform(0.3, 1.0))
+        goal = moved(robot, start, knots)
+        seconds = sum(duration for duration, _ in knots)
+        share = lower_bound(start, goal, robot) / seconds
+        assert share < 1.0 + ATTAINED
+        closest = max(closest, share)
+    assert closest > 0.9
+
+
+def test_bound_is_below_the_best_known_times_of_the_documents() -> None:
+    known = {1: 6.03, 2: 4.05, 3: 1.38, 4: 1.80}
+    for case, seconds in known.items():
+        scenario = PAPER_CASES[case]
+        assert 0.3 < lower_bound(scenario.start, scenario.goal, TABLE_1) < seconds
+
+
+@pytest.mark.parametrize("kind", ["anywhere", "circle", "half_turn"])
+def test_bound_is_below_best_known_times(monkeypatch, kind) -> None:
+    monkeypatch.setattr(best_known, "EFFORT", 30_000)
+    monkeypatch.setattr(best_known, "SEARCHES", 1)
+    for scenario in draw_scenarios(4, 5, kind):
+        bound = lower_bound(scenario.start, scenario.goal, TABLE_1)
+        known = best_known_time(Motion(scenario.start, scenario.goal), TABLE_1)
+        assert not known < bound
+
+
+def test_bounds_by_hand() -> None:
+    upright = make_state([0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    fastest = 0.3 * TABLE_1.lumped.input_gain * math.sqrt(2.0) * 100.0
+    away = make_state([10.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    assert lower_bound(upright, away, TABLE_1) == pytest.approx(10.0 / fastest + 0.25, rel=1e-12)
+    # A triangle of 0.01 m: its peak is a T / 2.
+    near = make_state([0.01, 0.0], [1.0, 0.0, 0.0, 0.0])
+    triangle = math.sqrt(4.0 * 0.01 / (4.0 * fastest))
+    assert lower_bound(upright, near, TABLE_1) == pytest.approx(triangle, rel=1e-12)
+    over = make_state([0.0, 0.0], [0.0, 1.0, 0.0, 0.0])
+    rolled = 0.3 * math.pi / fastest + 0.25
+    assert lower_bound(upright, over, TABLE_1) == pytest.approx(rolled, rel=1e-9)
+    assert lower_bound(upright, upright, TABLE_1) == 0.0
+
+
+def test_upright_turn_takes_longer_than_one_on_the_circle() -> None:
+    half = make_state([0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+    upright = make_state([0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    side = make_state([0.0, 0.0], [DIAGONAL, DIAGONAL, 0.0, 0.0])
+    on_circle = make_state([0.0, 0.0], [0.0, 0.0, DIAGONAL, DIAGONAL])
+    assert lower_bound(upright, half, TABLE_1) > 1.5 * lower_bound(side, on_circle, TABLE_1)
+
+
+def test_either_sign_of_a_quaternion_is_the_same_goal() -> None:
+    (scenario,) = draw_scenarios(1, 4)
+    other = scenario.goal.copy()
+    other[QUATERNION] *= -1.0
+    assert lower_bound(scenario.start, other, TABLE_1) == lower_bound(
+        scenario.start, scenario.goal, TABLE_1
+    )
+
+
+def test_bound_is_symmetric_and_grows_with_weaker_drives() -> None:
+    for scenario in draw_scenarios(20, 6):
+        bound = lower_bound(scenario.start, scenario.goal, TABLE_1)
+        back = lower_bound(scenario.goal, scenario.start, TABLE_1)
+        assert back == pytest.approx(bound, rel=1e-12)
+        for weaker in ({"max_rotor_speed": 60.0}, {"max_rotor_acceleration": 200.0}):
+            robot = replace(TABLE_1, **weaker)
+            assert lower_bound(scenario.start, scenario.goal, robot) > bound
+        limited = replace(TABLE_1, max_rotor_torque=1.6)
+        assert lower_bound(scenario.start, scenario.goal, limited) == lower_bound(
+            scenario.start, scenario.goal, within_torque(limited)
+        ) > bound

@@ -55,7 +55,8 @@ class Controller:
         self._background = background
         self._commands = Commands(robot)
         self._estimator = make_estimator(
-            settings, robot.lumped, self._commands.sent, background
+            settings, robot.lumped, self._commands.sent, background,
+            acceleration=robot.max_rotor_acceleration,
         )
         self._goal: Vector | None = None
         self._arrival = Arrival()
@@ -113,7 +114,8 @@ class Controller:
         else:
             self._strategy = make_strategy(settings, self._robot)
         self._estimator = make_estimator(
-            settings, self._robot.lumped, self._commands.sent, self._background, self._estimator
+            settings, self._robot.lumped, self._commands.sent, self._background, self._estimator,
+            self._robot.max_rotor_acceleration,
         )
 
     def observe(self, time: float, state: Vector) -> bool:
@@ -243,7 +245,7 @@ class Controller:
             plant = estimate.plant
             situation = Situation(
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
-                estimate.uncertainty, time_budget, estimate.drift,
+                estimate.uncertainty, time_budget, estimate.drift, plant.acceleration,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():

@@ -33,12 +33,15 @@ class PlantEstimate:
     deviations : ndarray of shape (4,), or None
         Standard deviations of the estimated [Rs, c1, r1, r3]; None where the estimator does not
         report them.
+    acceleration : float
+        Rotor acceleration that the drives attain [rad/s^2]; inf where it is not less than asked.
     """
 
     constants: LumpedConstants
     lag: float
     noise: float
     deviations: Vector | None = None
+    acceleration: float = float("inf")
 
 
 @dataclass(frozen=True, eq=False)

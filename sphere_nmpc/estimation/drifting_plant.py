@@ -14,6 +14,7 @@ from sphere_nmpc.estimation.contract import PlantEstimate
 from sphere_nmpc.estimation.drift_fit import DriftFit
 from sphere_nmpc.estimation.plant_estimator import PlantEstimator, noise_variance
 from sphere_nmpc.estimation.plant_parameters import (
+    LONGEST_LAG,
     ParameterDistribution,
     ParameterScaling,
     significant,
@@ -42,6 +43,9 @@ slips. One push may count twice."""
 _LEAST_MOMENTUM, _LEAST_TORQUE = 0.3, 1.0
 """Momentum [rad/s] and slope or imbalance [rad/s^2: 0.04 degrees, 0.2 mm] below which drift is not
 used: what slip leaves behind is of this size, and the torque of a real one soon makes more."""
+_SAME_SHARE = 0.01
+"""Difference of the share of the acceleration limit that the drives attain, up to which the fit of
+drift is kept."""
 _CONFIRMED = 3
 """Transitions that drift has to predict better where slip or process noise blur them."""
 
@@ -82,13 +86,23 @@ class DriftingPlantEstimator:
         Mean of the prior in scaled parameters.
     momentum : bool
         Whether drift is looked for.
+    acceleration : float, optional
+        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
     """
 
-    def __init__(self, nominal: LumpedConstants, mean: Vector, momentum: bool) -> None:
+    def __init__(
+        self,
+        nominal: LumpedConstants,
+        mean: Vector,
+        momentum: bool,
+        acceleration: float = np.inf,
+    ) -> None:
         self._nominal = nominal
         self._scaling = ParameterScaling(nominal)
-        self._paper = PlantEstimator(nominal, mean)
+        self._acceleration = acceleration
+        self._paper = PlantEstimator(nominal, mean, acceleration)
         self._drifting = DriftFit(nominal, mean)
+        self._driven_share = 1.0
         self._momentum = momentum
         self._drifts = False
         self._innovations: deque[tuple[float, float]] = deque(maxlen=_COMPARED)
@@ -99,10 +113,11 @@ class DriftingPlantEstimator:
     def restarted(self, lag: float) -> "DriftingPlantEstimator":
         """Return a new estimator with the present constants and another lag [s] as prior."""
         new = DriftingPlantEstimator(
-            self._nominal, self._paper.parameters.mean, self._momentum
+            self._nominal, self._paper.parameters.mean, self._momentum, self._acceleration
         )
         new._paper = self._paper.restarted(lag)
         new._drifting = self._drifting.restarted(lag)
+        new._driven_share = self._driven_share
         new._drifts = self._drifts
         new._publish(self.result.end)
         return new
@@ -120,10 +135,16 @@ class DriftingPlantEstimator:
 
     def _compare(self, transition: Transition, connected: bool) -> None:
         """Fit both models where they are in use or may be, and choose between them."""
-        drifting = self._drifting
-        without = drifting.error_without_drift(transition, self._parameters.mean)
+        known = self._parameters.mean
         if not self._drifts:
             self._paper.observe(transition)
+            if abs(self._paper.share - self._driven_share) > _SAME_SHARE:
+                # Its transitions are of drives that attain another acceleration.
+                self._driven_share = self._paper.share
+                self._drifting = DriftFit(self._nominal, self._paper.parameters.mean)
+        drifting = self._drifting
+        transition = transition.driven(self._driven_share * self._acceleration, LONGEST_LAG)
+        without = drifting.error_without_drift(transition, known)
         drifting.observe(transition, connected)
         self._innovations.append((without, drifting.innovation))
         self._pushed.append(drifting.newest_was_pushed)
@@ -133,7 +154,10 @@ class DriftingPlantEstimator:
                 gain > VANISHES and self._predicts_better() and not self._is_something_else
             )
             if not self._drifts:
-                self._paper = PlantEstimator(self._nominal, drifting.parameters.mean)
+                self._paper = PlantEstimator(
+                    self._nominal, drifting.parameters.mean, self._acceleration,
+                    self._driven_share,
+                )
         elif gain < -_MISLED:
             # As after slip, which the prior of older transitions does not forget.
             self._drifting = DriftFit(self._nominal, self._paper.parameters.mean)
@@ -188,5 +212,6 @@ class DriftingPlantEstimator:
             significant(scaling.lag(parameters.mean)),
             float(np.sqrt(noise_variance(self._drifting.errors, 0))),
             scaling.constants(np.sqrt(np.diag(parameters.covariance))),
+            self._paper.estimate.acceleration,
         )
         self.result = DriftingPlant(estimate, parameters, self._drifting.drift, end)

@@ -4,7 +4,7 @@
 
 from sphere_nmpc.estimation.contract import Background, Estimate, PlantEstimate
 from sphere_nmpc.estimation.drifting_plant import DriftingPlantEstimator
-from sphere_nmpc.estimation.plant_parameters import LONGEST_LAG, ParameterDistribution
+from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import Drift
@@ -14,6 +14,9 @@ from sphere_nmpc.settings import ControllerSettings
 
 _SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
 """Spacing of the poses used for learning [s]; predictions over longer gaps are inaccurate."""
+_LEAD = 1.0
+"""Time [s] before a transition from which speeds sent are taken into account: weak drives may
+have fallen behind since."""
 
 
 class ExactPoseEstimator:
@@ -33,6 +36,8 @@ class ExactPoseEstimator:
         Runs the fit of the parameters; by default it runs immediately, so that results repeat.
     prior : ParameterDistribution, optional
         What another estimator has learnt about the parameters.
+    acceleration : float, optional
+        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
     """
 
     def __init__(
@@ -42,13 +47,15 @@ class ExactPoseEstimator:
         sent: SentInputs,
         background: Background | None = None,
         prior: ParameterDistribution | None = None,
+        acceleration: float = float("inf"),
     ) -> None:
         self._settings = settings
         self._nominal = nominal
         self._sent = sent
         self._background = background
         mean = (ParameterDistribution.prior(settings.drive_lag) if prior is None else prior).mean
-        self._fit = DriftingPlantEstimator(nominal, mean, settings.momentum)
+        self._acceleration = acceleration
+        self._fit = DriftingPlantEstimator(nominal, mean, settings.momentum, acceleration)
         self._newest: tuple[float, Vector] | None = None
         self._learnt_up_to: tuple[float, Vector] | None = None
         self._connected = False
@@ -106,7 +113,9 @@ class ExactPoseEstimator:
         before, self._settings = self._settings, settings
         if settings.momentum != before.momentum:
             mean = self._fit.result.parameters.mean
-            self._fit = DriftingPlantEstimator(self._nominal, mean, settings.momentum)
+            self._fit = DriftingPlantEstimator(
+                self._nominal, mean, settings.momentum, self._acceleration
+            )
         if settings.drive_lag != before.drive_lag:
             # Transitions seen so far would pull the lag back to its last estimate. A task in the
             # background finishes on the old object without effect.
@@ -142,8 +151,8 @@ class ExactPoseEstimator:
         connected, self._connected = self._connected, True
 
         def learn() -> None:
-            pieces = sent.pieces(since - LONGEST_LAG, time)
-            fit.observe(Transition(start, pose, *pieces, LONGEST_LAG), time, connected)
+            pieces = sent.pieces(since - _LEAD, time)
+            fit.observe(Transition(start, pose, *pieces, _LEAD), time, connected)
 
         if self._background is None:
             learn()

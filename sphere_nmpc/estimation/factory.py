@@ -16,6 +16,7 @@ def make_estimator(
     sent: SentInputs,
     background: Background | None = None,
     previous: Estimator | None = None,
+    acceleration: float = float("inf"),
 ) -> Estimator:
     """Return the estimator for the pose noise in the settings.
 
@@ -32,6 +33,8 @@ def make_estimator(
     previous : Estimator, optional
         The one in use so far. It is kept if it still suits the settings; otherwise its
         parameters and its newest pose are handed over.
+    acceleration : float, optional
+        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
     """
     prior = newest = None
     if previous is not None:
@@ -45,7 +48,7 @@ def make_estimator(
     else:
         if isinstance(previous, ExactPoseEstimator):
             return previous
-        made = ExactPoseEstimator(settings, nominal, sent, background, prior)
+        made = ExactPoseEstimator(settings, nominal, sent, background, prior, acceleration)
     if newest is not None:
         made.observe(*newest)
     return made

@@ -9,6 +9,10 @@ the lag is the fifth parameter. Each pair of poses with the rotor speeds sent in
 measurement of all five; the newest ones are fitted together by Gauss-Newton least squares with a
 Gaussian prior, around the values of the robot as built unless others are given. The residuals of
 the fit are the noise.
+
+Drives at their torque limit do not follow steep ramps: the rotors of a robot with heavier rotors
+than assumed fall behind. The share of the acceleration limit that they attain is a sixth unknown;
+without it their delay is taken for wrong constants, a long lag or momentum.
 """
 
 from collections.abc import Sequence
@@ -18,6 +22,7 @@ import numpy as np
 
 from sphere_nmpc.estimation.contract import PlantEstimate
 from sphere_nmpc.estimation.plant_parameters import (
+    LONGEST_LAG,
     PRIOR_DEVIATION,
     SIZE,
     ParameterDistribution,
@@ -53,6 +58,19 @@ _STILL_LINEAR = 3e-3
 then below `LEAST_NOISE`, and a new transition costs one linearisation instead of all of them."""
 _FREEDOM = 5
 """Independent components of a state: the quaternion's norm is one."""
+_SHARE = SIZE
+"""Index of the share of the acceleration limit that the drives attain."""
+_SHARE_PRIOR = 0.15
+"""Its prior standard deviation [-], around 1."""
+_LEAST_SHARE = 0.4
+"""Its lower bound; the upper one is 1."""
+_SHARE_STEP = 0.02
+"""Step of its finite difference, downwards: ramps of plans are slightly below the limit."""
+_SHARE_SPREAD = 0.03
+"""Standard deviation of its difference between transitions: a limit of torque is one of
+acceleration that depends on the motion of the shell."""
+_ATTAINED = 0.98
+"""Share above which the drives count as attaining the limit."""
 _EXPECTED_NOISE = 1e-4
 """Prior noise [m, -] ..."""
 _EXPECTED_WEIGHT = 5.0
@@ -61,7 +79,7 @@ _EXPECTED_WEIGHT = 5.0
 
 @dataclass(frozen=True, eq=False)
 class _Linearisation:
-    """Residual (6,) and Jacobian (6, 5) of a transition at the scaled parameters `at`."""
+    """Residual (6,) and Jacobian (6, 6) of a transition at the unknowns `at`, shape (6,)."""
 
     at: Vector
     residual: Vector
@@ -75,12 +93,30 @@ class _Fitted:
     transition: Transition
     linearisation: _Linearisation | None = None
 
+    def whitened(self, at: Vector, variance: float) -> tuple[Vector, Vector]:
+        """Return residual (6,) and Jacobian (6, 6) at unknowns near the linearisation.
+
+        Where the drives saturate the share of this transition differs from the others' by
+        `_SHARE_SPREAD`; the component along its effect is scaled to the variance of the others.
+        """
+        part = self.linearisation
+        assert part is not None
+        residual = part.residual + part.jacobian @ (at - part.at)
+        along = part.jacobian[:, _SHARE]
+        square = float(along @ along)
+        if square == 0.0:
+            return residual, part.jacobian
+        reduced = (1.0 - (1.0 + _SHARE_SPREAD**2 * square / variance) ** -0.5) / square
+        residual = residual - reduced * along * float(along @ residual)
+        return residual, part.jacobian - reduced * np.outer(along, along @ part.jacobian)
+
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Result of an update: distribution of the parameters, last residuals, and the estimate."""
 
     parameters: ParameterDistribution
+    share: float
     residuals: tuple[Vector, ...]
     estimate: PlantEstimate
 
@@ -97,16 +133,28 @@ class PlantEstimator:
         Constants of the robot as built.
     mean : ndarray, shape (5,), optional
         Mean of the prior in scaled parameters; by default the robot as built, without lag.
+    acceleration : float, optional
+        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
+    share : float, optional
+        Share of it that they attain, as known so far.
     """
 
-    def __init__(self, nominal: LumpedConstants, mean: Vector | None = None) -> None:
+    def __init__(
+        self,
+        nominal: LumpedConstants,
+        mean: Vector | None = None,
+        acceleration: float = np.inf,
+        share: float = 1.0,
+    ) -> None:
         self._nominal = nominal
         self._scaling = ParameterScaling(nominal)
-        self._mean = ParameterDistribution.prior(0.0).mean if mean is None else mean
+        self._acceleration = acceleration
+        mean = ParameterDistribution.prior(0.0).mean if mean is None else mean
+        self._mean: Vector = np.append(mean, share)
         self._transitions: tuple[_Fitted, ...] = ()
         self.jumps = 0
         """Transitions left out as something other than the rotors had moved the robot."""
-        self._publish(ParameterDistribution(self._mean, np.diag(PRIOR_DEVIATION**2)), ())
+        self._publish(ParameterDistribution(mean, np.diag(PRIOR_DEVIATION**2)), share, ())
 
     @property
     def estimate(self) -> PlantEstimate:
@@ -118,91 +166,128 @@ class PlantEstimator:
         """Distribution of the scaled parameters after the last complete update."""
         return self._fit.parameters
 
+    @property
+    def share(self) -> float:
+        """Share of the acceleration limit that the drives attain."""
+        return self._fit.share
+
     def restarted(self, lag: float) -> "PlantEstimator":
         """Return a new estimator with the present constants and another lag [s] as prior.
 
         Transitions are not taken over, as they hold the old lag; the noise is.
         """
         fit = self._fit
-        new = PlantEstimator(self._nominal, fit.parameters.with_lag_prior(lag).mean)
-        new._publish(new.parameters, fit.residuals)
+        mean = fit.parameters.with_lag_prior(lag).mean
+        new = PlantEstimator(self._nominal, mean, self._acceleration, fit.share)
+        new._publish(new.parameters, fit.share, fit.residuals)
         return new
 
     def observe(self, transition: Transition) -> None:
         """Take a transition into account."""
-        parameters = self.parameters
-        residual = self._residual(transition, parameters.mean)
+        parameters, share = self.parameters, self.share
+        unknowns = np.append(parameters.mean, share)
+        residual = self._residual(self._driven(transition, share), unknowns)
         if float(np.linalg.norm(residual)) > JUMP:
             self.jumps += 1
             return
-        if float(np.max(np.abs(transition.inputs))) > EXCITED:
-            transitions = (*self._transitions, _Fitted(transition))[-_WINDOW:]
-            parameters = self._fitted(parameters, transitions)
+        residuals = self._fit.residuals
+        if float(np.max(np.abs(transition.window(LONGEST_LAG)[1]))) > EXCITED:
+            newest = _Fitted(transition)
+            transitions = (*self._transitions, newest)[-_WINDOW:]
+            parameters, share = self._fitted(unknowns, transitions)
             self._transitions = transitions
-            residual = self._residual(transition, parameters.mean)
-        self._publish(parameters, (*self._fit.residuals, residual)[-_NOISE_WINDOW:])
+            unknowns = np.append(parameters.mean, share)
+            self._linearise(newest, unknowns)
+            residual, _ = newest.whitened(unknowns, noise_variance(residuals, 0))
+        self._publish(parameters, share, (*residuals, residual)[-_NOISE_WINDOW:])
 
-    def _publish(self, parameters: ParameterDistribution, residuals: tuple[Vector, ...]) -> None:
+    def _publish(
+        self, parameters: ParameterDistribution, share: float, residuals: tuple[Vector, ...]
+    ) -> None:
         scaling, mean = self._scaling, parameters.mean
         estimate = PlantEstimate(
             scaling.lumped(mean),
             significant(scaling.lag(mean)),
             float(np.sqrt(noise_variance(residuals, 0))),
             scaling.constants(np.sqrt(np.diag(parameters.covariance))),
+            share * self._acceleration if share < _ATTAINED else np.inf,
         )
-        self._fit = _Fit(parameters, residuals, estimate)
+        self._fit = _Fit(parameters, share, residuals, estimate)
 
     def _fitted(
-        self, parameters: ParameterDistribution, transitions: tuple[_Fitted, ...]
-    ) -> ParameterDistribution:
-        """Return the fit to all transitions, starting from the parameters so far."""
-        prior = 1.0 / PRIOR_DEVIATION**2
+        self, unknowns: Vector, transitions: tuple[_Fitted, ...]
+    ) -> tuple[ParameterDistribution, float]:
+        """Return the fit to all transitions, starting from the unknowns so far, shape (6,)."""
+        prior = 1.0 / np.append(PRIOR_DEVIATION, _SHARE_PRIOR) ** 2
+        variance = noise_variance((), 0)
         for _ in range(_ITERATIONS):
-            before = parameters.mean
-            parts = [self._linearised(fitted, before) for fitted in transitions]
-            jacobian = np.vstack([part.jacobian for part in parts])
-            residuals = [part.residual + part.jacobian @ (before - part.at) for part in parts]
-            residual = np.concatenate(residuals)
+            before = unknowns
+            for fitted in transitions:
+                self._linearise(fitted, before)
+            parts = [fitted.whitened(before, variance) for fitted in transitions]
+            residuals = [residual for residual, _ in parts]
             variance = noise_variance(residuals, SIZE)
+            residual, jacobian = np.concatenate(residuals), np.vstack([j for _, j in parts])
             information = np.diag(prior) + jacobian.T @ jacobian / variance
             right = (self._mean - before) * prior - jacobian.T @ residual / variance
-            mean = self._scaling.within(before + np.linalg.solve(information, right))
-            covariance = np.asarray(np.linalg.inv(information), dtype=float)
-            parameters = ParameterDistribution(mean, covariance)
-            if float(np.max(np.abs(mean - before))) < _CONVERGED:
+            unknowns = self._moved(before, information, right)
+            if float(np.max(np.abs(unknowns - before))) < _CONVERGED:
                 break
-        return parameters
+        covariance = np.asarray(np.linalg.inv(information), dtype=float)[:SIZE, :SIZE]
+        return ParameterDistribution(unknowns[:SIZE], covariance), float(unknowns[_SHARE])
 
-    def _linearised(self, fitted: _Fitted, at: Vector) -> _Linearisation:
+    def _moved(self, before: Vector, information: Vector, right: Vector) -> Vector:
+        """Return the unknowns after a step; a share that would leave its range stays at its end."""
+        step = np.linalg.solve(information, right)
+        share = min(max(before[_SHARE] + step[_SHARE], _LEAST_SHARE), 1.0)
+        step[_SHARE] = share - before[_SHARE]
+        rest = right[:SIZE] - information[:SIZE, _SHARE] * step[_SHARE]
+        step[:SIZE] = np.linalg.solve(information[:SIZE, :SIZE], rest)
+        return np.append(self._scaling.within(before[:SIZE] + step[:SIZE]), share)
+
+    def _linearise(self, fitted: _Fitted, at: Vector) -> None:
         known = fitted.linearisation
         if known is not None:
-            moved = np.abs(at - known.at) / PRIOR_DEVIATION
+            moved = np.abs(at - known.at) / np.append(PRIOR_DEVIATION, _SHARE_PRIOR)
             if float(np.max(moved)) < _STILL_LINEAR:
-                return known
-        transition = fitted.transition
-        residual = self._residual(transition, at)
-        found = _Linearisation(at, residual, self._jacobian(transition, at, residual))
-        fitted.linearisation = found
-        return found
+                return
+        driven = self._driven(fitted.transition, float(at[_SHARE]))
+        residual = self._residual(driven, at)
+        jacobian = np.column_stack((
+            self._jacobian(driven, at, residual),
+            self._by_share(fitted.transition, at, residual),
+        ))
+        fitted.linearisation = _Linearisation(at, residual, jacobian)
 
-    def _residual(self, transition: Transition, scaled: Vector) -> Vector:
+    def _driven(self, transition: Transition, share: float) -> Transition:
+        return transition.driven(share * self._acceleration, LONGEST_LAG)
+
+    def _residual(self, driven: Transition, unknowns: Vector) -> Vector:
         """Return prediction minus measurement, shape (6,)."""
-        durations, inputs = transition.window(self._scaling.lag(scaled))
+        scaled = unknowns[:SIZE]
+        durations, inputs = driven.window(self._scaling.lag(scaled))
         constants = self._scaling.constants(scaled)
-        predicted = roll_out(transition.start, inputs, durations, constants, _STEP)[-1]
-        difference: Vector = predicted - nearer_sign(transition.end, predicted)
+        predicted = roll_out(driven.start, inputs, durations, constants, _STEP)[-1]
+        difference: Vector = predicted - nearer_sign(driven.end, predicted)
         return difference
 
-    def _jacobian(self, transition: Transition, at: Vector, residual: Vector) -> Vector:
+    def _jacobian(self, driven: Transition, at: Vector, residual: Vector) -> Vector:
         """Return the derivative of the residual by the scaled parameters, shape (6, 5)."""
         columns = []
         for i in range(SIZE):
-            scaled = at.copy()
+            unknowns = at.copy()
             # Inwards at the longest lag, where the window would begin before the lead.
             step = -_DIFFERENCE if self._scaling.is_highest(at, i) else _DIFFERENCE
-            scaled[i] += step
-            columns.append((self._residual(transition, scaled) - residual) / step)
+            unknowns[i] += step
+            columns.append((self._residual(driven, unknowns) - residual) / step)
         return np.column_stack(columns)
+
+    def _by_share(self, transition: Transition, at: Vector, residual: Vector) -> Vector:
+        """Return the derivative of the residual by the share, shape (6,)."""
+        share = float(at[_SHARE]) - _SHARE_STEP
+        if transition.steepest <= share * self._acceleration:
+            return np.zeros_like(residual)
+        return (residual - self._residual(self._driven(transition, share), at)) / _SHARE_STEP
 
 
 def noise_variance(residuals: Sequence[Vector], fitted: int) -> float:

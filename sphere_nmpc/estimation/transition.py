@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transition: two measured poses and the rotor speeds sent in between."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sphere_nmpc.estimation.drive_limit import driven_speeds
 from sphere_nmpc.model.state import Vector
 
 _SHORTEST_PIECE = 1e-9
@@ -39,6 +40,33 @@ class Transition:
     def duration(self) -> float:
         """Time between the states [s]."""
         return float(np.sum(self.durations)) - self.lead
+
+    @property
+    def steepest(self) -> float:
+        """Largest acceleration of the speeds [rad/s^2]."""
+        slopes = np.diff(self.inputs, axis=0) / self.durations[:, None]
+        return float(np.max(np.abs(slopes), initial=0.0))
+
+    def driven(self, acceleration: float, lead: float) -> "Transition":
+        """Return the transition with the speeds that drives of this limit [rad/s^2] attain.
+
+        `lead` is the longest time [s] before the first state that is kept; what went before only
+        decides how far the rotors had fallen behind.
+        """
+        durations, inputs = self.durations, self.inputs
+        if self.steepest > acceleration:
+            durations, inputs = driven_speeds(durations, inputs, acceleration)
+        driven = replace(self, durations=durations, inputs=inputs)
+        if self.lead <= lead:
+            return driven
+        times = np.concatenate(([0.0], np.cumsum(durations)))
+        begin = self.lead - lead
+        kept = times > begin + _SHORTEST_PIECE
+        first = [np.interp(begin, times, column) for column in inputs.T]
+        return Transition(
+            self.start, self.end, np.diff(np.concatenate(([begin], times[kept]))),
+            np.vstack((first, inputs[kept])), lead,
+        )
 
     def window(self, lag: float) -> tuple[Vector, Vector]:
         """Return durations (K,) and speeds (K + 1, 2) that moved the sphere at this lag [s]."""

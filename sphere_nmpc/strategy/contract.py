@@ -36,6 +36,8 @@ class Situation:
         Wall time that planning may take [s]; a strategy then returns the best plan found.
     drift : Drift
         Estimated momentum at that instant, with slope and imbalance.
+    acceleration : float
+        Rotor acceleration that the drives attain [rad/s^2], where less than their limit.
     """
 
     time: float
@@ -47,6 +49,7 @@ class Situation:
     uncertainty: float = 0.0
     time_budget: float = float("inf")
     drift: Drift = NO_DRIFT
+    acceleration: float = float("inf")
 
 
 class Strategy(Protocol):

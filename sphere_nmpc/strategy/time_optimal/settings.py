@@ -180,6 +180,12 @@ class TimeOptimalSettings:
     """Share [-] of the acceleration limit that such a plan uses. On floors of friction 0.15 to 0.2
     a sphere that uses all of it slips with every plan and never arrives."""
 
+    attained_share: float = 0.97
+    """Share [-] that plans use of the acceleration that the drives are found to attain: a limit of
+    torque allows a few per cent less in some orientations."""
+    same_acceleration: float = 0.03
+    """Relative change of that acceleration [-] up to which the limit of plans is kept."""
+
     # Holding at the goal
 
     rest_speed: float = 1e-3

@@ -82,22 +82,42 @@ class TimeOptimalStrategy:
     def reset(self) -> None:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._state: State = Searching()
-        period, tuning = self._settings.period, self._tuning
-        self._grid, seeds = KnotGrid(period, tuning), itertools.count(1)
-        acceleration = tuning.slip_acceleration * self._robot.max_rotor_acceleration
-        slippery = dataclasses.replace(self._robot, max_rotor_acceleration=acceleration)
-        self._plan_search = PlanSearch(
-            ArrivalPlanner(self._robot, period, self._grid, seeds, tuning),
-            ArrivalPlanner(slippery, period, self._grid, seeds, tuning),
-        )
+        self._grid = KnotGrid(self._settings.period, self._tuning)
+        self._seeds = itertools.count(1)
+        limit = self._robot.max_rotor_acceleration
+        self._acceleration = limit
+        self._full = self._planner(limit)
+        self._slippery = self._planner(self._tuning.slip_acceleration * limit)
+        self._plan_search = PlanSearch(self._full, self._slippery)
         self._goals.reset()
         self._held_goal.reset()
         self._rest_at_goal.reset()
+
+    def _planner(self, acceleration: float) -> ArrivalPlanner:
+        """Return a planner with this limit of the rotors' acceleration [rad/s^2]."""
+        robot = dataclasses.replace(self._robot, max_rotor_acceleration=acceleration)
+        return ArrivalPlanner(
+            robot, self._settings.period, self._grid, self._seeds, self._tuning
+        )
+
+    def _use_attained(self, situation: Situation) -> None:
+        """Plan with the acceleration that the drives attain, also what remains of a plan."""
+        share = self._tuning.attained_share
+        limit = min(self._robot.max_rotor_acceleration, share * situation.acceleration)
+        limit = max(limit, self._tuning.slip_acceleration * self._robot.max_rotor_acceleration)
+        if abs(limit - self._acceleration) <= self._tuning.same_acceleration * limit:
+            return
+        followed, self._acceleration, self._full = self._full, limit, self._planner(limit)
+        self._plan_search = PlanSearch(self._full, self._slippery)
+        state = self._state
+        if isinstance(state, Following) and state.planner is followed:
+            self._state = dataclasses.replace(state, planner=self._full)
 
     def plan(self, situation: Situation) -> Plan:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
         self._grid.begin(situation.time)
+        self._use_attained(situation)
         situation = self._aim(self._holdable(situation))
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)

@@ -237,7 +237,7 @@ class PlantEstimator:
         return ParameterDistribution(unknowns[:SIZE], covariance), float(unknowns[_SHARE])
 
     def _moved(self, before: Vector, information: Vector, right: Vector) -> Vector:
-        """Return the unknowns after a step; a share that would leave its range stays at its end."""
+        """Return the unknowns after a step; a share at the end of its range stays there."""
         step = np.linalg.solve(information, right)
         share = min(max(before[_SHARE] + step[_SHARE], _LEAST_SHARE), 1.0)
         step[_SHARE] = share - before[_SHARE]

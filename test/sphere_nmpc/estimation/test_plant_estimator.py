@@ -16,6 +16,8 @@ from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 NOMINAL = RobotParameters()
 PERIOD = 0.25
+LIMIT = 400.0
+"""Limit of the speeds that are sent [rad/s^2]."""
 
 
 def drive(
@@ -103,3 +105,41 @@ def test_constants_stay_within_their_range_for_a_very_different_robot() -> None:
     found = estimator.estimate.constants
     assert found.transverse_ratio < 1.0 and found.axial_ratio < 1.0
     assert np.all(found.as_array() > 0.0)
+
+
+def drive_weakly(estimator: PlantEstimator, robot: RobotParameters, share: float) -> None:
+    """Send ramps at the limit, with pauses between, to rotors that attain a share of it."""
+    rng = np.random.default_rng(4)
+    plant = RollingPlant(robot, np.array([0, 0, 1.0, 0, 0, 0]))
+    sent: list[Vector] = [np.zeros(2)] * 5
+    for i in range(8):
+        before, reach = plant.state, LIMIT * PERIOD
+        wanted = sent[-1] if i % 3 == 2 else sent[-1] + rng.choice([-reach, reach], 2)
+        sent.append(np.clip(wanted, -100.0, 100.0))
+        durations, inputs = np.full(5, PERIOD), np.array(sent[-6:])
+        raw = Transition(before, before, durations, inputs, lead=4.0 * PERIOD)
+        pieces = raw.driven(share * LIMIT, 0.0)
+        for duration, speeds in zip(pieces.durations, pieces.inputs[1:], strict=True):
+            plant.advance(speeds, float(duration))
+        estimator.observe(dataclasses.replace(raw, end=plant.state))
+
+
+@pytest.mark.parametrize("share", [0.6, 0.8, 0.93])
+def test_drives_that_attain_less_acceleration_are_told_from_wrong_constants(share: float) -> None:
+    for seed in range(5):
+        robot = perturbed(NOMINAL, 0.2, np.random.default_rng(seed))
+        estimator = PlantEstimator(NOMINAL.lumped, acceleration=LIMIT)
+        drive_weakly(estimator, robot, share)
+        assert estimator.estimate.acceleration == pytest.approx(share * LIMIT, rel=0.01)
+        assert estimator.estimate.lag < 5e-4
+        # As in the test above without weak drives.
+        assert relative_error(estimator, robot) < 3e-3
+
+
+def test_drives_that_attain_the_limit_count_as_such() -> None:
+    robot = perturbed(NOMINAL, 0.2, np.random.default_rng(1))
+    estimator = PlantEstimator(NOMINAL.lumped, acceleration=LIMIT)
+    drive_weakly(estimator, robot, 1.0)
+    assert estimator.estimate.acceleration == np.inf
+    assert estimator.share == pytest.approx(1.0, abs=1e-3)
+    assert relative_error(estimator, robot) < 3e-3

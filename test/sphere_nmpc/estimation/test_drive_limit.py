@@ -1,0 +1,66 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Rotors that fall behind the speeds sent, against a simulation in short steps."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation.drive_limit import driven_speeds
+from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.model.state import Vector
+
+LIMIT = 300.0
+STEP = 1e-5
+
+
+def simulated(durations: Vector, inputs: Vector, limit: float) -> Vector:
+    """Return the speeds (n, 2) every STEP of rotors that follow by at most `limit`."""
+    given = np.concatenate(([0.0], np.cumsum(durations)))
+    times = np.arange(0.0, given[-1] + 0.5 * STEP, STEP)
+    sent = np.column_stack([np.interp(times, given, column) for column in inputs.T])
+    followed = [sent[0]]
+    for wanted in sent[1:]:
+        reach = limit * STEP
+        followed.append(np.clip(wanted, followed[-1] - reach, followed[-1] + reach))
+    return np.array(followed)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    durations = rng.uniform(0.05, 0.25, 8)
+    inputs = rng.uniform(-100.0, 100.0, (9, 2))
+    times, speeds = driven_speeds(durations, inputs, LIMIT)
+    expected = simulated(durations, inputs, LIMIT)
+    at = np.arange(len(expected)) * STEP
+    corners = np.concatenate(([0.0], np.cumsum(times)))
+    found = np.column_stack([np.interp(at, corners, column) for column in speeds.T])
+    # A step of the simulation at the limit, and one of the steepest ramp.
+    assert np.max(np.abs(found - expected)) < 2.0 * STEP * 200.0 / 0.05
+    slopes = np.diff(speeds, axis=0) / times[:, None]
+    assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-6)
+
+
+def test_speeds_within_the_limit_are_followed_exactly() -> None:
+    transition = Transition(
+        np.zeros(6), np.zeros(6), np.array([0.25, 0.25]),
+        np.array([[0.0, 0.0], [70.0, -70.0], [0.0, 0.0]]),
+    )
+    driven = transition.driven(LIMIT, 0.05)
+    np.testing.assert_array_equal(driven.inputs, transition.inputs)
+    np.testing.assert_array_equal(driven.durations, transition.durations)
+
+
+def test_what_a_rotor_lacks_at_the_start_comes_from_the_lead() -> None:
+    # 100 rad/s in the 0.25 s before the transition: at 300 rad/s^2 25 rad/s are missing, which
+    # take another 1/12 s.
+    transition = Transition(
+        np.zeros(6), np.zeros(6), np.array([0.25, 0.25]),
+        np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 0.0]]), lead=0.25,
+    )
+    driven = transition.driven(LIMIT, 0.05)
+    assert driven.lead == 0.05 and driven.duration == pytest.approx(0.25)
+    durations, speeds = driven.window(0.0)
+    assert speeds[0, 0] == pytest.approx(75.0)
+    assert durations[0] == pytest.approx(25.0 / LIMIT)
+    assert speeds[1, 0] == pytest.approx(100.0) and speeds[-1, 0] == pytest.approx(100.0)

@@ -70,12 +70,12 @@ def replan(
             kept = replace(plan, arrival=arrival, planned_at=now)
             work = settings.planning_effort // divisor
             return _improved(kept, situation, work, deadline, settings)
-        if best is None or arrival.error < best.error:
+        if best is None or arrival.error < 0.5 * best.error:
             best = arrival
         if best.error < accepted:
             # Too few knots are left to correct what noise has done since: a delay gains nothing.
             return replace(plan, arrival=best, planned_at=now)
-    if best is None or best.error > min(dead_band, tuning.leaving_error):
+    if best is None or best.error > tuning.kept_error(left / settings.period) * dead_band:
         return None
     # It ends where the sphere rests; a new plan from here would take a second or more.
     return replace(plan, arrival=best, planned_at=now)

@@ -71,6 +71,10 @@ _SHARE_SPREAD = 0.03
 acceleration that depends on the motion of the shell."""
 _ATTAINED = 0.98
 """Share above which the drives count as attaining the limit."""
+_TOLD_APART = 2
+"""Transitions that tell weak drives from wrong constants; with fewer the share is kept."""
+_EXPLAINED = 5e-4
+"""Noise [m, -] of the fit above which the share is kept: a push or slip has moved the sphere."""
 _EXPECTED_NOISE = 1e-4
 """Prior noise [m, -] ..."""
 _EXPECTED_WEIGHT = 5.0
@@ -194,7 +198,10 @@ class PlantEstimator:
         if float(np.max(np.abs(transition.window(LONGEST_LAG)[1]))) > EXCITED:
             newest = _Fitted(transition)
             transitions = (*self._transitions, newest)[-_WINDOW:]
-            parameters, share = self._fitted(unknowns, transitions)
+            alone = len(transitions) < _TOLD_APART
+            parameters, share, noise = self._fitted(unknowns, transitions, keep_share=alone)
+            if noise > _EXPLAINED and share != unknowns[_SHARE]:
+                parameters, share, _ = self._fitted(unknowns, transitions, keep_share=True)
             self._transitions = transitions
             unknowns = np.append(parameters.mean, share)
             self._linearise(newest, unknowns)
@@ -215,9 +222,12 @@ class PlantEstimator:
         self._fit = _Fit(parameters, share, residuals, estimate)
 
     def _fitted(
-        self, unknowns: Vector, transitions: tuple[_Fitted, ...]
-    ) -> tuple[ParameterDistribution, float]:
-        """Return the fit to all transitions, starting from the unknowns so far, shape (6,)."""
+        self, unknowns: Vector, transitions: tuple[_Fitted, ...], keep_share: bool = False
+    ) -> tuple[ParameterDistribution, float, float]:
+        """Return parameters and share that fit all transitions, and the noise that is left.
+
+        Starts from the unknowns so far, shape (6,).
+        """
         prior = 1.0 / np.append(PRIOR_DEVIATION, _SHARE_PRIOR) ** 2
         variance = noise_variance((), 0)
         for _ in range(_ITERATIONS):
@@ -230,16 +240,21 @@ class PlantEstimator:
             residual, jacobian = np.concatenate(residuals), np.vstack([j for _, j in parts])
             information = np.diag(prior) + jacobian.T @ jacobian / variance
             right = (self._mean - before) * prior - jacobian.T @ residual / variance
-            unknowns = self._moved(before, information, right)
+            unknowns = self._moved(before, information, right, keep_share)
             if float(np.max(np.abs(unknowns - before))) < _CONVERGED:
                 break
         covariance = np.asarray(np.linalg.inv(information), dtype=float)[:SIZE, :SIZE]
-        return ParameterDistribution(unknowns[:SIZE], covariance), float(unknowns[_SHARE])
+        parameters = ParameterDistribution(unknowns[:SIZE], covariance)
+        return parameters, float(unknowns[_SHARE]), float(np.sqrt(variance))
 
-    def _moved(self, before: Vector, information: Vector, right: Vector) -> Vector:
+    def _moved(
+        self, before: Vector, information: Vector, right: Vector, keep_share: bool
+    ) -> Vector:
         """Return the unknowns after a step; a share at the end of its range stays there."""
         step = np.linalg.solve(information, right)
         share = min(max(before[_SHARE] + step[_SHARE], _LEAST_SHARE), 1.0)
+        if keep_share:
+            share = float(before[_SHARE])
         step[_SHARE] = share - before[_SHARE]
         rest = right[:SIZE] - information[:SIZE, _SHARE] * step[_SHARE]
         step[:SIZE] = np.linalg.solve(information[:SIZE, :SIZE], rest)

@@ -75,7 +75,8 @@ def replan(
         if best.error < accepted:
             # Too few knots are left to correct what noise has done since: a delay gains nothing.
             return replace(plan, arrival=best, planned_at=now)
-    if best is None or best.error > tuning.kept_error(left / settings.period) * dead_band:
+    near_end = left < tuning.last_periods[0] * settings.period
+    if best is None or not near_end or best.error > min(dead_band, tuning.leaving_error):
         return None
     # It ends where the sphere rests; a new plan from here would take a second or more.
     return replace(plan, arrival=best, planned_at=now)

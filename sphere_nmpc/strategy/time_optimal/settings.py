@@ -270,7 +270,3 @@ class TimeOptimalSettings:
         if periods_left >= self.last_periods[0]:
             return 0.0
         return self.last_errors[0 if periods_left >= self.last_periods[1] else 1]
-
-    def kept_error(self, periods_left: float) -> float:
-        """Return the terminal error [of the dead band] with which a plan is kept to its end."""
-        return 1.0 if periods_left < self.last_periods[0] else 0.0

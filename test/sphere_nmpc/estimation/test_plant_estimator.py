@@ -107,8 +107,13 @@ def test_constants_stay_within_their_range_for_a_very_different_robot() -> None:
     assert np.all(found.as_array() > 0.0)
 
 
-def drive_weakly(estimator: PlantEstimator, robot: RobotParameters, share: float) -> None:
-    """Send ramps at the limit, with pauses between, to rotors that attain a share of it."""
+def drive_weakly(
+    estimator: PlantEstimator, robot: RobotParameters, share: float, moved: float = 0.0
+) -> None:
+    """Send ramps at the limit, with pauses between, to rotors that attain a share of it.
+
+    The robot is moved by `moved` [m] in each direction during the fifth sample.
+    """
     rng = np.random.default_rng(4)
     plant = RollingPlant(robot, np.array([0, 0, 1.0, 0, 0, 0]))
     sent: list[Vector] = [np.zeros(2)] * 5
@@ -121,6 +126,8 @@ def drive_weakly(estimator: PlantEstimator, robot: RobotParameters, share: float
         pieces = raw.driven(share * LIMIT, 0.0)
         for duration, speeds in zip(pieces.durations, pieces.inputs[1:], strict=True):
             plant.advance(speeds, float(duration))
+        if i == 4:
+            plant.displace(plant.state + np.array([moved, moved, 0, 0, 0, 0]))
         estimator.observe(dataclasses.replace(raw, end=plant.state))
 
 
@@ -143,3 +150,13 @@ def test_drives_that_attain_the_limit_count_as_such() -> None:
     assert estimator.estimate.acceleration == np.inf
     assert estimator.share == pytest.approx(1.0, abs=1e-3)
     assert relative_error(estimator, robot) < 3e-3
+
+
+@pytest.mark.parametrize("moved", [-0.02, -0.005, 0.005, 0.02])
+@pytest.mark.parametrize("share", [0.8, 1.0])
+def test_robot_that_is_pushed_does_not_count_as_one_with_weaker_drives(
+    moved: float, share: float
+) -> None:
+    estimator = PlantEstimator(NOMINAL.lumped, acceleration=LIMIT)
+    drive_weakly(estimator, NOMINAL, share, moved)
+    assert estimator.share == pytest.approx(share, rel=0.01)

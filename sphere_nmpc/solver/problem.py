@@ -26,13 +26,14 @@ class HoldProblem:
 
     Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction),
 
-        w_T (|x_N - x_d|^2 + (r_h . h_N)^2) + w_x sum_{m=1}^{N-1} |x_m - x_d|^2
+        w_T (|x_N - x_d|^2 + (r_h . h_N)^2 + t^2) + w_x sum_{m=1}^{N-1} |x_m - x_d|^2
             + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
             + w_s sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
 
     subject to lower <= u_m <= upper. U = `input_scale`; a = `max_acceleration`; h_m the interval
     lengths, which need not be equal: a short first one lets the problem be solved again between
-    the knots. The paper's weights divided by beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
+    the knots. t is the tilt of the axis at the start of an interval of steady rolling, 0 without one.
+    The paper's weights divided by beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
 
     Attributes
     ----------
@@ -63,6 +64,14 @@ class HoldProblem:
         with a stage cost, nor without drift.
     input_reference : ndarray, shape (2,)
         u_ref [rad/s]: rotor speeds that cost nothing.
+    steady_interval : int
+        Index of an interval of steady rolling; 0 without one. The bounds fix both of its knots to
+        the same speeds u, and the tilt t = k . u / |u|, k the vertical in body axes, is a residual
+        (not with a stage cost, nor with drift): with t = 0 the sphere rolls straight on at a
+        constant rate.
+    whole_turns : float
+        Time in that interval [s] that is not integrated, a multiple of what a turn of the shell
+        takes: it leaves the orientation as it is and adds to the way in proportion.
     """
 
     state: Vector
@@ -82,6 +91,8 @@ class HoldProblem:
     drift: Vector = field(default_factory=lambda: _NO_DRIFT)
     input_reference: Vector = field(default_factory=lambda: _ZERO_INPUT)
     momentum_row: Vector = field(default_factory=lambda: _NO_MOMENTUM_ROW)
+    steady_interval: int = 0
+    whole_turns: float = 0.0
 
     @property
     def intervals(self) -> int:
@@ -94,7 +105,8 @@ class HoldProblem:
             self.state, goal, self.input_in_force, self.durations, self.constants, self.lower,
             self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
             self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
-            self.drift, self.input_reference, self.momentum_row,
+            self.drift, self.input_reference, self.momentum_row, self.steady_interval,
+            self.whole_turns,
         )
 
 

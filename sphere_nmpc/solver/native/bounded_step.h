@@ -90,12 +90,12 @@ static int dense_step(workspace *w, double damping, int64_t size)
 /* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 7 x 7 system
  * (Woodbury's formula). */
 static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end,
-                       double momentum_error, int64_t size)
+                       double seventh_error, int64_t size)
 {
     double small[END * END], error[END], *z = w->solved;
     for (int l = 0; l < 6; l++)
         error[l] = x_end[l] - p->goal[l];
-    error[6] = momentum_error;
+    error[6] = seventh_error;
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
             w->step[i] = 0.0;
@@ -175,7 +175,7 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
         int crossed = 0;
         if (!(is_dense(p) ? dense_step(w, damping, size)
                           : sparse_step(p, w, damping, states + 6 * p->intervals,
-                                        p->drifts ? momentum_residual(p, momenta) : 0.0, size)))
+                                        seventh_residual(p, states, momenta), size)))
             return 0;
         any = 0;
         for (int64_t i = 0; i < size; i++) {

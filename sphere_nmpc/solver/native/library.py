@@ -41,7 +41,7 @@ from sphere_nmpc.solver.native.compiler import (
 from sphere_nmpc.solver.native.layout import problem_header
 
 _C_SOURCES = (
-    "solver.c", "vectors.h", "workspace.h", "models.h", "shooting.h", "objective.h",
+    "solver.c", "vectors.h", "workspace.h", "steady.h", "models.h", "shooting.h", "objective.h",
     "bounded_step.h",
 )
 _GENERATORS = (

@@ -20,6 +20,7 @@ _SETTINGS = span("gradient_tolerance", "initial_damping")
 _TIME_BUDGET, _MAX_ITERATIONS = index("time_budget"), index("max_iterations")
 _COST, _KKT_RESIDUAL, _SOLVE_TIME = index("cost"), index("kkt_residual"), index("solve_time")
 _STATUS, _ITERATIONS = index("status"), index("iterations")
+_STEADY_INTERVAL = index("steady_interval")
 
 
 @cache
@@ -81,7 +82,7 @@ class Slot:
         self._drift = self._words[span("drift")]
         self._input_reference = self._words[span("input_reference")]
         self._momentum_row = self._words[span("momentum_row")]
-        self._scalars = self._words[span("input_scale", "max_step")]
+        self._scalars = self._words[span("input_scale", "whole_turns")]
 
     def write_settings(self, settings: SolverSettings) -> None:
         """Write when to stop."""
@@ -112,7 +113,9 @@ class Slot:
             problem.slew_weight,
             problem.max_acceleration,
             problem.max_step,
+            problem.whole_turns,
         )
+        self._integers[_STEADY_INTERVAL] = problem.steady_interval
         self._durations[:] = problem.durations
         self._lower[:] = problem.lower
         self._upper[:] = problem.upper

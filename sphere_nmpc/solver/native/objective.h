@@ -5,7 +5,7 @@
  *
  * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 7 plus D, tridiagonal
  * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed,
- * and the momentum at the end has no cost.
+ * and momentum and tilt have no cost.
  */
 static int is_dense(const problem *p)
 {
@@ -31,11 +31,13 @@ static double input_excess(const problem *p, const double *v, int64_t i)
     return v[i] - p->input_reference[i % 2] / p->input_scale;
 }
 
-/* Residual of the momentum at the end, h_N. */
-static double momentum_residual(const problem *p, const double *momenta)
+/* Residual of the momentum at the end, h_N, or of the tilt; 0 without either. */
+static double seventh_residual(const problem *p, const double *states, const double *momenta)
 {
     const double *row = p->momentum_row, *end = momenta + 3 * p->intervals;
-    return row[0] * end[0] + row[1] * end[1] + row[2] * end[2];
+    if (p->drifts)
+        return row[0] * end[0] + row[1] * end[1] + row[2] * end[2];
+    return has_tilt(p) ? tilt(p, states + 6 * p->steady_interval + 2) : 0.0;
 }
 
 static double cost_of(const problem *p, const double *v, const double *inputs,
@@ -47,8 +49,8 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
         const double error = states[6 * n + k] - p->goal[k];
         terminal += error * error;
     }
-    if (p->drifts && !is_dense(p)) {
-        const double error = momentum_residual(p, momenta);
+    if (!is_dense(p)) {
+        const double error = seventh_residual(p, states, momenta);
         terminal += error * error;
     }
     if (p->stage_weight > 0.0)
@@ -145,8 +147,7 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     double error[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
         error[l] = 2.0 * p->terminal_weight * (states[6 * p->intervals + l] - p->goal[l]);
-    if (p->drifts)
-        error[6] = 2.0 * p->terminal_weight * momentum_residual(p, momenta);
+    error[6] = 2.0 * p->terminal_weight * seventh_residual(p, states, momenta);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;
         for (int l = 0; l < ROW; l++)

@@ -72,14 +72,15 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
                                  const double *momentum, double *x_end, double *momentum_end,
                                  double *jacobian)
 {
-    const int64_t steps = steps_for(p->durations[m], p->max_step);
-    const double h = p->durations[m] / (double)steps;
+    const double duration = p->durations[m] - (m == p->steady_interval ? p->whole_turns : 0.0);
+    const int64_t steps = steps_for(duration, p->max_step);
+    const double h = duration / (double)steps;
     const double slope[2] = {u[2] - u[0], u[3] - u[1]};
     const TANGENT first[2] = {NAME(unit)(CARRIED), NAME(unit)(CARRIED + 1)};
     const TANGENT second[2] = {NAME(unit)(CARRIED + 2), NAME(unit)(CARRIED + 3)};
     TANGENT_DIFFERENCE(zero, first[0], first[0])
     TANGENT dxy[2] = {zero, zero}, dy[CARRIED];
-    double xy[2] = {x[0], x[1]}, y[CARRIED];
+    double xy[2] = {0.0, 0.0}, y[CARRIED];
     for (int k = 0; k < CARRIED; k++)
         dy[k] = NAME(unit)(k);
     memcpy(y, x + 2, 4 * sizeof *y);
@@ -102,7 +103,13 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
             dxy[c] = sum;
         }
     }
-    memcpy(x_end, xy, sizeof xy);
+    /* What is left out of an interval of steady rolling adds to the way in proportion. */
+    const double scale = p->durations[m] / duration;
+    for (int c = 0; c < 2; c++) {
+        x_end[c] = x[c] + scale * xy[c];
+        TANGENT_SCALED(scaled, scale, dxy[c])
+        dxy[c] = scaled;
+    }
     memcpy(x_end + 2, y, 4 * sizeof *y);
     memcpy(momentum_end, y + 4, MOMENTUM_BYTES);
     memcpy(jacobian, dxy, sizeof dxy);
@@ -121,7 +128,7 @@ static void NAME(shoot)(const problem *p, const double *inputs, double *states, 
                              states + 6 * m + 6, momenta + 3 * m + 3, jacobians + m * DERIVATIVE);
 }
 
-/* rows_i = d [x_N, residual of h_N] / d v_i, backwards: `sensitivity` is the derivative by y_m, and
+/* rows_i = d [x_N, residual of h_N or of the tilt] / d v_i, backwards: `sensitivity` is the derivative by y_m, and
  * d x_N / d xy_m is one. */
 static void NAME(terminal_rows)(const problem *p, workspace *w)
 {
@@ -143,6 +150,8 @@ static void NAME(terminal_rows)(const problem *p, workspace *w)
             memcpy(column[d], sum, sizeof sum);
         }
         memcpy(sensitivity, column, sizeof sensitivity);
+        if (has_tilt(p) && m == p->steady_interval)
+            add_tilt_row(p, p->states + 6 * m + 2, sensitivity);
         for (int c = 0; c < 4; c++) {
             const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
             if (i < 0)

@@ -17,13 +17,14 @@
 #define MIN_DAMPING 1e-12
 #define MAX_DAMPING 1e12
 #define BOUND_PASSES 4
-#define END 7 /* residuals at the end: 6 state components, and one of the momentum */
+#define END 7 /* residuals: 6 state components at the end, and one of the momentum or the tilt */
 #define ROW 8 /* these and a right-hand side */
 
 #include "problem.h"
 #include "vectors.h"
 #include "kernels.h"
 #include "workspace.h"
+#include "steady.h"
 #include "models.h"
 #include "objective.h"
 #include "bounded_step.h"

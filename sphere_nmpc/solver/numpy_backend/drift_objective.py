@@ -29,7 +29,7 @@ class DriftObjective(VectorObjective):
         self._states(self.inputs(v))
         return self._with_drift.momenta
 
-    def _momentum_cost(self) -> float:
+    def _further_cost(self) -> float:
         residual = float(self._problem.momentum_row @ self._with_drift.momenta[-1])
         return 0.0 if self._is_dense else residual * residual
 

@@ -43,6 +43,8 @@ class Horizon:
         Lumped constants [Rs, c1, r1, r3].
     max_step : float
         Longest integration step [s].
+    scales : ndarray, shape (N,), optional
+        Factors of the displacement of each interval.
 
     Attributes
     ----------
@@ -57,7 +59,9 @@ class Horizon:
         steps have the same `rounded_size`.
     """
 
-    def __init__(self, durations: Vector, constants: Vector, max_step: float) -> None:
+    def __init__(
+        self, durations: Vector, constants: Vector, max_step: float, scales: Vector | None = None
+    ) -> None:
         counts = np.maximum(1.0, np.ceil(durations / max_step - 1e-6))
         steps = counts.astype(np.int64)
         ends = np.cumsum(steps)
@@ -72,6 +76,8 @@ class Horizon:
         self.columns = columns[: self.steps]
         self.columns[:, 4] = (durations / counts)[interval]
         self.columns[:, 5:8] = r1, r3, radius
+        if scales is not None:
+            self.columns[:, 7] *= scales[interval]
         self.columns[:, 8] = place / counts[interval]
         self.columns[:, 9] = (place + 1.0) / counts[interval]
         # Where the knots of each step are among all numbers of all knots.

@@ -17,6 +17,7 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.numpy_backend.drift_objective import DriftObjective
 from sphere_nmpc.solver.numpy_backend.objective import VectorObjective
+from sphere_nmpc.solver.numpy_backend.steady_objective import SteadyObjective
 from sphere_nmpc.solver.numpy_backend.quadratic_model import QuadraticModel
 from sphere_nmpc.solver.problem import (
     HoldProblem,
@@ -46,7 +47,7 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
     HoldSolution
     """
     began = time.perf_counter()
-    objective = (DriftObjective if problem.drift.any() else VectorObjective)(problem)
+    objective = _objective(problem)
     lower, upper = objective.lower, objective.upper
     v = _clipped(objective.scaled(start), lower, upper)
     value, states = objective.evaluate(v)
@@ -110,3 +111,9 @@ def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:
 
 def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> float:
     return float(np.abs(_clipped(v - gradient, lower, upper) - v).max())
+
+
+def _objective(problem: HoldProblem) -> VectorObjective:
+    if problem.drift.any():
+        return DriftObjective(problem)
+    return SteadyObjective(problem) if problem.steady_interval else VectorObjective(problem)

@@ -73,7 +73,7 @@ class VectorObjective:
         states = self._states(knots)
         errors = states[1:] - problem.goal
         self._errors = errors
-        value = problem.terminal_weight * (float(errors[-1] @ errors[-1]) + self._momentum_cost())
+        value = problem.terminal_weight * (float(errors[-1] @ errors[-1]) + self._further_cost())
         effort = v - self._reference
         value += problem.input_weight * float(effort @ effort)
         if problem.stage_weight > 0.0:
@@ -114,8 +114,8 @@ class VectorObjective:
             gradient, diagonal.ravel(), subdiagonal.ravel()[1:], jacobian, residual, weight
         )
 
-    def _momentum_cost(self) -> float:
-        """Return the squared residual of the momentum at the end."""
+    def _further_cost(self) -> float:
+        """Return the square of a residual that is not one of the state at the end."""
         return 0.0
 
     def _states(self, knots: Vector) -> Vector:
@@ -131,15 +131,13 @@ class VectorObjective:
 
     def _terminal_rows(self) -> tuple[Vector, Vector]:
         """Return Jacobian (r, 2 N) and residual (r,) of the state at the end."""
-        local = self._local_rows()
-        rows = local[:, 2:].copy()
-        rows[:, :, :-1] += local[:, :2, 1:]
-        jacobian = rows.reshape(_RESIDUAL_SIZE, 2 * self._problem.intervals)
+        jacobian = by_all_knots(self._local_rows())
         return jacobian, self._errors[-1] @ self._to_residual
 
-    def _all_rows(self) -> tuple[Vector, Vector]:
-        """Return weighted Jacobian (r N, 2 N) and residual (r N,) of all states."""
-        n, local = self._problem.intervals, self._local_rows()
+    def _through(self) -> Vector:
+        """Return the derivatives of the horizon's end, or of the next marked step's, by the state
+        at the start of each interval, shape (N, r, r)."""
+        n = self._problem.intervals
         sensitivity = self._horizon.shooting.sensitivities[:, self._horizon.begins]
         through = np.zeros((n, _RESIDUAL_SIZE, _RESIDUAL_SIZE))
         through[:, _EACH, _EACH] = 1.0
@@ -147,6 +145,11 @@ class VectorObjective:
         through[:, 2:, 2:4] = by_turn[:, :3]
         through[:, :2, 2:4] = 2.0 * by_turn[:, 3:]
         through[:, 0, 4], through[:, 1, 4] = -2.0 * sensitivity[11], 2.0 * sensitivity[10]
+        return through
+
+    def _all_rows(self) -> tuple[Vector, Vector]:
+        """Return weighted Jacobian (r N, 2 N) and residual (r N,) of all states."""
+        n, local, through = self._problem.intervals, self._local_rows(), self._through()
         rows, knot = np.zeros((n, _RESIDUAL_SIZE, 2, n)), np.arange(n)
         rows[knot, :, :, knot] = local[:, 2:].transpose(2, 0, 1)
         rows[knot[1:], :, :, knot[:-1]] = local[:, :2, 1:].transpose(2, 0, 1)
@@ -163,3 +166,12 @@ class VectorObjective:
         weights = np.full((problem.intervals, 1), (2.0 * problem.stage_weight) ** 0.5)
         weights[-1] = (2.0 * problem.terminal_weight) ** 0.5
         return weights
+
+
+def by_all_knots(local: Vector) -> Vector:
+    """Return the rows (r, 2 N) of a Jacobian from derivatives by each interval's knots, (r, 4, N).
+    """
+    rows = local[:, 2:].copy()
+    rows[:, :, :-1] += local[:, :2, 1:]
+    jacobian: Vector = rows.reshape(local.shape[0], -1)
+    return jacobian

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 from sphere_nmpc.solver.problem import HoldProblem
 from sphere_nmpc.solver.reference.shooting import roll_out, roll_out_with_sensitivity
 
@@ -27,12 +27,27 @@ def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector, momentum: Vec
     value = problem.terminal_weight * float(errors[-1] @ errors[-1])
     if not problem.stage_weight > 0.0:
         value += problem.terminal_weight * float(problem.momentum_row @ momentum) ** 2
+        value += problem.terminal_weight * tilt(problem, states)[0] ** 2
     value += problem.stage_weight * float(np.sum(errors[:-1] ** 2))
     effort = (inputs[1:] - problem.input_reference) / problem.input_scale
     value += problem.input_weight * float(np.sum(effort**2))
     if problem.slew_weight > 0.0:
         value += problem.slew_weight * float(np.sum(_slew_excess(problem, inputs) ** 2))
     return value
+
+
+def tilt(problem: HoldProblem, states: Vector) -> tuple[float, Vector]:
+    """Return the tilt at the start of steady rolling and its derivative by the quaternion, (4,).
+
+    Both are zero without steady rolling and with drift.
+    """
+    m = problem.steady_interval
+    if m == 0 or problem.drift.any():
+        return 0.0, np.zeros(4)
+    a, b = problem.lower[m - 1] / np.linalg.norm(problem.lower[m - 1])
+    w, x, y, z = states[m, QUATERNION]
+    value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))
+    return float(value), 2.0 * np.array([b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y])
 
 
 def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:
@@ -64,6 +79,11 @@ def expand(problem: HoldProblem, scaled: Vector) -> tuple[Vector, Vector]:
     if not problem.stage_weight > 0.0:
         row = problem.input_scale * problem.momentum_row @ by_momentum
         residual = float(problem.momentum_row @ momentum)
+        gradient += 2.0 * problem.terminal_weight * residual * row
+        hessian += 2.0 * problem.terminal_weight * np.outer(row, row)
+        residual, by_quaternion = tilt(problem, states)
+        steady = sensitivities[problem.steady_interval]
+        row = problem.input_scale * by_quaternion @ steady[QUATERNION]
         gradient += 2.0 * problem.terminal_weight * residual * row
         hessian += 2.0 * problem.terminal_weight * np.outer(row, row)
     if problem.slew_weight > 0.0:

@@ -74,9 +74,11 @@ def _shoot(problem: HoldProblem, inputs: Vector, derive: bool) -> tuple[Vector, 
     sensitivities = np.zeros((intervals + 1, 2 + carried, 2 * intervals))
     for m in range(intervals):
         u_start, u_end = inputs[m], inputs[m + 1]
-        steps = steps_for(float(problem.durations[m]), problem.max_step)
-        h = float(problem.durations[m]) / steps
-        position, y = states[m, :2], states[m, 2:]
+        left_out = problem.whole_turns if m == problem.steady_interval else 0.0
+        duration = float(problem.durations[m]) - left_out
+        steps = steps_for(duration, problem.max_step)
+        h = duration / steps
+        way, y = np.zeros(2), states[m, 2:]
         dxy: Vector = np.zeros((2, seed.shape[1]))
         dy: Vector = seed[:carried]
         first, second = seed[carried : carried + 2], seed[carried + 2 :]
@@ -85,8 +87,10 @@ def _shoot(problem: HoldProblem, inputs: Vector, derive: bool) -> tuple[Vector, 
             here, there = u_start + (u_end - u_start) * a, u_start + (u_end - u_start) * b
             d_here, d_there = (1.0 - a) * first + a * second, (1.0 - b) * first + b * second
             moved, y, d_moved, dy = step(y, here, there, h, dy, d_here, d_there)
-            position, dxy = position + moved, dxy + d_moved
-        states[m + 1] = np.concatenate((position, y))
+            way, dxy = way + moved, dxy + d_moved
+        scale = float(problem.durations[m]) / duration
+        dxy = scale * dxy
+        states[m + 1] = np.concatenate((states[m, :2] + scale * way, y))
         if derive:
             before, local = sensitivities[m], np.vstack((dxy, dy))
             sensitivities[m + 1] = local[:, :carried] @ before[2:]

@@ -17,8 +17,8 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.numpy_backend.drift_objective import DriftObjective
 from sphere_nmpc.solver.numpy_backend.objective import VectorObjective
-from sphere_nmpc.solver.numpy_backend.steady_objective import SteadyObjective
 from sphere_nmpc.solver.numpy_backend.quadratic_model import QuadraticModel
+from sphere_nmpc.solver.numpy_backend.steady_objective import SteadyObjective
 from sphere_nmpc.solver.problem import (
     HoldProblem,
     HoldSolution,

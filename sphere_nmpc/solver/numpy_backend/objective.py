@@ -135,8 +135,10 @@ class VectorObjective:
         return jacobian, self._errors[-1] @ self._to_residual
 
     def _through(self) -> Vector:
-        """Return the derivatives of the horizon's end, or of the next marked step's, by the state
-        at the start of each interval, shape (N, r, r)."""
+        """Return derivatives by the state at the start of each interval, shape (N, r, r).
+
+        They are those of the horizon's end, or of the end of the next marked step.
+        """
         n = self._problem.intervals
         sensitivity = self._horizon.shooting.sensitivities[:, self._horizon.begins]
         through = np.zeros((n, _RESIDUAL_SIZE, _RESIDUAL_SIZE))
@@ -169,8 +171,7 @@ class VectorObjective:
 
 
 def by_all_knots(local: Vector) -> Vector:
-    """Return the rows (r, 2 N) of a Jacobian from derivatives by each interval's knots, (r, 4, N).
-    """
+    """Return Jacobian (r, 2 N) from the derivatives by the knots of each interval, (r, 4, N)."""
     rows = local[:, 2:].copy()
     rows[:, :, :-1] += local[:, :2, 1:]
     jacobian: Vector = rows.reshape(local.shape[0], -1)

@@ -47,7 +47,8 @@ def tilt(problem: HoldProblem, states: Vector) -> tuple[float, Vector]:
     a, b = problem.lower[m - 1] / np.linalg.norm(problem.lower[m - 1])
     w, x, y, z = states[m, QUATERNION]
     value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))
-    return float(value), 2.0 * np.array([b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y])
+    by_quaternion = (b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y)
+    return float(value), 2.0 * np.array(by_quaternion)
 
 
 def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:

@@ -78,7 +78,8 @@ def _shoot(problem: HoldProblem, inputs: Vector, derive: bool) -> tuple[Vector, 
         duration = float(problem.durations[m]) - left_out
         steps = steps_for(duration, problem.max_step)
         h = duration / steps
-        way, y = np.zeros(2), states[m, 2:]
+        way: Vector = np.zeros(2)
+        y = states[m, 2:]
         dxy: Vector = np.zeros((2, seed.shape[1]))
         dy: Vector = seed[:carried]
         first, second = seed[carried : carried + 2], seed[carried + 2 :]

@@ -15,7 +15,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, flipped_sign
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
@@ -23,6 +23,7 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.grid import knot_durations
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
 
 _REGULARISATION = 1e-12
 """Input weight that only keeps the normal equations regular."""
@@ -182,10 +183,18 @@ class ArrivalSolver:
         if unaware and not situation.drift.is_zero:
             start = start + self._compensation(situation, durations, start)
         drift = self._drift_at_end(situation, durations, start)
+        rolling = SteadyRolling.of(situation.constants, self._max_speed)
+        steady, turns = (0, 0)
+        if situation.drift.is_zero:
+            steady, turns = steady_interval(durations, rolling)
+        # A turn of the shell changes the sign of the quaternion.
+        target = flipped_sign(goal) if turns % 2 else goal
         iterations = 0
         for _ in range(_SOLVES):
             rest = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
-            problem = self._problem(situation, goal, durations, rest)
+            problem = self._problem(situation, target, durations, rest)
+            if steady:
+                self._roll_steadily(problem, start, steady, turns * rolling.turn_time)
             solution = self._solver.solve(problem, start)
             iterations += solution.iterations
             if situation.drift.is_zero or not situation.drift.imbalance.any():
@@ -195,6 +204,8 @@ class ArrivalSolver:
             if np.max(np.abs(ended - rest)) <= self._rest_speed:
                 break
             start = solution.inputs[1:]
+        if turns % 2:
+            solution.states[steady + 1 :, QUATERNION] *= -1.0
         return Arrival(
             FirstOrderHold(times, solution.inputs), solution.states, goal,
             float(np.sqrt(solution.cost)), iterations, solution.kkt_residual,
@@ -239,6 +250,15 @@ class ArrivalSolver:
             return np.zeros(3)
         row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
         return row
+
+    def _roll_steadily(
+        self, problem: HoldProblem, guess: Vector, interval: int, whole_turns: float
+    ) -> None:
+        """Fix the knots of `interval` to the limits that are nearest to those of the guess."""
+        knots = slice(interval - 1, interval + 1)
+        corner = np.copysign(self._max_speed, np.sum(guess[knots], axis=0))
+        problem.lower[knots] = problem.upper[knots] = corner
+        problem.steady_interval, problem.whole_turns = interval, whole_turns
 
     def _problem(
         self, situation: Situation, goal: Vector, durations: Vector, rest: Vector

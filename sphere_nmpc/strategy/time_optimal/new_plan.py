@@ -7,6 +7,7 @@ import dataclasses
 from sphere_nmpc.model.state import nearer_sign
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.states import Following, Searching, StartedSearch
 
@@ -77,8 +78,9 @@ class PlanSearch:
         with_momentum = not situation.drift.is_zero
         accepted = tuning.rolling_back_error if with_momentum else tuning.arrival_error
         for delay in tuning.delays + tuning.further_delays:
+            duration = tuning.stretched(found.duration, delay)
             arrival = planner.solve(
-                situation, found.goal, delay * found.duration, found.hold, new_plan=True
+                situation, found.goal, duration, found.hold, new_plan=True
             )
             if arrival.error <= accepted:
                 return Following(arrival, now, planner, unspent)
@@ -88,7 +90,7 @@ class PlanSearch:
         slippery = situation.noise > self._tuning.slip_noise
         planner = self._reduced if slippery else self._full
         goal = nearer_sign(situation.goal, situation.state)
-        search = planner.search(
-            dataclasses.replace(situation, goal=goal), new_plan=True, strict=strict
+        search = DistantSearch(
+            planner, dataclasses.replace(situation, goal=goal), new_plan=True, strict=strict
         )
         return StartedSearch(search, planner, situation.time)

@@ -41,6 +41,8 @@ class ArrivalPlanner:
     ) -> None:
         self.tuning = tuning
         """Tuning of searches and solves."""
+        self.max_speed = robot.max_rotor_speed
+        """Limit of the rotor speeds [rad/s]."""
         self._robot = robot
         self._period = period
         self.grid = grid

@@ -13,6 +13,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.states import Following
 
 
@@ -62,7 +63,7 @@ def replan(
         if best is not None and time.perf_counter() > deadline:
             return replace(plan, arrival=best, planned_at=now)
         arrival = plan.planner.solve(
-            situation, plan.arrival.goal, delay * left, rest, new_plan=False
+            situation, plan.arrival.goal, tuning.stretched(left, delay), rest, new_plan=False
         )
         if arrival.error <= tuning.arrival_error:
             # After a large delay the robot does not behave as the plan assumed: plan as at first.
@@ -129,8 +130,7 @@ def _improved(
     short = deadline - time.perf_counter() < tuning.least_search_time
     if arrival.duration < tuning.fixed_time or work == 0 or between_knots or short:
         return plan
-    search = planner.search(situation, new_plan=False)
-    search.start_from(arrival)
+    search = DistantSearch(planner, situation, new_plan=False, start=arrival)
     found = search.improve(max(work, plan.unspent_effort), deadline)
     plan = replace(plan, unspent_effort=max(0, plan.unspent_effort - search.work))
     if found is None or found is arrival:

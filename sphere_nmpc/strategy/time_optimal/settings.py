@@ -19,7 +19,7 @@ class TimeOptimalSettings:
     shortest_interval: float = 0.3
     """Length [sample periods] below which an interval gets no knot of its own: within a shorter
     one the rotors can hardly change their speeds."""
-    manoeuvre_time: float = 4.0
+    manoeuvre_time: float = 2.5
     """Time [s] at either end of a long plan that has a knot every period; between the two there is
     a single interval of steady rolling. Longer: larger problems for far goals."""
 
@@ -117,26 +117,17 @@ class TimeOptimalSettings:
     least_manoeuvres: float = 0.8
     """Time [s] that is left for the two manoeuvres at the least."""
 
-    # Intermediate goals on the way to a far one
+    # Distant goals
 
-    far_distance: float = 60.0
+    near_distance: float = 3.0
+    """Distance [m] beyond which whole turns of steady rolling are left out of a search."""
+
+    # Intermediate goals on the way to a far one, with momentum
+
+    far_distance: float = 8.0
     """Distance [m] beyond which a goal is approached by intermediate ones ..."""
-    far_distance_in_time: float = 8.0
-    """... and the distance [m] where the wall time of a sample is limited: on a busy machine no
-    arrival over 10 m is found within a tenth of a second, and the sphere would not start."""
-    intermediate_distance: float = 5.0
-    """Distance of the first intermediate goal [m], and the distance to the goal itself at which it
-    is aimed at again."""
     reach_with_momentum: float = 3.0
-    """The same where the sphere has momentum and no arrival was found [m]."""
-    intermediate_turns: int = 4
-    """Turns of the shell by which an intermediate goal is moved on; an even number keeps the sign
-    of the quaternion."""
-    braking_time: float = 4.5
-    """Time left of a plan [s] below which its intermediate goal is moved on; longer than
-    `manoeuvre_time`, so that it still rolls at full speed."""
-    least_rolling: float = 1.0
-    """Rate of the shell [rad/s] below which a plan cannot be extended by steady rolling."""
+    """... at this distance [m]; also where no arrival was found."""
 
     # Following a plan
 
@@ -246,6 +237,10 @@ class TimeOptimalSettings:
     correction_weight: float = 100.0
     """Factor [-] on its input weight. Large, so that it corrects what rolling itself corrects and
     leaves alone what takes a manoeuvre."""
+
+    def stretched(self, duration: float, factor: float) -> float:
+        """Return a duration [s] changed by a factor [-] on what of it manoeuvres take at most."""
+        return duration + (factor - 1.0) * min(duration, 2.0 * self.manoeuvre_time)
 
     def dead_band(self, noise: float, uncertainty: float) -> float:
         """Return the error [-] within which the sphere rests at the goal.

@@ -10,8 +10,8 @@ from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, STATE_SIZE, Vector
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
-from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class StartedSearch:
 
     Attributes
     ----------
-    search : ArrivalSearch
+    search : DistantSearch
         With the best arrival found so far.
     planner : ArrivalPlanner
         Planner with the drive limits of the search.
@@ -28,7 +28,7 @@ class StartedSearch:
         Control time at which it began [s].
     """
 
-    search: ArrivalSearch
+    search: DistantSearch
     planner: ArrivalPlanner
     begun_at: float
 

@@ -217,20 +217,14 @@ class TimeOptimalStrategy:
     def _aim(self, situation: Situation) -> Situation:
         """Return the situation with a goal near enough to plan for.
 
-        Where that is another than before, the plan is extended to it if possible, else dropped.
+        Where that is another than before, the plan is dropped.
         """
-        state, now = self._state, situation.time
-        left = state.time_left(now) if isinstance(state, Following) else 0.0
+        state = self._state
+        left = state.time_left(situation.time) if isinstance(state, Following) else 0.0
         found_none = isinstance(state, Searching) and state.found_none
-        aimed, is_new, is_moved_on = self._goals.aim(situation, left, found_none)
-        if is_new and isinstance(state, Searching):
-            self._state = Searching(strict=state.strict)
-        elif is_new and isinstance(state, Following):
-            self._state = Searching()
-            if is_moved_on:
-                arrival = self._goals.extended(state.arrival, state.rest(now), aimed)
-                if arrival is not None:
-                    self._state = dataclasses.replace(state, arrival=arrival, planned_at=now)
+        aimed, is_new = self._goals.aim(situation, left, found_none)
+        if is_new and isinstance(state, Searching | Following):
+            self._state = Searching(strict=isinstance(state, Searching) and state.strict)
         return aimed
 
     def _as_plan(self, state: Following) -> Plan:

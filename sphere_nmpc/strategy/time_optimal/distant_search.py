@@ -1,0 +1,123 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Search for an early arrival at a distant goal: that for a near one, and whole turns.
+
+Whole turns of steady rolling lead from a near goal to the distant one, at the same orientation. So
+the search aims at the near goal, whatever the distance. What it finds is extended by the turns and
+solved again, as the direction to the near goal is slightly another one.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sphere_nmpc.model.state import POSITION, Vector, flipped_sign
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.steady_rolling import (
+    SteadyRolling,
+    steady_interval,
+    with_turns,
+    without_turns,
+)
+
+
+class DistantSearch:
+    """Search from one situation to a goal near or far; used like an `ArrivalSearch`.
+
+    Parameters
+    ----------
+    planner : ArrivalPlanner
+        Searches for near goals and precise solutions.
+    situation : Situation
+        State at the start, and the goal.
+    new_plan : bool
+        As for `ArrivalPlanner.solve`.
+    strict : bool, optional
+        As for `ArrivalSearch`.
+    start : Arrival, optional
+        A known arrival at the goal, from which the search starts.
+    """
+
+    def __init__(
+        self,
+        planner: ArrivalPlanner,
+        situation: Situation,
+        new_plan: bool,
+        strict: bool = False,
+        start: Arrival | None = None,
+    ) -> None:
+        self._planner, self._situation, self._new_plan = planner, situation, new_plan
+        self._rolling = SteadyRolling.of(situation.constants, planner.max_speed)
+        self.best = start
+        """The earliest arrival found so far."""
+        self.work = 0
+        """Solver iterations times intervals used so far."""
+        self._turns = 0
+        near = situation
+        if situation.drift.is_zero:
+            near, start = self._near(start)
+        self._search: ArrivalSearch = planner.search(near, new_plan, strict)
+        self._found = start
+        if start is not None:
+            self._search.start_from(start)
+
+    def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
+        """Continue the search; see `ArrivalSearch.improve`."""
+        done = self._search.work
+        found = self._search.improve(work, deadline)
+        self.work += self._search.work - done
+        if found is not None and found is not self._found:
+            arrival = self._extended(found) if self._turns else found
+            if arrival is not None and (
+                self.best is None or arrival.duration < self.best.duration
+            ):
+                self.best = arrival
+        self._found = found
+        return self.best
+
+    def _near(self, start: Arrival | None) -> tuple[Situation, Arrival | None]:
+        """Return the situation with a near goal, and the arrival at it that `start` contains."""
+        situation, rolling = self._situation, self._rolling
+        goal = situation.goal.copy()
+        way = goal[POSITION] - situation.state[POSITION]
+        distance = float(np.linalg.norm(way))
+        if start is not None:
+            interval, self._turns = steady_interval(np.diff(start.hold.times), rolling)
+            if not self._turns:
+                return situation, start
+            goal = start.goal.copy()
+            ends = start.states[interval : interval + 2, POSITION]
+            way, hold = ends[1] - ends[0], start.hold
+            hold = without_turns(hold, interval, self._turns * rolling.turn_time)
+        else:
+            near = self._planner.tuning.near_distance
+            self._turns = max(0, int((distance - near) / rolling.turn_length))
+            if not self._turns:
+                return situation, None
+        goal[POSITION] -= self._turns * rolling.turn_length / float(np.linalg.norm(way)) * way
+        goal = self._signed(goal)
+        if start is not None:
+            start = replace(start, hold=hold, goal=goal)
+        return replace(situation, goal=goal), start
+
+    def _extended(self, arrival: Arrival) -> Arrival | None:
+        """Return an arrival at the goal from one at the near goal; None where there is none."""
+        tuning, goal = self._planner.tuning, self._signed(arrival.goal)
+        goal[POSITION] = self._situation.goal[POSITION]
+        guess = with_turns(
+            arrival.hold, self._turns * self._rolling.turn_time, self._planner.max_speed
+        )
+        for delay in tuning.delays + tuning.further_delays:
+            duration = tuning.stretched(guess.end, delay)
+            found = self._planner.solve(self._situation, goal, duration, guess, self._new_plan)
+            self.work += found.work
+            if found.error <= tuning.coarse_error:
+                return found
+        return None
+
+    def _signed(self, goal: Vector) -> Vector:
+        """Return a goal with the other sign if the turns change it."""
+        return flipped_sign(goal) if self._turns % 2 else goal.copy()

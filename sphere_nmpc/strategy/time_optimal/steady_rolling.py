@@ -1,0 +1,111 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Steady rolling: both rotors at their limit, the axis horizontal and fixed in the body.
+
+The sphere then rolls in a straight line at its greatest speed (``docs/time_bound.md``), and with
+each turn of the shell the same orientation returns. Whole turns can therefore be left out of a
+plan or added to it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.state import Vector
+
+_LEAST_INTEGRATED = 0.5
+"""Turns that remain in an interval of steady rolling when whole ones are left out, at the least:
+the displacement over them stands for that over all turns."""
+
+_NEARLY = 0.9
+"""Share of the speed limit beyond which a rotor counts as being at it."""
+
+
+@dataclass(frozen=True)
+class SteadyRolling:
+    """Steady rolling of a robot.
+
+    Attributes
+    ----------
+    speed : float
+        Speed of the centre [m/s].
+    turn_time : float
+        Time of a turn of the shell [s].
+    """
+
+    speed: float
+    turn_time: float
+
+    @classmethod
+    def of(cls, constants: LumpedConstants, max_speed: float) -> "SteadyRolling":
+        """Return that of a robot whose rotors turn at `max_speed` [rad/s] at most."""
+        rate = constants.input_gain * float(np.sqrt(2.0)) * max_speed
+        return cls(constants.shell_radius * rate, 2.0 * float(np.pi) / rate)
+
+    @property
+    def turn_length(self) -> float:
+        """Distance of a turn of the shell [m]."""
+        return self.speed * self.turn_time
+
+    def turns_left_out(self, duration: float) -> int:
+        """Return the number of whole turns that are left out of an interval of `duration` [s]."""
+        return max(0, int(duration / self.turn_time - _LEAST_INTEGRATED))
+
+
+def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int]:
+    """Return the index of the interval of steady rolling and the whole turns left out of it.
+
+    Parameters
+    ----------
+    durations : ndarray, shape (N,)
+        Interval lengths [s].
+    rolling : SteadyRolling
+        That of the robot.
+
+    Returns
+    -------
+    interval : int
+        Index of the interval, 0 without one.
+    turns : int
+        Whole turns, 0 without one.
+    """
+    longest = int(np.argmax(durations))
+    turns = rolling.turns_left_out(float(durations[longest]))
+    return (longest, turns) if turns else (0, 0)
+
+
+def with_turns(hold: FirstOrderHold, added: float, max_speed: float) -> FirstOrderHold:
+    """Return rotor speeds that roll steadily for a time `added` [s] in their longest such part.
+
+    Parameters
+    ----------
+    hold : FirstOrderHold
+        Rotor speeds from time 0 on [rad/s].
+    added : float
+        Time of whole turns [s].
+    max_speed : float
+        Limit of the rotor speeds [rad/s].
+    """
+    times, speeds = hold.times, hold.speeds
+    at_limit = np.where(np.abs(speeds) > _NEARLY * max_speed, np.sign(speeds), 0.0)
+    place, longest, begin = 0.5 * hold.end, 0.0, 0
+    for i in range(times.size):
+        if not at_limit[i].all() or not np.array_equal(at_limit[i], at_limit[begin]):
+            begin = i
+        elif times[i] - times[begin] > longest:
+            place, longest = 0.5 * (times[begin] + times[i]), times[i] - times[begin]
+    corner = np.copysign(max_speed, hold.at(place))
+    before, after = times < place, times > place
+    return FirstOrderHold(
+        np.concatenate((times[before], [place, place + added], times[after] + added)),
+        np.vstack((speeds[before], corner, corner, speeds[after])),
+    )
+
+
+def without_turns(hold: FirstOrderHold, interval: int, left_out: float) -> FirstOrderHold:
+    """Return rotor speeds whose interval of steady rolling is shorter by `left_out` [s]."""
+    times = hold.times.copy()
+    times[interval + 1 :] -= left_out
+    return FirstOrderHold(times, hold.speeds)

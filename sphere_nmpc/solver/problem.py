@@ -33,7 +33,7 @@ class HoldProblem:
     subject to lower <= u_m <= upper. U = `input_scale`; a = `max_acceleration`; h_m the interval
     lengths, which need not be equal: a short first one lets the problem be solved again between
     the knots. t is the tilt of the axis at the start of an interval of steady rolling, and 0
-    without one. The paper's weights divided by beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
+    without one. The paper's weights over beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
 
     Attributes
     ----------

@@ -67,9 +67,10 @@ def replan(
         )
         if arrival.error <= tuning.arrival_error:
             # After a large delay the robot does not behave as the plan assumed: plan as at first.
-            divisor = 1 if delay > tuning.large_delay else tuning.improvement_divisor
-            kept = replace(plan, arrival=arrival, planned_at=now)
-            work = settings.planning_effort // divisor
+            is_large = delay > tuning.large_delay
+            fruitless = 0 if is_large else plan.fruitless
+            kept = replace(plan, arrival=arrival, planned_at=now, fruitless=fruitless)
+            work = settings.planning_effort // (1 if is_large else tuning.improvement_divisor)
             return _improved(kept, situation, work, deadline, settings)
         if best is None or arrival.error < 0.5 * best.error:
             best = arrival
@@ -128,12 +129,14 @@ def _improved(
     to_knot = planner.grid.to_first_knot(situation.time, new_plan=False)
     between_knots = tick < period and to_knot < period - 0.5 * tick
     short = deadline - time.perf_counter() < tuning.least_search_time
-    if arrival.duration < tuning.fixed_time or work == 0 or between_knots or short:
+    over = plan.fruitless >= tuning.fruitless_searches
+    if arrival.duration < tuning.fixed_time or work == 0 or between_knots or short or over:
         return plan
     search = DistantSearch(planner, situation, new_plan=False, start=arrival)
     found = search.improve(max(work, plan.unspent_effort), deadline)
-    plan = replace(plan, unspent_effort=max(0, plan.unspent_effort - search.work))
+    unspent = max(0, plan.unspent_effort - search.work)
     if found is None or found is arrival:
-        return plan
+        return replace(plan, unspent_effort=unspent, fruitless=plan.fruitless + 1)
+    plan = replace(plan, unspent_effort=unspent, fruitless=0)
     precise = planner.solve(situation, found.goal, found.duration, found.hold, new_plan=False)
     return replace(plan, arrival=precise) if precise.error <= tuning.arrival_error else plan

@@ -67,12 +67,15 @@ class Following:
         Planner with the drive limits of the plan.
     unspent_effort : int
         Part of the planning effort that the first search had no time for; later samples use it.
+    fruitless : int
+        Number of searches for an earlier arrival since the last one that found it.
     """
 
     arrival: Arrival
     planned_at: float
     planner: ArrivalPlanner
     unspent_effort: int
+    fruitless: int = 0
 
     def time_left(self, now: float) -> float:
         """Return the time from `now` to the arrival [s]."""

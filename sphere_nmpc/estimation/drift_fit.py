@@ -67,6 +67,9 @@ _CONVERGED = 3e-4
 """Change in that scale at which the iteration ends."""
 _SURPRISE = 100.0
 """Squared error of a transition over its variance above which it is not due to noise."""
+EXPLAINED = 2e-5
+"""Prediction error [m, rad] below which a transition needs no fit: the least torque that is used
+causes ten times as much within a sample."""
 _NOTICEABLE = 5e-3
 """Prediction error [m, rad] below which no push or slip is looked for."""
 _EXPLAINED = 0.1
@@ -207,30 +210,36 @@ class DriftFit:
         gain = 0.5 * freedom * np.log(ratio)
         return float(gain), self._equations.occam()
 
-    def observe(self, transition: Transition, connected: bool = True) -> None:
+    def observe(
+        self, transition: Transition, connected: bool = True, explained: bool = False
+    ) -> None:
         """Take a transition into account.
 
-        `connected` says whether it starts where the last one ended.
+        `connected` says whether it starts where the last one ended, `explained` whether the model
+        without drift predicts its end. One that is predicted with drift, too, is not fitted until
+        a later one is.
         """
         try:
-            self._take(transition, connected)
+            self._take(transition, connected, explained)
         except Exception:
             # The momentum at the end of this transition remains unknown.
             self._restart(_forgotten(self._summary, np.zeros(COMMON), _PUSH**2))
             raise
 
-    def _take(self, transition: Transition, connected: bool) -> None:
+    def _take(self, transition: Transition, connected: bool, explained: bool) -> None:
         if not connected:
             self._disconnect()
         while len(self._steps) >= _WINDOW:
             self._slide()
         step = _Step(transition, self._noise(transition))
-        self._steps.append(step)
-        last = self._unknowns[knot(len(self._steps) - 1)]
+        last = self._unknowns[knot(len(self._steps))]
         prediction = self._predicted(transition, np.concatenate((self._unknowns[:COMMON], last)))
+        self._steps.append(step)
         self._unknowns = np.concatenate((self._unknowns, prediction.after))
         surprise = step.innovation = float(np.linalg.norm(prediction.error))
         step.prediction = prediction
+        if explained and surprise < EXPLAINED:
+            return
         before = self._unknowns
         self._fit()
         noticeable = min(_NOTICEABLE, 50.0 * step.noise)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphere_nmpc.estimation.contract import PlantEstimate
-from sphere_nmpc.estimation.drift_fit import DriftFit
+from sphere_nmpc.estimation.drift_fit import EXPLAINED, DriftFit
 from sphere_nmpc.estimation.plant_estimator import PlantEstimator, noise_variance
 from sphere_nmpc.estimation.plant_parameters import (
     LONGEST_LAG,
@@ -145,7 +145,10 @@ class DriftingPlantEstimator:
         drifting = self._drifting
         transition = transition.driven(self._driven_share * self._acceleration, LONGEST_LAG)
         without = drifting.error_without_drift(transition, known)
-        drifting.observe(transition, connected)
+        explained = not self._drifts and without < EXPLAINED
+        drifting.observe(transition, connected, explained)
+        if explained and drifting.innovation < EXPLAINED:
+            return
         self._innovations.append((without, drifting.innovation))
         self._pushed.append(drifting.newest_was_pushed)
         gain, occam = drifting.evidence(self._parameters.mean)

@@ -65,10 +65,12 @@ class HoldProblem:
     input_reference : ndarray, shape (2,)
         u_ref [rad/s]: rotor speeds that cost nothing.
     steady_interval : int
-        Index of an interval of steady rolling; 0 without one. The bounds fix both of its knots to
-        the same speeds u, and the tilt t = k . u / |u|, k the vertical in body axes, is a residual
-        (not with a stage cost, nor with drift): with t = 0 the sphere rolls straight on at a
-        constant rate.
+        Index of an interval of steady rolling, whose two knots the bounds fix to the same speeds;
+        0 without one.
+    steady_axis : ndarray, shape (2,)
+        a, the direction of these speeds times a weight. The tilt t = a . k at the start of the
+        interval, k the vertical in body axes, is a residual (not with a stage cost, nor with
+        drift): with t = 0 the sphere rolls straight on at a constant rate.
     whole_turns : float
         Time in that interval [s] that is not integrated, a multiple of what a turn of the shell
         takes: it leaves the orientation as it is and adds to the way in proportion.
@@ -92,6 +94,7 @@ class HoldProblem:
     input_reference: Vector = field(default_factory=lambda: _ZERO_INPUT)
     momentum_row: Vector = field(default_factory=lambda: _NO_MOMENTUM_ROW)
     steady_interval: int = 0
+    steady_axis: Vector = field(default_factory=lambda: _ZERO_INPUT)
     whole_turns: float = 0.0
 
     @property
@@ -106,7 +109,7 @@ class HoldProblem:
             self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
             self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
             self.drift, self.input_reference, self.momentum_row, self.steady_interval,
-            self.whole_turns,
+            self.steady_axis, self.whole_turns,
         )
 
 

@@ -44,6 +44,23 @@ KINDS: dict[str, dict[str, Any]] = {
         "drift": DRIFT,
         "input_reference": np.array([30.0, -20.0]),
     },
+    "steady": {
+        "intervals": 9,
+        "input_weight": 1e-6,
+        "durations": np.array([0.3, 0.2, 0.25, 0.25, 15.0, 0.2, 0.3, 0.25, 0.1]),
+        "steady_interval": 4,
+        "steady_axis": np.array([0.6, -0.8]),
+        "whole_turns": 13.7,
+    },
+    "steady and stages": {
+        "intervals": 4,
+        "stage_weight": 0.3,
+        "input_weight": 1e-4,
+        "durations": np.array([0.3, 0.2, 15.0, 0.2]),
+        "steady_interval": 2,
+        "steady_axis": np.array([0.6, -0.8]),
+        "whole_turns": 13.7,
+    },
 }
 
 

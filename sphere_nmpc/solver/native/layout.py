@@ -41,6 +41,7 @@ FIELDS = (
     Field("double", "drift", 8, "h [rad/s], s and a [rad/s^2]"),
     Field("double", "input_reference", 2, "u_ref [rad/s]"),
     Field("double", "momentum_row", 3, "r_h [s/rad]"),
+    Field("double", "steady_axis", 2, "a"),
     Field("double", "input_scale", 1, "U [rad/s]"),
     Field("double", "terminal_weight", 1, "w_T"),
     Field("double", "stage_weight", 1, "w_x"),

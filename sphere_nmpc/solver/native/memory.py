@@ -82,6 +82,7 @@ class Slot:
         self._drift = self._words[span("drift")]
         self._input_reference = self._words[span("input_reference")]
         self._momentum_row = self._words[span("momentum_row")]
+        self._steady_axis = self._words[span("steady_axis")]
         self._scalars = self._words[span("input_scale", "whole_turns")]
 
     def write_settings(self, settings: SolverSettings) -> None:
@@ -105,6 +106,7 @@ class Slot:
         self._drift[:] = problem.drift
         self._input_reference[:] = problem.input_reference
         self._momentum_row[:] = problem.momentum_row
+        self._steady_axis[:] = problem.steady_axis
         self._scalars[:] = (
             problem.input_scale,
             problem.terminal_weight,

@@ -1,36 +1,25 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Tilt of the axis about which the sphere rolls in the interval of steady rolling: k . u / |u| at
- * its start, k the vertical in body axes and u the speeds to which the bounds fix its knots.
+ * Tilt of the axis about which the sphere rolls in the interval of steady rolling: a . k at its
+ * start, k the vertical in body axes.
  */
 static int has_tilt(const problem *p)
 {
     return p->steady_interval > 0 && !p->drifts;
 }
 
-/* Direction of the speeds. */
-static void steady_axis(const problem *p, double *axis)
-{
-    const double *u = p->lower + 2 * (p->steady_interval - 1);
-    const double length = sqrt(u[0] * u[0] + u[1] * u[1]);
-    axis[0] = u[0] / length;
-    axis[1] = u[1] / length;
-}
-
 /* The tilt at quaternion `q`. */
 static double tilt(const problem *p, const double *q)
 {
-    double a[2];
-    steady_axis(p, a);
+    const double *a = p->steady_axis;
     return 2.0 * (a[0] * (q[1] * q[3] - q[0] * q[2]) + a[1] * (q[2] * q[3] + q[0] * q[1]));
 }
 
 /* Add the derivative of the tilt by the quaternion as the seventh of each 4 x ROW. */
 static void add_tilt_row(const problem *p, const double *q, double (*sensitivity)[ROW])
 {
-    double a[2];
-    steady_axis(p, a);
+    const double *a = p->steady_axis;
     sensitivity[0][6] += 2.0 * (a[1] * q[1] - a[0] * q[2]);
     sensitivity[1][6] += 2.0 * (a[0] * q[3] + a[1] * q[0]);
     sensitivity[2][6] += 2.0 * (a[1] * q[3] - a[0] * q[0]);

@@ -22,7 +22,7 @@ class SteadyObjective(VectorObjective):
         self._horizon = Horizon(durations, problem.constants, problem.max_step, scales)
         marked = self._horizon.last if self._is_dense else self._horizon.last[[m - 1, -1]]
         self._horizon.columns[marked, 10] = 1.0
-        a, b = problem.lower[m - 1] / np.linalg.norm(problem.lower[m - 1])
+        a, b = problem.steady_axis
         # The tilt is 2 (a (x z - w y) + b (y z + w x)) = q . A q.
         upper = np.array([[0, b, -a, 0], [0, 0, 0, a], [0, 0, 0, b], [0, 0, 0, 0]])
         self._form: Vector = upper + upper.T

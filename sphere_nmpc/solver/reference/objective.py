@@ -44,7 +44,7 @@ def tilt(problem: HoldProblem, states: Vector) -> tuple[float, Vector]:
     m = problem.steady_interval
     if m == 0 or problem.drift.any():
         return 0.0, np.zeros(4)
-    a, b = problem.lower[m - 1] / np.linalg.norm(problem.lower[m - 1])
+    a, b = problem.steady_axis
     w, x, y, z = states[m, QUATERNION]
     value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))
     by_quaternion = (b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y)

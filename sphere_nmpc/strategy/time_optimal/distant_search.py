@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, Vector, flipped_sign
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
@@ -22,6 +23,12 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     with_turns,
     without_turns,
 )
+
+_FIRST_TURNS, _GROWTH = 8, 2
+"""Whole turns that are added to a near arrival first, and factor by which they grow then."""
+
+_LARGEST_SHORTENING = 0.04
+"""Share of the time of manoeuvres by which an extended arrival is shortened at first."""
 
 
 class DistantSearch:
@@ -56,6 +63,8 @@ class DistantSearch:
         self.work = 0
         """Solver iterations times intervals used so far."""
         self._turns = 0
+        self._turn: Vector = np.zeros(2)
+        """Displacement of a turn [m]."""
         near = situation
         if situation.drift.is_zero:
             near, start = self._near(start)
@@ -97,19 +106,52 @@ class DistantSearch:
             self._turns = max(0, int((distance - near) / rolling.turn_length))
             if not self._turns:
                 return situation, None
-        goal[POSITION] -= self._turns * rolling.turn_length / float(np.linalg.norm(way)) * way
-        goal = self._signed(goal)
+        self._turn = rolling.turn_length / float(np.linalg.norm(way)) * way
+        if self._turns % 2:
+            goal = flipped_sign(goal)
+        goal[POSITION] -= self._turns * self._turn
         if start is not None:
             start = replace(start, hold=hold, goal=goal)
         return replace(situation, goal=goal), start
 
     def _extended(self, arrival: Arrival) -> Arrival | None:
-        """Return an arrival at the goal from one at the near goal; None where there is none."""
-        tuning, goal = self._planner.tuning, self._signed(arrival.goal)
-        goal[POSITION] = self._situation.goal[POSITION]
-        guess = with_turns(
-            arrival.hold, self._turns * self._rolling.turn_time, self._planner.max_speed
-        )
+        """Return an arrival at the goal from one at the near goal; None where there is none.
+
+        Continuation: the nearer the goal, the more its direction differs from that of the distant
+        one, so that the turns are added in steps.
+        """
+        added, extended = 0, arrival
+        while added < self._turns:
+            more = min(self._turns, max(_FIRST_TURNS, _GROWTH * added)) - added
+            added += more
+            guess = with_turns(
+                extended.hold, more * self._rolling.turn_time, self._planner.max_speed
+            )
+            found = self._solved(self._goal_after(arrival.goal, added), guess)
+            if found is None:
+                return None
+            extended = found
+        return self._shortened(extended)
+
+    def _shortened(self, arrival: Arrival) -> Arrival:
+        """Shorten an arrival until it no longer reaches the goal."""
+        tuning, planner = self._planner.tuning, self._planner
+        share = _LARGEST_SHORTENING
+        while share >= tuning.least_shortening:
+            duration = tuning.stretched(arrival.duration, 1.0 - share)
+            earlier = planner.solve(
+                self._situation, arrival.goal, duration, arrival.hold, self._new_plan
+            )
+            self.work += earlier.work
+            if earlier.error <= tuning.arrival_error:
+                arrival = earlier
+            else:
+                share *= 0.5
+        return arrival
+
+    def _solved(self, goal: Vector, guess: FirstOrderHold) -> Arrival | None:
+        """Return an arrival at `goal`, with a delay if need be; None where none has one."""
+        tuning = self._planner.tuning
         for delay in tuning.delays + tuning.further_delays:
             duration = tuning.stretched(guess.end, delay)
             found = self._planner.solve(self._situation, goal, duration, guess, self._new_plan)
@@ -118,6 +160,8 @@ class DistantSearch:
                 return found
         return None
 
-    def _signed(self, goal: Vector) -> Vector:
-        """Return a goal with the other sign if the turns change it."""
-        return flipped_sign(goal) if self._turns % 2 else goal.copy()
+    def _goal_after(self, near: Vector, turns: int) -> Vector:
+        """Return the goal that is `turns` whole turns beyond the near one, with its sign."""
+        goal = flipped_sign(near) if turns % 2 else near.copy()
+        goal[POSITION] = self._situation.goal[POSITION] - (self._turns - turns) * self._turn
+        return goal

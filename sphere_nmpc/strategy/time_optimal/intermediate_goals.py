@@ -1,10 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Intermediate goals on the way to a far one, for a sphere with momentum.
+"""Intermediate goals on the straight line to a far one.
 
 With momentum a sphere cannot roll steadily, and whole turns cannot be left out of a plan: its size
-would grow with the distance. So a far goal is approached by goals some metres ahead on the
-straight line to it.
+would grow with the distance. A far goal is then approached by goals some metres ahead. Without
+momentum only goals at kilometres need intermediate ones, as the direction of steady rolling would
+have to be planned to more digits than the solver attains.
 """
 
 from dataclasses import replace
@@ -17,7 +18,7 @@ from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 
 class IntermediateGoals:
-    """Replacement of a far goal by one on the way to it, where the sphere has momentum.
+    """Replacement of a far goal by one on the way to it.
 
     Parameters
     ----------
@@ -49,13 +50,17 @@ class IntermediateGoals:
         """
         settings, last = self._settings, self._place
         here, there = situation.state[POSITION], situation.goal[POSITION]
-        near = settings.reach_with_momentum
-        farthest = near if last is not None or found_none else settings.far_distance
+        rolls_steadily = situation.drift.is_zero
+        near = settings.reach if rolls_steadily else settings.reach_with_momentum
+        farthest = settings.farthest if rolls_steadily else settings.far_distance
+        if not rolls_steadily and (last is not None or found_none):
+            farthest = near
         distance = float(np.linalg.norm(there - here))
-        if situation.drift.is_zero or distance <= farthest:
+        if distance <= farthest:
             self._place = None
             return situation, last is not None
-        if last is None or time_left <= 0.0:
+        is_near = last is not None and float(np.linalg.norm(last - here)) < 0.5 * near
+        if last is None or time_left <= 0.0 or (rolls_steadily and is_near):
             self._place = here + (near / distance) * (there - here)
         goal = situation.goal.copy()
         goal[POSITION] = self._place

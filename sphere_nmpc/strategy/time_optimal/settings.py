@@ -122,12 +122,16 @@ class TimeOptimalSettings:
     near_distance: float = 3.0
     """Distance [m] beyond which whole turns of steady rolling are left out of a search."""
 
-    # Intermediate goals on the way to a far one, with momentum
+    # Intermediate goals on the way to a far one
 
-    far_distance: float = 8.0
+    farthest: float = 2000.0
     """Distance [m] beyond which a goal is approached by intermediate ones ..."""
+    reach: float = 1500.0
+    """... at this distance [m], renewed at half of it."""
+    far_distance: float = 8.0
+    """Distance [m] beyond which that is done with momentum ..."""
     reach_with_momentum: float = 3.0
-    """... at this distance [m]; also where no arrival was found."""
+    """... by goals at this distance [m]; also where no arrival was found."""
 
     # Following a plan
 

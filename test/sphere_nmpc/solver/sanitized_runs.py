@@ -66,6 +66,17 @@ def ordinary_calls(n: int) -> None:
         )
 
 
+def steady_rolling(n: int) -> None:
+    """Solve and expand over N intervals of which one is of steady rolling."""
+    for weights, interval in product(WEIGHTS, range(1, n)):
+        problem = replace(
+            make_problem(n, **weights), steady_interval=interval,
+            steady_axis=np.array([0.6, -0.8]), whole_turns=-4.0,
+        )
+        HoldSolver(SolverSettings(max_iterations=12), "compiled").solve(problem, random_start(n))
+        expand_compiled(problem, random_start(n))
+
+
 def edge_cases(n: int) -> None:
     """Fixed knots, numbers that are not finite, no time, no iterations, intervals of no length."""
     solver = HoldSolver(SolverSettings(max_iterations=5), "compiled")
@@ -112,6 +123,7 @@ def main() -> None:
         change_source(*sys.argv[1:])
     for n in HORIZONS:
         ordinary_calls(n)
+        steady_rolling(n)
         edge_cases(n)
     threads = [threading.Thread(target=ordinary_calls, args=(n,)) for n in (3, 4, 4)]
     for thread in threads:

@@ -258,7 +258,7 @@ def test_solve_with_drift_leaves_nothing_behind_for_one_without(make_problem, ba
 
 def test_drift_so_small_that_it_changes_nothing_gives_the_model_without(make_problem, kind):
     """The two models are computed by different functions."""
-    problem = replace(make_problem(kind), drift=np.zeros(8))
+    problem = replace(make_problem(kind), drift=np.zeros(8), steady_interval=0, whole_turns=0.0)
     tiny = replace(problem, drift=np.array([1e-14, 0, 0, 0, 0, 0, 0, 0]))
     without, found = (expand_compiled(each, random_start(each)) for each in (problem, tiny))
     for name, value in without.items():

@@ -8,13 +8,24 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state, state_error
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
+from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
+from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
 from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import (
+    SteadyRolling,
+    steady_interval,
+    with_turns,
+    without_turns,
+)
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import settling_index, state_errors
 from sphere_sim.world.plant.factory import make_plant
@@ -23,11 +34,11 @@ from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 TUNING = TimeOptimalSettings()
-FAR, FAR_IN_TIME = TUNING.far_distance, TUNING.far_distance_in_time
-STEP = TUNING.intermediate_distance
+REACH = TUNING.reach_with_momentum
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-TOP_SPEED = cruise_speed(ROBOT.lumped, ROBOT.max_rotor_speed)
+ROLLING = SteadyRolling.of(ROBOT.lumped, ROBOT.max_rotor_speed)
 DIRECTION = np.array([0.8, 0.6])
+MOMENTUM = Drift(momentum=np.array([10.0, -5.0, 0.0]))
 
 
 def goal_at(distance: float) -> Vector:
@@ -57,60 +68,114 @@ def test_path_is_straight_from_the_start_at_every_distance(strategy, distance) -
     trajectory = run(strategy, distance, duration)
     along = float(trajectory.states[-1][POSITION] @ DIRECTION)
     aside = np.abs(trajectory.states[:, POSITION] @ np.array([-0.6, 0.8]))
-    assert along > 0.5 * duration * TOP_SPEED
+    assert along > 0.5 * duration * ROLLING.speed
     assert np.max(aside) < 1.0
-    # Time integrated at each sample; without intermediate goals it is minutes to days.
-    longest = max(d.plan.hold.end - d.plan.hold.start for d in trajectory.decisions)
-    assert longest < 3.0 * STEP / TOP_SPEED
+    # Work of each sample: knots of a manoeuvre at either end, whatever lies between.
+    most = max(d.plan.hold.times.size for d in trajectory.decisions)
+    assert most <= 2 * (TUNING.manoeuvre_time / 0.25 + 1) + 3
+
+
+def planned(distance: float, seed: int) -> tuple[Situation, DistantSearch]:
+    rng = np.random.default_rng(seed)
+    start = make_state((0.0, 0.0), random_quaternion(rng))
+    goal = make_state(distance * DIRECTION, random_quaternion(rng))
+    beginning = Situation(0.0, start, goal, np.zeros(2), ROBOT.lumped)
+    planner = ArrivalPlanner(ROBOT, 0.25, KnotGrid(0.25, TUNING), iter(range(9)), TUNING)
+    return beginning, DistantSearch(planner, beginning, new_plan=True)
+
+
+@pytest.mark.parametrize("distance", [8.0, 25.0, 100.0])
+def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(distance) -> None:
+    beginning, search = planned(distance, seed=int(distance))
+    found = search.improve(50_000)
+    assert found is not None
+    _, turns = steady_interval(np.diff(found.hold.times), ROLLING)
+    assert turns >= distance / ROLLING.turn_length - 4
+    # Steady rolling is integrated exactly in steps of any length.
+    inputs, durations, constants = found.hold.speeds, np.diff(found.hold.times), ROBOT.lumped
+    step = TUNING.precise_step
+    end = roll_out(beginning.state, inputs, durations, constants.as_array(), step)[-1]
+    assert state_error(end, found.goal) < TUNING.arrival_error
+    assert found.duration < distance / ROLLING.speed + 2.5
+
+
+def test_turns_are_added_to_the_longest_steady_rolling_and_can_be_taken_out_again() -> None:
+    _, search = planned(25.0, seed=1)
+    found = search.improve(20_000)
+    assert found is not None
+    interval, turns = steady_interval(np.diff(found.hold.times), ROLLING)
+    left_out = turns * ROLLING.turn_time
+    shorter = without_turns(found.hold, interval, left_out)
+    assert shorter.end == pytest.approx(found.hold.end - left_out)
+    again = with_turns(shorter, left_out, ROBOT.max_rotor_speed)
+    assert again.end == pytest.approx(found.hold.end)
+    for time in np.linspace(0.0, found.hold.end, 50):
+        np.testing.assert_allclose(again.at(time), found.hold.at(time), atol=1e-6)
+
+
+def test_known_arrival_is_kept_until_an_earlier_one_is_found() -> None:
+    beginning, search = planned(25.0, seed=2)
+    found = search.improve(20_000)
+    assert found is not None
+    again = DistantSearch(search._planner, beginning, new_plan=True, start=found)
+    better = again.improve(100_000)
+    assert better is not None and better.duration <= found.duration
 
 
 @pytest.mark.slow
 def test_far_goal_is_reached_at_top_speed() -> None:
-    distance = 1.5 * FAR
-    trajectory = run("time_optimal", distance, distance / TOP_SPEED + 15.0)
+    distance = 90.0
+    trajectory = run("time_optimal", distance, distance / ROLLING.speed + 15.0)
     errors = state_errors(trajectory.states, goal_at(distance))
     index = settling_index(errors, 1e-2)
     assert index is not None
-    assert trajectory.times[index] < 1.05 * distance / TOP_SPEED + 5.0
-    # It does not slow down for intermediate goals.
-    cruise = (trajectory.times > 10.0) & (trajectory.times < 0.75 * distance / TOP_SPEED)
+    assert trajectory.times[index] < distance / ROLLING.speed + 2.2
+    cruise = (trajectory.times > 5.0) & (trajectory.times < distance / ROLLING.speed - 5.0)
     fastest = np.max(np.abs(trajectory.speeds[cruise]), axis=1)
     assert np.mean(fastest > 0.9 * ROBOT.max_rotor_speed) > 0.95
 
 
-def test_near_goal_is_aimed_at_itself() -> None:
-    near = situation(np.zeros(2), goal_at(0.99 * FAR))
-    assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False, False)
+def with_momentum(place: Vector, goal: Vector) -> Situation:
+    return replace(situation(place, goal), drift=MOMENTUM)
 
 
-def test_with_limited_time_intermediate_goals_begin_at_a_shorter_distance() -> None:
-    limited = replace(situation(np.zeros(2), goal_at(0.5 * FAR)), time_budget=0.1)
-    assert FAR_IN_TIME < 0.5 * FAR
-    first, is_new, _ = IntermediateGoals(TUNING).aim(limited, 0.0)
+def test_goal_is_aimed_at_itself_without_momentum_or_near() -> None:
+    far = situation(np.zeros(2), goal_at(0.99 * TUNING.farthest))
+    near = goal_at(0.99 * TUNING.far_distance)
+    assert IntermediateGoals(TUNING).aim(far, 0.0) == (far, False)
+    pushed = with_momentum(np.zeros(2), near)
+    assert IntermediateGoals(TUNING).aim(pushed, 0.0) == (pushed, False)
+
+
+def test_intermediate_goal_is_on_the_straight_line_until_it_is_reached() -> None:
+    goals, far = IntermediateGoals(TUNING), with_momentum(np.zeros(2), goal_at(500.0))
+    first, is_new = goals.aim(far, 0.0)
     assert is_new
-    np.testing.assert_allclose(first.goal[POSITION], STEP * DIRECTION)
-    near = replace(limited, goal=goal_at(0.99 * FAR_IN_TIME))
-    assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False, False)
-
-
-def test_intermediate_goal_is_on_the_straight_line_and_is_moved_on_before_it_is_reached() -> None:
-    goals, far = IntermediateGoals(TUNING), situation(np.zeros(2), goal_at(500.0))
-    first, is_new, is_moved_on = goals.aim(far, 0.0)
-    assert is_new and not is_moved_on
-    np.testing.assert_allclose(first.goal[POSITION], STEP * DIRECTION)
+    np.testing.assert_allclose(first.goal[POSITION], REACH * DIRECTION)
     np.testing.assert_array_equal(first.goal[2:], far.goal[2:])
-    same, is_new, _ = goals.aim(far, 10.0)
+    same, is_new = goals.aim(far, 10.0)
     assert not is_new
     np.testing.assert_array_equal(same.goal, first.goal)
-    second, is_new, is_moved_on = goals.aim(far, 4.4)
-    assert is_new and is_moved_on
-    turns = (second.goal - first.goal)[POSITION] / (4.0 * np.pi * ROBOT.shell_radius)
-    np.testing.assert_allclose(turns, round(float(np.hypot(*turns))) * DIRECTION)
+    second, is_new = goals.aim(with_momentum(REACH * DIRECTION, far.goal), 0.0)
+    assert is_new
+    np.testing.assert_allclose(second.goal[POSITION], 2.0 * REACH * DIRECTION)
+
+
+def test_intermediate_goal_of_steady_rolling_is_renewed_half_way_to_it() -> None:
+    goals, far = IntermediateGoals(TUNING), goal_at(3.0 * TUNING.reach)
+    first, is_new = goals.aim(situation(np.zeros(2), far), 0.0)
+    assert is_new
+    np.testing.assert_allclose(first.goal[POSITION], TUNING.reach * DIRECTION)
+    for share, expected in ((0.49, False), (0.51, True)):
+        here = share * TUNING.reach * DIRECTION
+        aimed, is_new = goals.aim(situation(here, far), 100.0)
+        assert is_new == expected
+    np.testing.assert_allclose(aimed.goal[POSITION], here + TUNING.reach * DIRECTION)
 
 
 def test_goal_is_aimed_at_itself_again_once_it_is_near() -> None:
     goals, goal = IntermediateGoals(TUNING), goal_at(500.0)
-    goals.aim(situation(np.zeros(2), goal), 0.0)
-    last = situation(goal[POSITION] - 0.9 * STEP * DIRECTION, goal)
-    assert goals.aim(last, 10.0) == (last, True, False)
-    assert goals.aim(last, 10.0) == (last, False, False)
+    goals.aim(with_momentum(np.zeros(2), goal), 0.0)
+    last = with_momentum(goal[POSITION] - 0.9 * REACH * DIRECTION, goal)
+    assert goals.aim(last, 10.0) == (last, True)
+    assert goals.aim(last, 10.0) == (last, False)

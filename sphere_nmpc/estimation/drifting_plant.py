@@ -12,7 +12,7 @@ import numpy as np
 
 from sphere_nmpc.estimation.contract import PlantEstimate
 from sphere_nmpc.estimation.drift_fit import EXPLAINED, DriftFit
-from sphere_nmpc.estimation.plant_estimator import PlantEstimator, noise_variance
+from sphere_nmpc.estimation.plant_estimator import EXCITED, PlantEstimator, noise_variance
 from sphere_nmpc.estimation.plant_parameters import (
     LONGEST_LAG,
     ParameterDistribution,
@@ -146,6 +146,9 @@ class DriftingPlantEstimator:
         transition = transition.driven(self._driven_share * self._acceleration, LONGEST_LAG)
         without = drifting.error_without_drift(transition, known)
         explained = not self._drifts and without < EXPLAINED
+        if explained and np.max(np.abs(transition.inputs)) < EXCITED:
+            # At rest, where all remains as it was.
+            return
         drifting.observe(transition, connected, explained)
         if explained and drifting.innovation < EXPLAINED:
             return

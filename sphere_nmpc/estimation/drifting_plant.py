@@ -103,6 +103,7 @@ class DriftingPlantEstimator:
         self._paper = PlantEstimator(nominal, mean, acceleration)
         self._drifting = DriftFit(nominal, mean)
         self._driven_share = 1.0
+        self._interrupted = False
         self._momentum = momentum
         self._drifts = False
         self._innovations: deque[tuple[float, float]] = deque(maxlen=_COMPARED)
@@ -118,6 +119,7 @@ class DriftingPlantEstimator:
         new._paper = self._paper.restarted(lag)
         new._drifting = self._drifting.restarted(lag)
         new._driven_share = self._driven_share
+        new._interrupted = self._interrupted
         new._drifts = self._drifts
         new._publish(self.result.end)
         return new
@@ -142,6 +144,12 @@ class DriftingPlantEstimator:
                 # Its transitions are of drives that attain another acceleration.
                 self._driven_share = self._paper.share
                 self._drifting = DriftFit(self._nominal, self._paper.parameters.mean)
+            if self._paper.saturated(transition):
+                # What the rotors lack is known to a few per cent only, which drift would explain.
+                self._interrupted = True
+                return
+        connected = connected and not self._interrupted
+        self._interrupted = False
         drifting = self._drifting
         transition = transition.driven(self._driven_share * self._acceleration, LONGEST_LAG)
         without = drifting.error_without_drift(transition, known)

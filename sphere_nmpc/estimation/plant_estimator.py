@@ -53,6 +53,10 @@ _CONVERGED = 1e-5
 """Change of the scaled parameters at which the iteration ends."""
 _ITERATIONS = 6
 """Gauss-Newton iterations for each new transition at most."""
+_BOLD_ITERATIONS, _FIRST = 6, 4
+"""Iterations with the prior noise, before the others, and the number of transitions up to which
+they are made: constants far from the prior would otherwise pass for noise at first, which then
+gives the transitions too little weight to leave the prior."""
 _STILL_LINEAR = 3e-3
 """Change, in standard deviations of the prior, up to which a linearisation is kept: its error is
 then below `LEAST_NOISE`, and a new transition costs one linearisation instead of all of them."""
@@ -73,8 +77,9 @@ _ATTAINED = 0.98
 """Share above which the drives count as attaining the limit."""
 _TOLD_APART = 2
 """Transitions that tell weak drives from wrong constants; with fewer the share is kept."""
-_EXPLAINED = 5e-4
-"""Noise [m, -] of the fit above which the share is kept: a push or slip has moved the sphere."""
+_EXPLAINED, _EXPLAINED_SHARE = 5e-4, 0.5
+"""Noise of the fit [m, -], and over that with the share kept, above which it is kept: then a push
+or slip has moved the sphere."""
 _EXPECTED_NOISE = 1e-4
 """Prior noise [m, -] ..."""
 _EXPECTED_WEIGHT = 5.0
@@ -175,6 +180,10 @@ class PlantEstimator:
         """Share of the acceleration limit that the drives attain."""
         return self._fit.share
 
+    def saturated(self, transition: Transition) -> bool:
+        """Return whether the drives did not follow the speeds of a transition or its lead."""
+        return transition.steepest > self.estimate.acceleration
+
     def restarted(self, lag: float) -> "PlantEstimator":
         """Return a new estimator with the present constants and another lag [s] as prior.
 
@@ -201,7 +210,9 @@ class PlantEstimator:
             alone = len(transitions) < _TOLD_APART
             parameters, share, noise = self._fitted(unknowns, transitions, keep_share=alone)
             if noise > _EXPLAINED and share != unknowns[_SHARE]:
-                parameters, share, _ = self._fitted(unknowns, transitions, keep_share=True)
+                kept = self._fitted(unknowns, transitions, keep_share=True)
+                if noise > _EXPLAINED_SHARE * kept[2]:
+                    parameters, share, _ = kept
             self._transitions = transitions
             unknowns = np.append(parameters.mean, share)
             self._linearise(newest, unknowns)
@@ -229,19 +240,21 @@ class PlantEstimator:
         Starts from the unknowns so far, shape (6,).
         """
         prior = 1.0 / np.append(PRIOR_DEVIATION, _SHARE_PRIOR) ** 2
-        variance = noise_variance((), 0)
-        for _ in range(_ITERATIONS):
+        variance = expected = noise_variance((), 0)
+        bold = _BOLD_ITERATIONS if len(transitions) <= _FIRST else 0
+        for iteration in range(bold + _ITERATIONS):
             before = unknowns
             for fitted in transitions:
                 self._linearise(fitted, before)
             parts = [fitted.whitened(before, variance) for fitted in transitions]
             residuals = [residual for residual, _ in parts]
-            variance = noise_variance(residuals, SIZE)
+            variance = expected if iteration < bold else noise_variance(residuals, SIZE)
             residual, jacobian = np.concatenate(residuals), np.vstack([j for _, j in parts])
             information = np.diag(prior) + jacobian.T @ jacobian / variance
             right = (self._mean - before) * prior - jacobian.T @ residual / variance
             unknowns = self._moved(before, information, right, keep_share)
-            if float(np.max(np.abs(unknowns - before))) < _CONVERGED:
+            converged = float(np.max(np.abs(unknowns - before))) < _CONVERGED
+            if converged and iteration >= bold:
                 break
         covariance = np.asarray(np.linalg.inv(information), dtype=float)[:SIZE, :SIZE]
         parameters = ParameterDistribution(unknowns[:SIZE], covariance)

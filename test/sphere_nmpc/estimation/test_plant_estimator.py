@@ -160,3 +160,14 @@ def test_robot_that_is_pushed_does_not_count_as_one_with_weaker_drives(
     estimator = PlantEstimator(NOMINAL.lumped, acceleration=LIMIT)
     drive_weakly(estimator, NOMINAL, share, moved)
     assert estimator.share == pytest.approx(share, rel=0.01)
+
+
+@pytest.mark.parametrize("factor", [0.55, 1.55])
+def test_constants_far_from_the_prior_do_not_pass_for_noise(factor: float) -> None:
+    # Five standard deviations from the prior; the largest that 20 % in all parameters give.
+    axial = factor * NOMINAL.rotor_axial_inertia
+    robot = dataclasses.replace(NOMINAL, rotor_axial_inertia=axial)
+    estimator = PlantEstimator(NOMINAL.lumped)
+    drive(estimator, robot, 4, 0)
+    assert relative_error(estimator, robot) < 3e-3
+    assert estimator.estimate.noise < 1e-4

@@ -215,8 +215,11 @@ class PlantEstimator:
                     parameters, share, _ = kept
             self._transitions = transitions
             unknowns = np.append(parameters.mean, share)
-            self._linearise(newest, unknowns)
-            residual, _ = newest.whitened(unknowns, noise_variance(residuals, 0))
+            if share < _ATTAINED:
+                self._linearise(newest, unknowns)
+                residual, _ = newest.whitened(unknowns, noise_variance(residuals, 0))
+            else:
+                residual = self._residual(self._driven(transition, share), unknowns)
         self._publish(parameters, share, (*residuals, residual)[-_NOISE_WINDOW:])
 
     def _publish(

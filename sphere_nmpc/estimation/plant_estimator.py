@@ -215,6 +215,8 @@ class PlantEstimator:
                     parameters, share, _ = kept
             self._transitions = transitions
             unknowns = np.append(parameters.mean, share)
+            if abs(share - self.share) > _SHARE_STEP:
+                residuals = ()  # Those of drives that attain another share are no noise.
             if share < _ATTAINED:
                 self._linearise(newest, unknowns)
                 residual, _ = newest.whitened(unknowns, noise_variance(residuals, 0))

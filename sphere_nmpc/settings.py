@@ -86,7 +86,7 @@ class ControllerSettings:
         minimum=0.0, maximum=10.0, live=True,
     )
     planning_effort: int = quantity(
-        150_000, "-",
+        50_000, "-",
         "Effort of the search for an early arrival: solver iterations times intervals, 1 us each",
         minimum=1000, maximum=100_000_000, live=True,
     )

@@ -33,15 +33,18 @@ def library() -> ctypes.CDLL:
         If it can neither be loaded nor built.
     """
     solver = load_library()
-    address, count = ctypes.c_void_p, ctypes.c_int64
+    address, count, number = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
     for name, arguments in {
         "hold_solve": [address],
-        "hold_roll_out": [count, ctypes.c_double, *[address] * 7],
+        "hold_roll_out": [count, number, *[address] * 7],
         "hold_expand": [address] * 4,
+        "hold_half_motions": [count, count, *[number] * 3, *[address] * 7],
     }.items():
         function = getattr(solver, name)
         function.argtypes, function.restype = arguments, None
     solver.hold_workspace.argtypes, solver.hold_workspace.restype = [count], count
+    solver.hold_meet.argtypes = [*[count] * 4, *[number] * 4, *[address] * 10]
+    solver.hold_meet.restype = count
     return solver
 
 

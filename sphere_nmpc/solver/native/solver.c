@@ -28,6 +28,7 @@
 #include "models.h"
 #include "objective.h"
 #include "bounded_step.h"
+#include "half_motions.h"
 
 static double now(void)
 {

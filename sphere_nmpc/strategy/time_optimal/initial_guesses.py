@@ -1,23 +1,53 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Random initial guesses of the search: manoeuvre, steady rolling, manoeuvre."""
+"""Initial guesses of the search: pairs of random half motions that nearly meet.
 
-from typing import Any
+The fastest motions have both rotors at their limits but for a few switches, most of them near the
+ends. Half motions of that kind are drawn from the start and, gone back along, from the goal. Where
+two of them come near to each other with the rotors at the same limits, they are a guess for the
+whole motion, and their durations nearly that of an arrival.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants
-from sphere_nmpc.model.state import INPUT_SIZE
+from sphere_nmpc.model.state import INPUT_SIZE, Vector, flipped_sign
+from sphere_nmpc.solver.half_motions import (
+    Drives,
+    Floats,
+    half_motions,
+    knots_of,
+    meet,
+)
+from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _INTERVALS = (4, 8)
-"""Range of the number of intervals of a guess without steady rolling; the end is excluded."""
-_CRUISE = (0.3, 1.0)
-"""Range of the duration of steady rolling, over that of the whole distance at full speed."""
-_FIRST_MANOEUVRE = (0.25, 0.75)
-"""Range of the share that the first manoeuvre has of the time of both."""
+"""Range of the number of intervals of random speeds; the end is excluded."""
+_NEVER = 1e9
+"""Time of a switch that does not take place [s]."""
+_AT_REST: Vector = np.zeros(INPUT_SIZE)
+
+
+class Guess(NamedTuple):
+    """Initial guess of a solve.
+
+    Attributes
+    ----------
+    hold : FirstOrderHold
+        Rotor speeds, from time 0 on.
+    goal : ndarray, shape (6,)
+        Goal with the quaternion sign that they lead to.
+    missed : float
+        Distance at which half motions miss each other [m]; zero for other guesses.
+    """
+
+    hold: FirstOrderHold
+    goal: Vector
+    missed: float = 0.0
 
 
 def cruise_speed(constants: LumpedConstants, max_speed: float) -> float:
@@ -37,54 +67,103 @@ def cruise_speed(constants: LumpedConstants, max_speed: float) -> float:
     return constants.shell_radius * constants.input_gain * float(np.sqrt(2.0)) * max_speed
 
 
-def random_guess(
+def meeting_guesses(
     rng: np.random.Generator,
-    duration: float,
-    distance: float,
-    speed: float,
-    max_speed: float,
+    situation: Situation,
+    drives: Drives,
+    durations: tuple[float, float],
+    numbers: tuple[int, int],
+    delay: float,
     settings: TimeOptimalSettings,
-) -> FirstOrderHold:
-    """Draw rotor speeds from rest to rest.
+) -> tuple[list[Guess], int]:
+    """Draw half motions and return pairs that nearly meet, the most promising first.
 
     Parameters
     ----------
     rng : Generator
         Source of random numbers.
-    duration : float
-        Time to the arrival [s].
-    distance : float
-        Distance to the goal [m].
-    speed : float
-        Speed of steady rolling [m/s].
-    max_speed : float
-        Limit of the rotor speeds [rad/s].
+    situation : Situation
+        State and speeds of the rotors at the start, and the goal. Momentum is left out.
+    drives : Drives
+        Spacing of the knots and limits of the rotors.
+    durations : tuple of float
+        Shortest and longest duration of a guess [s].
+    numbers : tuple of int
+        Numbers of half motions, a multiple of 16, and of guesses.
+    delay : float
+        Delay for each metre by which half motions miss each other [s/m]: the best guesses are
+        those of the least sum of duration and delay.
     settings : TimeOptimalSettings
-        Durations of steady rolling and manoeuvres, spacing of the knots.
+        Distribution of the switches, weight of the orientation.
 
     Returns
     -------
-    FirstOrderHold
-        From time 0 to `duration`.
+    guesses : list of Guess
+        At most one for each half motion from the start.
+    work : int
+        Effort of finding them, in microseconds or so.
     """
-    cruise = min(
-        distance / speed * rng.uniform(*_CRUISE), duration - settings.least_manoeuvres
+    start, goal, period = situation.state, situation.goal, drives.period
+    speed = cruise_speed(situation.constants, drives.limit)
+    first, last = max(2, int(durations[0] / period)), int(durations[1] / period)
+    levels = (last + 1) // 2
+    count, wanted = numbers
+    signals = _signals(rng, count, levels * period, settings)
+    constants = situation.constants.as_array()
+    in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)
+    forth = half_motions(start, in_force, signals, levels, drives, constants)
+    back = half_motions(goal, _AT_REST, signals, levels, drives, constants)
+    found = meet(
+        forth, back, range(first, last + 1), wanted, period, speed,
+        delay, settings.turn_weight,
     )
-    if cruise < settings.shortest_cruise:
-        intervals = int(rng.integers(*_INTERVALS))
-        times = np.linspace(0.0, duration, intervals + 1)
-        speeds = rng.uniform(-max_speed, max_speed, (intervals + 1, INPUT_SIZE))
-        return _from_rest_to_rest(times, speeds)
-    begin = (duration - cruise) * rng.uniform(*_FIRST_MANOEUVRE)
-    end = begin + cruise
-    before = max(1, round(begin / settings.guess_spacing))
-    after = max(1, round((duration - end) / settings.guess_spacing))
-    times = np.concatenate(
-        (np.linspace(0.0, begin, before + 1), np.linspace(end, duration, after + 1))
+    best = np.argsort(found.scores, kind="stable")[:wanted]
+    best = best[np.isfinite(found.scores[best])]
+    partners = found.partners[best]
+    there = knots_of(signals[:, best], levels, in_force, drives)
+    from_goal = -knots_of(signals[:, partners], levels, _AT_REST, drives)
+    guesses = []
+    for k, (i, j) in enumerate(zip(best, partners, strict=True)):
+        periods = int(found.periods[i])
+        before, after = (periods + 1) // 2, periods // 2
+        speeds: Vector = np.vstack((there[: before + 1, :, k], from_goal[:after, :, k][::-1]))
+        same_sign = forth.states[before, 2:, i] @ back.states[after, 2:, j] > 0.0
+        times: Vector = period * np.arange(periods + 1, dtype=np.float64)
+        hold = FirstOrderHold(times, speeds)
+        missed = (float(found.scores[i]) - hold.end) / delay
+        guesses.append(Guess(hold, goal if same_sign else flipped_sign(goal), missed))
+    work = count * (20 + levels) // 40 + found.pairs // 1000
+    return guesses, work
+
+
+def _signals(
+    rng: np.random.Generator, count: int, longest: float, settings: TimeOptimalSettings
+) -> Floats:
+    """Draw signs of both rotors and times of their switches [s], shape (6, `count`)."""
+    shape = (INPUT_SIZE, 2, count)
+    near_end = settings.mean_switch * rng.standard_exponential(shape, dtype=np.float32)
+    anywhere = longest * rng.random(shape, dtype=np.float32)
+    times = np.where(
+        rng.random(shape, dtype=np.float32) < settings.switches_anywhere, anywhere, near_end
     )
+    drawn = rng.random((INPUT_SIZE, count), dtype=np.float32)
+    none, two = settings.switch_shares
+    times[:, 0][drawn < none] = _NEVER
+    times[:, 1][drawn < 1.0 - two] = _NEVER
+    times.sort(axis=1)
+    signs = np.sign(rng.random((INPUT_SIZE, count), dtype=np.float32) - 0.5)
+    return np.concatenate((signs, times.reshape(4, -1)))
+
+
+def random_hold(rng: np.random.Generator, duration: float, max_speed: float) -> FirstOrderHold:
+    """Draw rotor speeds within the limit `max_speed` [rad/s], from rest to rest.
+
+    Far from the limits, which hardly any other guess is: there the rotors cannot hold momentum.
+    """
+    times = np.linspace(0.0, duration, int(rng.integers(*_INTERVALS)) + 1)
     speeds = rng.uniform(-max_speed, max_speed, (times.size, INPUT_SIZE))
-    speeds[before] = speeds[before + 1] = rng.choice([-max_speed, max_speed], INPUT_SIZE)
-    return _from_rest_to_rest(times, speeds)
+    speeds[0] = speeds[-1] = 0.0
+    return FirstOrderHold(times, speeds)
 
 
 def perturbed(
@@ -109,8 +188,3 @@ def perturbed(
     change[0] = change[-1] = 0.0
     added = np.column_stack([np.interp(hold.times, times, column) for column in change.T])
     return FirstOrderHold(hold.times, hold.speeds + added)
-
-
-def _from_rest_to_rest(times: NDArray[Any], speeds: NDArray[Any]) -> FirstOrderHold:
-    speeds[0] = speeds[-1] = 0.0
-    return FirstOrderHold(times, speeds)

@@ -2,27 +2,47 @@
 # SPDX-License-Identifier: Apache-2.0
 """Multi-start search for an early arrival that can be stopped at any time and continued.
 
-Initial guesses for both signs of the goal's quaternion are solved for a given duration. One that
-reaches the goal is shortened until it no longer does. After a few arrivals, most further guesses
-are perturbations of the best one, with a duration that is three per cent shorter. After a dozen
-iterations about a third of the guesses, those of the least terminal error, are solved further.
+In each round a few dozen initial guesses are solved for a given duration, with few iterations. The
+most promising ones are solved further, and from there Newton's method finds the duration at which
+the least terminal error becomes zero. A motion in a slightly different time is nearly the same
+motion with all speeds scaled, which gives the derivative of the error without another solve.
 """
 
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, POSITION, Vector, flipped_sign, state_error
+from sphere_nmpc.model.state import INPUT_SIZE, POSITION, flipped_sign, state_error
+from sphere_nmpc.solver.half_motions import Drives
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
+    Guess,
     cruise_speed,
+    meeting_guesses,
     perturbed,
-    random_guess,
+    random_hold,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+
+_SCALING = 1e-6
+"""Change of the rotor speeds for the derivative of the terminal error by their scale [-]."""
+
+_SAME_DURATION, _SAME_ERROR = 1e-3, 1e-4
+"""Durations [s] and terminal errors [-] up to which two solves have the same result."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """A solve for a given duration, and the duration at which it would reach the goal [s]."""
+
+    arrival: Arrival
+    predicted: float
 
 
 class ArrivalSearch:
@@ -64,33 +84,34 @@ class ArrivalSearch:
         self._settings = settings
         self._situation = situation
         self._to_first_knot = to_first_knot
-        self._max_speed = robot.max_rotor_speed
+        acceleration = settings.acceleration_share * robot.max_rotor_acceleration
+        limit = robot.max_rotor_speed
+        self._drives = Drives(period, limit / acceleration, limit)
+        self._max_step = settings.coarse_step
         self._rng = np.random.default_rng(seed)
         self._trial = solver(settings.trial_iterations)
         self._refining = solver(settings.refining_iterations)
         self._shortening = solver(settings.shortening_iterations)
         way = situation.goal[POSITION] - situation.state[POSITION]
-        self._distance = float(np.linalg.norm(way))
-        self._speed = cruise_speed(situation.constants, self._max_speed)
-        self._duration = settings.manoeuvre_allowance + self._distance / self._speed
-        self._first_duration = self._duration
+        distance = float(np.linalg.norm(way))
+        self._window = settings.window
+        self._least = distance / cruise_speed(situation.constants, limit) + self._drives.ramp
+        if not situation.drift.is_zero:
+            self._least += settings.manoeuvre_allowance
         share = 0.0 if strict else settings.coarse_error_share
         error = share * state_error(situation.state, situation.goal)
         self._tolerance = min(settings.coarse_error, max(settings.least_coarse_error, error))
-        self._trial_errors: list[float] = []
-        self._arrivals = 0
-        self._guesses = 0
-        self._deadline = np.inf
+        self._later = 0.0
+        self._delay = settings.delay_of_distance
+        self._steps = self._rounds()
         self.best: Arrival | None = None
         """The earliest arrival found so far."""
         self.work = 0
-        """Solver iterations times intervals used so far."""
+        """Solver iterations times intervals used so far, and as much for the initial guesses."""
 
     def start_from(self, arrival: Arrival) -> None:
         """Take a known arrival as the best so far, unless a better one is known."""
-        if self.best is None or arrival.duration < self.best.duration:
-            self.best = arrival
-            self._arrivals = self._settings.independent_arrivals
+        self._keep(arrival)
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
         """Continue the search.
@@ -107,106 +128,156 @@ class ArrivalSearch:
         Arrival or None
             The earliest arrival so far.
         """
-        settings = self._settings
         end = self.work + work
-        self._deadline = deadline
-        if self._guesses == 0 and not self._situation.drift.is_zero:
-            self._try_rest()
         while self.work < end and time.perf_counter() < deadline:
-            self._guesses += 1
-            best = self.best
-            few = self._arrivals < settings.independent_arrivals
-            if best is None or few or self._rng.random() < settings.random_share:
-                arrival = self._from_random_guess()
-            else:
-                arrival = self._from_perturbation(best)
-            if arrival is not None:
-                self._arrivals += 1
-                self._keep(self._shortened(arrival))
-            elif self.best is None and self._guesses % settings.failures_before_longer == 0:
-                self._duration *= settings.longer
-                longest = settings.longest_with_momentum * self._first_duration
-                if self._duration > longest and not self._situation.drift.is_zero:
-                    self._duration = self._first_duration
+            next(self._steps)
         return self.best
 
-    def _try_rest(self) -> None:
+    def _rounds(self) -> Iterator[None]:
+        """Search without end; each step is one solve or one draw of guesses."""
+        if not self._situation.drift.is_zero:
+            yield from self._from_rest()
+        while True:
+            yield from self._round()
+
+    def _round(self) -> Iterator[None]:
+        settings, trials, delays = self._settings, list[_Attempt](), list[float]()
+        guesses = self._guesses()
+        yield
+        for guess in guesses:
+            duration = guess.hold.end
+            if self.best is not None:
+                duration = min(duration, settings.earlier * self.best.duration)
+            trials.append(self._solve(self._trial, guess, duration, unaware=True))
+            if guess.missed > 0.0:
+                delays.append((trials[-1].predicted - guess.hold.end) / guess.missed)
+            yield
+        if delays:
+            self._delay = max(settings.delay_of_distance, float(np.median(delays)))
+        with_momentum = not self._situation.drift.is_zero
+        delay = settings.delay_with_momentum if with_momentum else settings.delay_of_error
+        trials.sort(key=lambda trial: trial.arrival.duration + delay * trial.arrival.error)
+        trials = _different(trials)
+        refined = list[_Attempt]()
+        for trial in trials[: int(np.ceil(settings.kept_guesses * len(trials)))]:
+            refined.append(self._again(self._refining, trial, trial.arrival.duration))
+            yield
+        for attempt in _different(sorted(refined, key=lambda attempt: attempt.predicted)):
+            yield from self._shortened(attempt)
+        # The shortest guesses may all be too short.
+        self._later = 0.0 if self.best is not None else self._later + settings.later
+
+    def _guesses(self) -> list[Guess]:
+        settings, best = self._settings, self.best
+        if best is None:
+            numbers = settings.first_half_motions, settings.first_tried_guesses
+        else:
+            numbers = settings.half_motions, settings.tried_guesses
+        shortest = self._least + self._later
+        longest = shortest + self._window
+        if best is not None:
+            longest = min(longest, best.duration)
+        found, work = meeting_guesses(
+            self._rng, self._situation, self._drives, (shortest, longest), numbers,
+            self._delay, settings,
+        )
+        self.work += work
+        if not found and best is None:
+            self._window *= 2.0
+        if not self._situation.drift.is_zero:
+            for k in range(settings.random_guesses):
+                duration = shortest + settings.window * self._rng.random()
+                hold = random_hold(self._rng, duration, self._drives.limit)
+                goal = self._situation.goal
+                found.append(Guess(hold, goal if k % 2 else flipped_sign(goal)))
+        if best is not None:
+            for _ in range(settings.perturbations):
+                amount = settings.largest_perturbation * self._rng.random()
+                hold = perturbed(self._rng, best.hold, amount, self._drives.limit)
+                found.append(Guess(hold, best.goal))
+        return found
+
+    def _from_rest(self) -> Iterator[None]:
         """Try guesses at rest: after a push at the goal the sphere has to roll back a little."""
-        goal = self._situation.goal
         for duration in self._settings.short_durations:
             rest = FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
-            arrival = self._attempt(goal, duration, rest, unaware=True)
-            if arrival is not None:
-                self._arrivals += 1
-                self._keep(self._shortened(arrival))
+            guess = Guess(rest, self._situation.goal)
+            attempt = self._solve(self._shortening, guess, duration, unaware=True)
+            yield
+            if self._arrives(attempt):
+                yield from self._shortened(attempt)
                 return
 
-    def _from_random_guess(self) -> Arrival | None:
-        settings, duration = self._settings, self._duration
-        if self.best is not None:
-            few = self._arrivals < settings.independent_arrivals
-            share = settings.independent_limit if few else settings.earlier
-            duration = min(duration, share * self.best.duration)
-        goal = self._situation.goal
-        sign = goal if self._guesses % 2 else flipped_sign(goal)
-        guess = random_guess(
-            self._rng, duration, self._distance, self._speed, self._max_speed, settings
-        )
-        return self._attempt(sign, duration, guess, unaware=True)
-
-    def _from_perturbation(self, best: Arrival) -> Arrival | None:
-        amount = self._settings.largest_perturbation * self._rng.random()
-        guess = perturbed(self._rng, best.hold, amount, self._max_speed)
-        return self._attempt(best.goal, self._settings.earlier * best.duration, guess)
-
-    def _attempt(
-        self, goal: Vector, duration: float, guess: FirstOrderHold, unaware: bool = False
-    ) -> Arrival | None:
-        """Solve from an initial guess; None if it is given up or does not reach the goal."""
-        first = self._solve(self._trial, goal, duration, guess, unaware)
-        if first.error <= self._tolerance:
-            return first
-        given_up = self._is_given_up(first.error)
-        self._trial_errors.append(first.error)
-        if given_up:
-            return None
-        second = self._solve(self._refining, goal, duration, first.hold)
-        return second if second.error <= self._tolerance else None
-
-    def _is_given_up(self, error: float) -> bool:
-        """Return whether the terminal error of a first solve is not among the least ones."""
-        settings = self._settings
-        recent = sorted(self._trial_errors[-settings.compared_guesses:])
-        if len(recent) < settings.least_compared_guesses:
-            return False
-        return error > recent[int(settings.kept_guesses * len(recent))]
-
-    def _shortened(self, arrival: Arrival) -> Arrival:
-        """Shorten an arrival until it no longer reaches the goal."""
-        share = self._settings.first_shortening
-        while share > self._settings.least_shortening and time.perf_counter() < self._deadline:
-            duration = (1.0 - share) * arrival.duration
-            earlier = self._solve(self._shortening, arrival.goal, duration, arrival.hold)
-            if earlier.error <= self._tolerance:
-                arrival = earlier
+    def _shortened(self, attempt: _Attempt) -> Iterator[None]:
+        """Find the shortest duration by Newton's method on the terminal error."""
+        settings, too_short = self._settings, 0.0
+        least_step, longest = settings.least_step, settings.stretch * attempt.arrival.duration
+        for _ in range(settings.attempts):
+            arrival = attempt.arrival
+            if self._arrives(attempt):
+                self._keep(arrival)
+                if too_short > settings.bracket * arrival.duration:
+                    return
+                middle = 0.5 * (too_short + arrival.duration)
+                duration = max(settings.probe * arrival.duration, middle)
             else:
-                share *= 0.5
-        return arrival
+                too_short = max(too_short, arrival.duration)
+                later = (1.0 + least_step) * arrival.duration
+                duration = max(settings.overshoot * attempt.predicted, later)
+                least_step *= 2.0
+                if duration > longest:
+                    return
+                if self.best and duration >= settings.least_gain * self.best.duration:
+                    return
+            attempt = self._again(self._shortening, attempt, duration)
+            yield
+
+    def _arrives(self, attempt: _Attempt) -> bool:
+        return attempt.arrival.error <= self._tolerance
+
+    def _again(self, solver: ArrivalSolver, attempt: _Attempt, duration: float) -> _Attempt:
+        arrival = attempt.arrival
+        if self._arrives(attempt) and duration == arrival.duration:
+            return attempt
+        return self._solve(solver, Guess(arrival.hold, arrival.goal), duration)
 
     def _solve(
-        self,
-        solver: ArrivalSolver,
-        goal: Vector,
-        duration: float,
-        guess: FirstOrderHold,
-        unaware: bool = False,
-    ) -> Arrival:
+        self, solver: ArrivalSolver, guess: Guess, duration: float, unaware: bool = False
+    ) -> _Attempt:
         arrival = solver.solve(
-            self._situation, goal, duration, guess, self._to_first_knot, unaware
+            self._situation, guess.goal, duration, guess.hold, self._to_first_knot, unaware
         )
         self.work += arrival.work
-        return arrival
+        return _Attempt(arrival, duration + arrival.error / self._rate(arrival))
+
+    def _rate(self, arrival: Arrival) -> float:
+        """Return the decrease of the terminal error with the duration [1/s].
+
+        At the least error it changes with the duration alone (envelope theorem), and a longer time
+        is as good as higher speeds.
+        """
+        situation = self._situation
+        if not situation.drift.is_zero or arrival.error <= self._tolerance:
+            return self._settings.typical_rate
+        hold = arrival.hold
+        faster = roll_out(
+            situation.state, (1.0 + _SCALING) * hold.speeds, np.diff(hold.times),
+            situation.constants.as_array(), self._max_step,
+        )
+        missing, end = arrival.goal - arrival.states[-1], faster[-1] - arrival.states[-1]
+        along = float(missing @ end) / (_SCALING * arrival.duration)
+        return max(self._settings.least_rate, along / float(np.linalg.norm(missing)))
 
     def _keep(self, arrival: Arrival) -> None:
         if self.best is None or arrival.duration < self.best.duration:
             self.best = arrival
+
+
+def _different(attempts: list[_Attempt]) -> list[_Attempt]:
+    """Return the first of those that have come to the same motion: to the same terminal error."""
+    found: dict[tuple[float, float], _Attempt] = {}
+    for attempt in attempts:
+        arrival = attempt.arrival
+        key = round(arrival.duration / _SAME_DURATION), round(arrival.error / _SAME_ERROR)
+        found.setdefault(key, attempt)
+    return list(found.values())

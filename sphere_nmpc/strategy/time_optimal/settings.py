@@ -64,58 +64,83 @@ class TimeOptimalSettings:
     least_coarse_error: float = 2e-4
     """... but never less than this [-], which coarse solves still reach; used alone in a strict
     search."""
-    trial_iterations: int = 12
+    trial_iterations: int = 8
     """Cap on solver iterations of the first solve from an initial guess."""
-    refining_iterations: int = 40
-    """Cap on solver iterations of the second solve, for guesses that are not given up."""
-    shortening_iterations: int = 25
-    """Cap on solver iterations of each attempt to shorten an arrival."""
-    kept_guesses: float = 0.35
-    """Share [-] of initial guesses that are solved a second time: those of the least error after
-    the first. Smaller: more guesses are tried, more of them given up too early."""
-    compared_guesses: int = 40
-    """Number of latest guesses that this share is taken of."""
-    least_compared_guesses: int = 8
-    """Number of guesses that are all solved twice before any is given up."""
+    refining_iterations: int = 16
+    """Cap on solver iterations of the second solve, for guesses that are kept."""
+    shortening_iterations: int = 40
+    """Cap on solver iterations of each further solve, which changes the duration."""
+    kept_guesses: float = 0.25
+    """Share [-] of initial guesses that are solved a second time. Smaller: more guesses are tried,
+    more of them given up too early."""
     manoeuvre_allowance: float = 2.0
-    """Time [s] beyond that of steady rolling which the first guesses may take."""
-    failures_before_longer: int = 6
-    """Number of guesses without an arrival after which the guesses take longer."""
-    longer: float = 1.1
-    """Factor [-] by which they then take longer."""
-    longest_with_momentum: float = 2.0
-    """Factor [-] on the first duration at which they begin anew where the sphere has momentum: a
-    guess does not come nearer to the goal by rolling on."""
+    """Time [s] beyond that of steady rolling that the first guesses take where the sphere has
+    momentum, and until which it is predicted for a new plan."""
+    delay_of_error: float = 4.0
+    """Delay for each unit of the terminal error after the first solve [s]: those of the least sum
+    of duration and delay are kept."""
+    delay_with_momentum: float = 40.0
+    """The same where the sphere has momentum, and a longer manoeuvre may be the only one [s]."""
+    least_gain: float = 0.995
+    """Duration [of the best arrival] below which another is worth a further solve."""
+    probe: float = 0.96
+    """Duration [of an arrival] of the first attempt to shorten it ..."""
+    overshoot: float = 1.002
+    """... and factor [-] on the duration that the last attempt predicts, for the next one."""
+    least_step: float = 0.004
+    """Least share [-] by which an attempt is longer than one that failed; doubled each time."""
+    stretch: float = 2.0
+    """Factor [-] on the first duration beyond which no attempt is made."""
+    bracket: float = 0.99
+    """Duration [of an arrival] above which an attempt that failed ends the shortening."""
+    attempts: int = 12
+    """Solves at most to shorten one arrival."""
+    typical_rate: float = 0.7
+    """Decrease of the terminal error with the duration [1/s] that is assumed with momentum ..."""
+    least_rate: float = 0.15
+    """... and the least one that is believed without."""
     rolling_back_error: float = 4e-4
     """Terminal error [-] that a new plan may have where the sphere has momentum, a fifth of the
     dead band: rolling back after a push leaves a turn that only a longer manoeuvre corrects."""
     short_durations: tuple[float, ...] = (0.6, 1.0, 1.6)
     """Durations [s] of guesses at rest, which are tried first where the sphere has momentum."""
-    independent_arrivals: int = 3
-    """Number of arrivals from random guesses before the best one is perturbed. More: local minima
-    of later arrivals are left more reliably, with less effort for each."""
-    independent_limit: float = 1.1
-    """Duration [of the best arrival] of the guesses until then: a later arrival of another local
-    minimum may become the earlier one when shortened."""
     earlier: float = 0.97
-    """Duration [of the best arrival] of all later guesses."""
-    random_share: float = 0.4
-    """Share [-] of random guesses among the later ones; the others perturb the best arrival."""
+    """Duration [of the best arrival] of the first solve from a guess, at most."""
+    perturbations: int = 4
+    """Perturbations of the best arrival among the guesses of a round."""
+    random_guesses: int = 20
+    """Guesses of random speeds in a round where the sphere has momentum."""
     largest_perturbation: float = 0.5
     """Largest perturbation of the best arrival [of the speed limit]."""
-    first_shortening: float = 0.1
-    """Share [-] of its duration by which an arrival is first shortened; halved at each failure."""
-    least_shortening: float = 0.01
-    """Share [-] of its duration below which an arrival is not shortened further."""
 
-    # Random initial guesses
+    # Initial guesses
 
-    shortest_cruise: float = 0.3
-    """Duration [s] below which steady rolling between the manoeuvres is left out."""
-    guess_spacing: float = 0.4
-    """Mean spacing [s] of the random knots of a manoeuvre."""
-    least_manoeuvres: float = 0.8
-    """Time [s] that is left for the two manoeuvres at the least."""
+    half_motions: int = 6144
+    """Half motions that are drawn at a time for either end, a multiple of 16. More: better guesses
+    for more work."""
+    tried_guesses: int = 20
+    """Guesses of each such draw that are tried."""
+    first_half_motions: int = 1024
+    """The same before the first arrival is found, so that this takes little work."""
+    first_tried_guesses: int = 6
+    """The same for it."""
+    window: float = 3.0
+    """Time [s] by which the longest guess exceeds the lower bound of the duration; doubled where
+    no half motions meet."""
+    later: float = 0.25
+    """Time [s] by which the shortest guess is longer after a draw that has led to no arrival."""
+    delay_of_distance: float = 1.0
+    """Delay for each metre by which two half motions miss each other [s/m], at first and at the
+    least; then what the solves of the last guesses predict. Guesses are tried in the order of the
+    sum of duration and delay."""
+    turn_weight: float = 2.0
+    """Weight of the orientation in that distance [m^2]: of the squared distance of quaternions."""
+    mean_switch: float = 1.0
+    """Mean time from the end to a switch of a half motion [s] ..."""
+    switches_anywhere: float = 0.3
+    """... but for this share [-] of switches, which are uniform over the half motion."""
+    switch_shares: tuple[float, float] = (0.25, 0.3)
+    """Shares [-] of half motions in which a rotor does not switch, and in which it does twice."""
 
     # Distant goals
 

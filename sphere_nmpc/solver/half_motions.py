@@ -1,0 +1,244 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Half motions from the start and back from the goal, and pairs of them that nearly meet.
+
+Without momentum the sphere rolls back along the same way with the opposite speeds. So a motion
+from start to goal is one from the start and one from the goal that meet, and among a few thousand
+of each, which are millions of pairs, some nearly do. Compiled where possible, in single precision;
+otherwise on NumPy with the same results but for rounding.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.solver.backend import resolve_backend
+from sphere_nmpc.solver.native.memory import library
+from sphere_nmpc.solver.roll_out import roll_out
+
+LANES = 16
+"""The number of half motions is a multiple of this."""
+
+Floats = NDArray[np.float32]
+Integers = NDArray[np.int32]
+
+
+class Side(NamedTuple):
+    """Half motions from one end; M of them, with a state at each of L + 1 knots.
+
+    Attributes
+    ----------
+    end : ndarray, shape (6,)
+        State at rest from which they begin.
+    states : ndarray of float32, shape (L + 1, 6, M)
+        States at the knots.
+    steady : ndarray of int32, shape (M,)
+        First knot from which both rotors stay at their limits.
+    corners : ndarray of int32, shape (M,)
+        Which of the four pairs of limits that is, 0 to 3; 3 - n is opposite to n.
+    """
+
+    end: Vector
+    states: Floats
+    steady: Integers
+    corners: Integers
+
+
+class Meetings(NamedTuple):
+    """For each half motion from the start its best partner.
+
+    Attributes
+    ----------
+    scores : ndarray of float32, shape (M,)
+        Duration and a delay in proportion to the distance at which the two miss each other [s];
+        infinite where there is no partner.
+    periods : ndarray of int32, shape (M,)
+        Number of knot periods of the whole motion.
+    partners : ndarray of int32, shape (M,)
+        Index of the half motion from the goal.
+    pairs : int
+        Number of pairs that were compared.
+    """
+
+    scores: Floats
+    periods: Integers
+    partners: Integers
+    pairs: int
+
+
+class Drives(NamedTuple):
+    """What half motions have in common.
+
+    Attributes
+    ----------
+    period : float
+        Spacing of the knots [s], one integration step.
+    ramp : float
+        Time from rest to the limit of the rotor speeds [s].
+    limit : float
+        Limit of the rotor speeds [rad/s].
+    """
+
+    period: float
+    ramp: float
+    limit: float
+
+
+def knots_of(signals: Floats, levels: int, begin: Vector, drives: Drives) -> Vector:
+    """Return the rotor speeds at the knots of half motions [rad/s], shape (levels + 1, 2, M).
+
+    Both rotors are at their limits but for ramps, which are centred at the switches: the mean of a
+    signal of the values plus and minus one over a ramp to either side, times the limit.
+
+    Parameters
+    ----------
+    signals : ndarray, shape (6, M)
+        First signs of both rotors, and times of the first and the second switch of the first rotor
+        and of the second [s], in ascending order.
+    levels : int
+        Number of periods.
+    begin : ndarray, shape (2,)
+        Rotor speeds at the first knot [rad/s].
+    drives : Drives
+        Period, ramp and limit.
+    """
+    change = drives.limit * drives.period / drives.ramp
+    speeds = np.empty((levels + 1, 2, signals.shape[1]))
+    speeds[0] = begin[:, None]
+    for level in range(1, levels + 1):
+        after, before = (
+            _integral(abs(level * drives.period + side), signals[2::2], signals[3::2])
+            for side in (drives.ramp, -drives.ramp)
+        )
+        wanted = drives.limit * signals[:2] * (after - before) / (2.0 * drives.ramp)
+        speeds[level] = np.clip(wanted, speeds[level - 1] - change, speeds[level - 1] + change)
+    return speeds
+
+
+def _integral(time: float, first: Floats, second: Floats) -> Floats:
+    """Return the integral of a signal that is one until `first`, then minus one until `second`."""
+    late = np.maximum(time - second, 0.0) - np.maximum(time - first, 0.0)
+    total: Floats = time + 2.0 * late
+    return total
+
+
+def half_motions(
+    end: Vector, begin: Vector, signals: Floats, levels: int, drives: Drives, constants: Vector
+) -> Side:
+    """Return half motions from one end.
+
+    Parameters
+    ----------
+    end : ndarray, shape (6,)
+        State at the first knot.
+    begin, signals, levels, drives
+        As for `knots_of`, with the speeds of a motion from this end.
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    """
+    count = signals.shape[1]
+    if resolve_backend("auto") == "compiled":
+        states = np.empty((levels + 1, 6, count), dtype=np.float32)
+        steady, corners = np.empty((2, count), dtype=np.int32)
+        arrays = (
+            _doubles(constants), _doubles(end), _doubles(begin),
+            np.ascontiguousarray(signals, dtype=np.float32), states, steady, corners,
+        )
+        library().hold_half_motions(count, levels, *drives, *_addresses(*arrays))
+        return Side(end, states, steady, corners)
+    knots = knots_of(signals, levels, begin, drives)
+    durations = np.full(levels, drives.period)
+    motions = [roll_out(end, speeds, durations, constants, drives.period)
+               for speeds in np.moveaxis(knots, 2, 0)]
+    ramps = np.any(np.abs(knots) < 0.999 * drives.limit, axis=1)
+    steady = levels + 1 - np.argmax(ramps[::-1], axis=0)
+    corners = 2 * (knots[-1, 0] > 0.0) + (knots[-1, 1] > 0.0)
+    stacked = np.stack(motions, axis=2).astype(np.float32)
+    return Side(end, stacked, steady.astype(np.int32), corners.astype(np.int32))
+
+
+def meet(
+    start: Side, goal: Side, periods: range, wanted: int, period: float, speed: float,
+    delay: float, turn_weight: float,
+) -> Meetings:
+    """Find the best partner of each half motion from the start.
+
+    Parameters
+    ----------
+    start, goal : Side
+        Half motions from both ends, of equal number M; those from the goal are gone back along.
+    periods : range
+        Numbers of knot periods of the whole motion, in ascending order.
+    wanted : int
+        Longer motions are not compared once so many have a score that these cannot have.
+    period : float
+        Spacing of the knots [s].
+    speed : float
+        Speed of steady rolling [m/s]: what is too far from the other end is left out.
+    delay : float
+        Delay for each metre by which two half motions miss each other [s/m].
+    turn_weight : float
+        Weight of orientation [m^2]: of the squared distance of the quaternions.
+    """
+    count = start.steady.size
+    if resolve_backend("auto") != "compiled":
+        return _meet(start, goal, periods, wanted, period, speed, delay, turn_weight)
+    scores, memory = np.empty(count, np.float32), np.empty(14 * (count + LANES), np.float32)
+    lengths, partners = np.empty((2, count), np.int32)
+    arrays = (
+        _doubles(start.end), _doubles(goal.end), start.states, goal.states,
+        np.concatenate((start.steady, goal.steady)),
+        np.concatenate((start.corners, 3 - goal.corners)), memory, scores, lengths, partners,
+    )
+    pairs = library().hold_meet(
+        count, periods.start, periods.stop - 1, wanted, period, speed, delay, turn_weight,
+        *_addresses(*arrays),
+    )
+    return Meetings(scores, lengths, partners, int(pairs))
+
+
+def _meet(
+    start: Side, goal: Side, periods: range, wanted: int, period: float, speed: float,
+    delay: float, turn_weight: float,
+) -> Meetings:
+    count, pairs = start.steady.size, 0
+    scores = np.full(count, np.inf, dtype=np.float32)
+    lengths, partners = np.zeros((2, count), dtype=np.int32)
+    for n in periods:
+        forth, back = (n + 1) // 2, n // 2
+        if np.sum(scores <= n * period) >= wanted:
+            break
+        for corner in range(4):
+            left = _collected(start, forth, corner, goal.end, speed * period * back)
+            right = _collected(goal, back, 3 - corner, start.end, speed * period * forth)
+            if left.size == 0 or right.size == 0:
+                continue
+            pairs += left.size * right.size
+            x, y = start.states[forth][:, left], goal.states[back][:, right]
+            apart = (x[0, :, None] - y[0]) ** 2 + (x[1, :, None] - y[1]) ** 2
+            apart += 2.0 * turn_weight * (1.0 - np.abs(x[2:].T @ y[2:]))
+            which = np.argmin(apart, axis=1)
+            found = np.maximum(apart[np.arange(left.size), which], 0.0)
+            score = n * period + delay * np.sqrt(found)
+            better = score < scores[left]
+            scores[left[better]], lengths[left[better]] = score[better], n
+            partners[left[better]] = right[which[better]]
+    return Meetings(scores, lengths, partners, pairs)
+
+
+def _collected(
+    side: Side, level: int, corner: int, end: Vector, reach: float
+) -> NDArray[np.intp]:
+    away = side.states[level][:2] - end[:2, None]
+    near = np.sum(away * away, axis=0) <= reach * reach
+    return np.flatnonzero((side.steady <= level) & (side.corners == corner) & near)
+
+
+def _doubles(values: Vector) -> Vector:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _addresses(*arrays: NDArray[Any]) -> list[int]:
+    return [array.ctypes.data for array in arrays]

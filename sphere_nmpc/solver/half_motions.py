@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.model.integrator import step_function
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.backend import resolve_backend
 from sphere_nmpc.solver.native.memory import library
-from sphere_nmpc.solver.roll_out import roll_out
 
 LANES = 16
 """The number of half motions is a multiple of this."""
@@ -149,14 +149,18 @@ def half_motions(
         library().hold_half_motions(count, levels, *drives, *_addresses(*arrays))
         return Side(end, states, steady, corners)
     knots = knots_of(signals, levels, begin, drives)
-    durations = np.full(levels, drives.period)
-    motions = [roll_out(end, speeds, durations, constants, drives.period)
-               for speeds in np.moveaxis(knots, 2, 0)]
+    step = step_function().map(count)
+    states = np.empty((levels + 1, 6, count), dtype=np.float32)
+    states[0] = end[:, None]
+    x: Any = np.repeat(end[:, None], count, axis=1)
+    all_constants = np.repeat(constants[:, None], count, axis=1)
+    for level in range(levels):
+        x = step(x, knots[level], knots[level + 1], drives.period, all_constants)
+        states[level + 1] = np.array(x)
     ramps = np.any(np.abs(knots) < 0.999 * drives.limit, axis=1)
     steady = levels + 1 - np.argmax(ramps[::-1], axis=0)
     corners = 2 * (knots[-1, 0] > 0.0) + (knots[-1, 1] > 0.0)
-    stacked = np.stack(motions, axis=2).astype(np.float32)
-    return Side(end, stacked, steady.astype(np.int32), corners.astype(np.int32))
+    return Side(end, states, steady.astype(np.int32), corners.astype(np.int32))
 
 
 def meet(

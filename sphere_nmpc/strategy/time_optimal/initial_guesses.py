@@ -160,8 +160,8 @@ def random_hold(rng: np.random.Generator, duration: float, max_speed: float) -> 
 
     Far from the limits, which hardly any other guess is: there the rotors cannot hold momentum.
     """
-    times = np.linspace(0.0, duration, int(rng.integers(*_INTERVALS)) + 1)
-    speeds = rng.uniform(-max_speed, max_speed, (times.size, INPUT_SIZE))
+    times: Vector = np.linspace(0.0, duration, int(rng.integers(*_INTERVALS)) + 1, dtype=float)
+    speeds: Vector = rng.uniform(-max_speed, max_speed, (times.size, INPUT_SIZE))
     speeds[0] = speeds[-1] = 0.0
     return FirstOrderHold(times, speeds)
 

@@ -1,0 +1,112 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Half motions and their meetings, compiled and on NumPy."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.solver import half_motions as module
+from sphere_nmpc.solver.backend import BACKENDS, resolve_backend
+from sphere_nmpc.solver.half_motions import Drives, Side, half_motions, knots_of, meet
+from sphere_nmpc.solver.roll_out import roll_out
+
+CONSTANTS = RobotParameters().lumped.as_array()
+DRIVES = Drives(period=0.25, ramp=0.25, limit=100.0)
+COUNT, LEVELS = 320, 10
+ROUNDING = 1e-3
+"""Single precision has 7 digits; a turn of 10 rad/s amplifies an error some hundred times."""
+SPEED = 0.742
+
+
+def signals(seed: int) -> module.Floats:
+    rng = np.random.default_rng(seed)
+    times = np.sort(rng.exponential(1.0, (2, 2, COUNT)), axis=1)
+    times[:, 1, ::2] = 1e9
+    signs = rng.choice([-1.0, 1.0], (2, COUNT))
+    return np.concatenate((signs, times.reshape(4, COUNT))).astype(np.float32)
+
+
+def states(seed: int) -> tuple[Vector, Vector]:
+    rng = np.random.default_rng(seed)
+    start, goal = (make_state(rng.uniform(-0.7, 0.7, 2), random_quaternion(rng)) for _ in "ab")
+    return start, goal
+
+
+def both_sides(seed: int, begin: Vector) -> tuple[Side, Side]:
+    start, goal = states(seed)
+    given = signals(seed)
+    forth = half_motions(start, begin, given, LEVELS, DRIVES, CONSTANTS)
+    return forth, half_motions(goal, np.zeros(2), given, LEVELS, DRIVES, CONSTANTS)
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    assert request.param in BACKENDS
+    if request.param == "compiled":
+        assert resolve_backend("compiled") == "compiled"
+    monkeypatch.setattr(module, "resolve_backend", lambda _: request.param)
+    return str(request.param)
+
+
+@pytest.mark.parametrize("begin", [np.zeros(2), np.array([70.0, -100.0])])
+def test_states_are_those_of_the_solver_along_the_knots(backend: str, begin: Vector) -> None:
+    start, _ = states(1)
+    found = half_motions(start, begin, signals(1), LEVELS, DRIVES, CONSTANTS)
+    knots = knots_of(signals(1), LEVELS, begin, DRIVES)
+    durations = np.full(LEVELS, DRIVES.period)
+    for i in range(0, COUNT, 16):
+        expected = roll_out(start, knots[:, :, i], durations, CONSTANTS, DRIVES.period)
+        np.testing.assert_allclose(found.states[:, :, i], expected, atol=ROUNDING)
+        steady = int(found.steady[i])
+        assert np.all(np.abs(knots[steady:, :, i]) > 0.999 * DRIVES.limit)
+        assert np.any(np.abs(knots[steady - 1, :, i]) < 0.999 * DRIVES.limit)
+        corner = 2 * (knots[-1, 0, i] > 0.0) + (knots[-1, 1, i] > 0.0)
+        assert found.corners[i] == corner
+
+
+@pytest.mark.parametrize("ramp", [0.25, 0.6])
+def test_knots_satisfy_the_limits(ramp: float) -> None:
+    begin = np.array([-100.0, 30.0])
+    knots = knots_of(signals(2), LEVELS, begin, Drives(0.25, ramp, 100.0))
+    np.testing.assert_array_equal(knots[0], np.repeat(begin[:, None], COUNT, axis=1))
+    # Switch times in single precision: 7 digits of 2.5 s over a ramp.
+    assert np.max(np.abs(knots)) <= 100.0 + 1e-3
+    assert np.max(np.abs(np.diff(knots, axis=0))) <= 100.0 * 0.25 / ramp + 1e-9
+
+
+def test_both_backends_find_the_same_meetings(monkeypatch: pytest.MonkeyPatch) -> None:
+    forth, back = both_sides(3, np.zeros(2))
+    found = []
+    for name in ("compiled", "numpy"):
+        monkeypatch.setattr(module, "resolve_backend", lambda _, name=name: name)
+        found.append(
+            meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
+        )
+    compiled, on_numpy = found
+    assert compiled.pairs == on_numpy.pairs > 1000
+    np.testing.assert_allclose(compiled.scores, on_numpy.scores, atol=1e-3)
+    some = np.isfinite(compiled.scores)
+    assert np.sum(some) >= 10
+    same = compiled.partners[some] == on_numpy.partners[some]
+    assert np.mean(same) > 0.98  # but for ties within rounding
+
+
+def test_pair_that_meets_is_a_motion_to_the_goal(backend: str) -> None:
+    forth, back = both_sides(4, np.zeros(2))
+    found = meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
+    knots = knots_of(signals(4), LEVELS, np.zeros(2), DRIVES)
+    for i in np.argsort(found.scores)[:5]:
+        j, periods = found.partners[i], int(found.periods[i])
+        before, after = (periods + 1) // 2, periods // 2
+        left, right = forth.states[before, :, i], back.states[after, :, j]
+        apart = np.sum((left[:2] - right[:2]) ** 2) + 4.0 * (1.0 - abs(left[2:] @ right[2:]))
+        assert found.scores[i] == pytest.approx(0.25 * periods + np.sqrt(apart), abs=1e-3)
+        # The rotors go on as they are, and back along the way from the goal with opposite speeds.
+        np.testing.assert_allclose(knots[before, :, i], -knots[after, :, j], atol=0.1)
+        rest = -knots[: after + 1, :, j][::-1]
+        durations = np.full(after, 0.25)
+        end = roll_out(right.astype(float), rest, durations, CONSTANTS, 0.25)[-1]
+        np.testing.assert_allclose(end, back.end, atol=0.02)  # a step is not quite reversible

@@ -101,7 +101,7 @@ class ArrivalSearch:
         share = 0.0 if strict else settings.coarse_error_share
         error = share * state_error(situation.state, situation.goal)
         self._tolerance = min(settings.coarse_error, max(settings.least_coarse_error, error))
-        self._later = 0.0
+        self._later, self._is_given = 0.0, False
         self._delay = settings.delay_of_distance
         self._steps = self._rounds()
         self.best: Arrival | None = None
@@ -112,6 +112,7 @@ class ArrivalSearch:
     def start_from(self, arrival: Arrival) -> None:
         """Take a known arrival as the best so far, unless a better one is known."""
         self._keep(arrival)
+        self._is_given = True
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
         """Continue the search.
@@ -169,7 +170,7 @@ class ArrivalSearch:
 
     def _guesses(self) -> list[Guess]:
         settings, best = self._settings, self.best
-        if best is None:
+        if best is None or self._is_given:
             numbers = settings.first_half_motions, settings.first_tried_guesses
         else:
             numbers = settings.half_motions, settings.tried_guesses

@@ -121,7 +121,8 @@ class TimeOptimalSettings:
     tried_guesses: int = 20
     """Guesses of each such draw that are tried."""
     first_half_motions: int = 1024
-    """The same before the first arrival is found, so that this takes little work."""
+    """The same before the first arrival is found, so that this takes little work, and where one is
+    known that is to be improved with little."""
     first_tried_guesses: int = 6
     """The same for it."""
     window: float = 3.0

@@ -41,7 +41,8 @@ from sphere_nmpc.solver.native.compiler import (
 from sphere_nmpc.solver.native.layout import problem_header
 
 _C_SOURCES = (
-    "bounded_step.h", "steady.h", "half_motions.h",
+    "solver.c", "vectors.h", "workspace.h", "steady.h", "models.h", "shooting.h", "objective.h",
+    "bounded_step.h", "half_motions.h",
 )
 _GENERATORS = (
     ("sphere_nmpc.model", "symbolic_rotation.py"),

@@ -166,7 +166,7 @@ class ArrivalSearch:
         for attempt in _different(sorted(refined, key=lambda attempt: attempt.predicted)):
             yield from self._shortened(attempt)
         # The shortest guesses may all be too short.
-        self._later = 0.0 if self.best is not None else self._later + settings.later
+        self._later = 0.0 if self.best is not None else 1.5 * self._later + settings.later
 
     def _guesses(self) -> list[Guess]:
         settings, best = self._settings, self.best
@@ -184,8 +184,8 @@ class ArrivalSearch:
         )
         self.work += work
         if not found and best is None:
-            self._window *= 2.0
-        if not self._situation.drift.is_zero:
+            self._window = min(2.0 * self._window, settings.longest_window)
+        if self._later > 0.0 or not self._situation.drift.is_zero:
             for k in range(settings.random_guesses):
                 duration = shortest + settings.window * self._rng.random()
                 hold = random_hold(self._rng, duration, self._drives.limit)
@@ -261,12 +261,16 @@ class ArrivalSearch:
         if not situation.drift.is_zero or arrival.error <= self._tolerance:
             return self._settings.typical_rate
         hold = arrival.hold
-        faster = roll_out(
-            situation.state, (1.0 + _SCALING) * hold.speeds, np.diff(hold.times),
-            situation.constants.as_array(), self._max_step,
+        # Both ends by the same integration: that of the solver is another one on a long interval.
+        end, faster = (
+            roll_out(
+                situation.state, factor * hold.speeds, np.diff(hold.times),
+                situation.constants.as_array(), self._max_step,
+            )[-1]
+            for factor in (1.0, 1.0 + _SCALING)
         )
-        missing, end = arrival.goal - arrival.states[-1], faster[-1] - arrival.states[-1]
-        along = float(missing @ end) / (_SCALING * arrival.duration)
+        missing = arrival.goal - arrival.states[-1]
+        along = float(missing @ (faster - end)) / (_SCALING * arrival.duration)
         return max(self._settings.least_rate, along / float(np.linalg.norm(missing)))
 
     def _keep(self, arrival: Arrival) -> None:

@@ -95,6 +95,9 @@ class TimeOptimalSettings:
     """Duration [of an arrival] above which an attempt that failed ends the shortening."""
     attempts: int = 12
     """Solves at most to shorten one arrival."""
+    least_shortening: float = 0.01
+    """Share [-] of the time of manoeuvres below which an arrival at a distant goal is not
+    shortened further."""
     typical_rate: float = 0.7
     """Decrease of the terminal error with the duration [1/s] that is assumed with momentum ..."""
     least_rate: float = 0.15
@@ -109,7 +112,8 @@ class TimeOptimalSettings:
     perturbations: int = 4
     """Perturbations of the best arrival among the guesses of a round."""
     random_guesses: int = 20
-    """Guesses of random speeds in a round where the sphere has momentum."""
+    """Guesses of random speeds in a round where the sphere has momentum, or no arrival was found:
+    with much momentum, or little acceleration, the rotors are hardly at their limits."""
     largest_perturbation: float = 0.5
     """Largest perturbation of the best arrival [of the speed limit]."""
 
@@ -128,6 +132,8 @@ class TimeOptimalSettings:
     window: float = 3.0
     """Time [s] by which the longest guess exceeds the lower bound of the duration; doubled where
     no half motions meet."""
+    longest_window: float = 24.0
+    """The longest such time [s]."""
     later: float = 0.25
     """Time [s] by which the shortest guess is longer after a draw that has led to no arrival."""
     delay_of_distance: float = 1.0

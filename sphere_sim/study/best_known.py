@@ -30,7 +30,7 @@ from sphere_sim.study.motion import AT_REST, Motion
 from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
 
-SEARCH_VERSION = 1
+SEARCH_VERSION = 2
 """To be raised with any change of the search that finds other times: times of another version in
 the cache are not used."""
 SEARCHES = 2
@@ -47,7 +47,7 @@ _ITERATIONS = 40
 """Cap on the iterations of a solve on a finer grid."""
 _DRIFT_STEPS = 16
 """Steps in which the drift is raised."""
-_STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1)
+_STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
 """Factors of the duration that are tried in turn on a finer grid [-]."""
 _LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
 """Share of the duration by which a motion is shortened, at first and at last [-]."""

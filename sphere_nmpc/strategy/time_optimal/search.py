@@ -185,7 +185,8 @@ class ArrivalSearch:
         self.work += work
         if not found and best is None:
             self._window = min(2.0 * self._window, settings.longest_window)
-        if self._later > 0.0 or not self._situation.drift.is_zero:
+        slow = self._drives.ramp > settings.long_ramp
+        if slow or self._later > 0.0 or not self._situation.drift.is_zero:
             for k in range(settings.random_guesses):
                 duration = shortest + settings.window * self._rng.random()
                 hold = random_hold(self._rng, duration, self._drives.limit)
@@ -213,6 +214,7 @@ class ArrivalSearch:
         """Find the shortest duration by Newton's method on the terminal error."""
         settings, too_short = self._settings, 0.0
         least_step, longest = settings.least_step, settings.stretch * attempt.arrival.duration
+        error = np.inf
         for _ in range(settings.attempts):
             arrival = attempt.arrival
             if self._arrives(attempt):
@@ -226,8 +228,9 @@ class ArrivalSearch:
                 later = (1.0 + least_step) * arrival.duration
                 duration = max(settings.overshoot * attempt.predicted, later)
                 least_step *= 2.0
-                if duration > longest:
+                if duration > longest or arrival.error > settings.progress * error:
                     return
+                error = arrival.error
                 if self.best and duration >= settings.least_gain * self.best.duration:
                     return
             attempt = self._again(self._shortening, attempt, duration)
@@ -240,7 +243,11 @@ class ArrivalSearch:
         arrival = attempt.arrival
         if self._arrives(attempt) and duration == arrival.duration:
             return attempt
-        return self._solve(solver, Guess(arrival.hold, arrival.goal), duration)
+        hold = arrival.hold
+        if duration > arrival.duration and self._situation.drift.is_zero:
+            # The same motion in a longer time, which stretched alone would lead too far.
+            hold = FirstOrderHold(hold.times, arrival.duration / duration * hold.speeds)
+        return self._solve(solver, Guess(hold, arrival.goal), duration)
 
     def _solve(
         self, solver: ArrivalSolver, guess: Guess, duration: float, unaware: bool = False

@@ -64,7 +64,7 @@ class TimeOptimalSettings:
     least_coarse_error: float = 2e-4
     """... but never less than this [-], which coarse solves still reach; used alone in a strict
     search."""
-    trial_iterations: int = 8
+    trial_iterations: int = 12
     """Cap on solver iterations of the first solve from an initial guess."""
     refining_iterations: int = 16
     """Cap on solver iterations of the second solve, for guesses that are kept."""
@@ -89,8 +89,10 @@ class TimeOptimalSettings:
     """... and factor [-] on the duration that the last attempt predicts, for the next one."""
     least_step: float = 0.004
     """Least share [-] by which an attempt is longer than one that failed; doubled each time."""
-    stretch: float = 2.0
+    stretch: float = 1.5
     """Factor [-] on the first duration beyond which no attempt is made."""
+    progress: float = 0.8
+    """Factor [-] on the terminal error that each longer attempt has to attain at the least."""
     bracket: float = 0.99
     """Duration [of an arrival] above which an attempt that failed ends the shortening."""
     attempts: int = 12
@@ -111,9 +113,11 @@ class TimeOptimalSettings:
     """Duration [of the best arrival] of the first solve from a guess, at most."""
     perturbations: int = 4
     """Perturbations of the best arrival among the guesses of a round."""
-    random_guesses: int = 20
+    random_guesses: int = 10
     """Guesses of random speeds in a round where the sphere has momentum, or no arrival was found:
     with much momentum, or little acceleration, the rotors are hardly at their limits."""
+    long_ramp: float = 1.0
+    """Time from rest to the limit of a rotor [s] above which there are such guesses, too."""
     largest_perturbation: float = 0.5
     """Largest perturbation of the best arrival [of the speed limit]."""
 

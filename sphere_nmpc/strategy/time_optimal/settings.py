@@ -2,7 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning of the strategy `time_optimal`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
+
+_TABLE_1 = RobotParameters()
+
+
+def _ramp(robot: RobotParameters) -> float:
+    """Return the time in which a rotor reaches its limit of speed [s]."""
+    return robot.max_rotor_speed / robot.max_rotor_acceleration
 
 
 @dataclass(frozen=True)
@@ -22,6 +32,8 @@ class TimeOptimalSettings:
     manoeuvre_time: float = 2.5
     """Time [s] at either end of a long plan that has a knot every period; between the two there is
     a single interval of steady rolling. Longer: larger problems for far goals."""
+    longest_manoeuvre: float = 10.0
+    """Longest such time [s] of other robots, see `of`."""
 
     # The problem: end at the goal, at rest, after a given time
 
@@ -156,7 +168,8 @@ class TimeOptimalSettings:
     # Distant goals
 
     near_distance: float = 3.0
-    """Distance [m] beyond which whole turns of steady rolling are left out of a search."""
+    """Distance [m] beyond which whole turns of steady rolling are left out of a search. Farther:
+    larger problems; nearer: the motion to the near goal is no steady rolling any more."""
 
     # Intermediate goals on the way to a far one
 
@@ -280,6 +293,22 @@ class TimeOptimalSettings:
     correction_weight: float = 100.0
     """Factor [-] on its input weight. Large, so that it corrects what rolling itself corrects and
     leaves alone what takes a manoeuvre."""
+
+    def of(self, robot: RobotParameters) -> "TimeOptimalSettings":
+        """Return the settings for a robot other than that of Table 1.
+
+        A manoeuvre takes as long as about a turn of the shell and its ramps, over as many radii.
+        """
+        rolling = SteadyRolling.of(robot.lumped, robot.max_rotor_speed)
+        first = SteadyRolling.of(_TABLE_1.lumped, _TABLE_1.max_rotor_speed)
+        ramps = 2.0 * (_ramp(robot) - _ramp(_TABLE_1))
+        manoeuvre = self.manoeuvre_time * rolling.turn_time / first.turn_time + ramps
+        near = self.near_distance * robot.shell_radius / _TABLE_1.shell_radius
+        return replace(
+            self,
+            manoeuvre_time=min(max(manoeuvre, self.manoeuvre_time), self.longest_manoeuvre),
+            near_distance=near + max(0.0, ramps) * rolling.speed,
+        )
 
     def stretched(self, duration: float, factor: float) -> float:
         """Return a duration [s] changed by a factor [-] on what of it manoeuvres take at most."""

@@ -112,7 +112,7 @@ def test_another_effort_has_times_of_its_own(searched, cache) -> None:
 
 def test_factor_multiplies_the_effort_of_each_search(monkeypatch) -> None:
     made = []
-    monkeypatch.setattr(ArrivalSearch, "improve", lambda search, work: made.append(work))
+    monkeypatch.setattr(ArrivalSearch, "improve", lambda search, work, *others: made.append(work))
     best_known_time(MOTIONS[0], ROBOT, 2.5)
     best_known_time(MOTIONS[0], ROBOT)
     assert made == [75_000, 30_000]
@@ -242,7 +242,9 @@ def test_search_with_momentum_falls_back_on_the_motion_without(monkeypatch) -> N
     improve = ArrivalSearch.improve
     started = set()
 
-    def blind(search: ArrivalSearch, work: int) -> Arrival | None:
+    def blind(
+        search: ArrivalSearch, work: int, deadline: float = np.inf
+    ) -> Arrival | None:
         """Find nothing with momentum unless there is an arrival to start from."""
         if search.best is None and not search._situation.drift.is_zero:
             return None

@@ -142,8 +142,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--kind", choices=_KINDS, default=_KINDS[0],
         help="kind of random scenarios: positions in +-3 m and any orientations; goals 10 to 60 m "
-        "or 1 km away; both contact points on the circle Gamma; half turns in place about any axis; "
-        "goals upright, with any heading",
+        "or 1 km away; both contact points on the circle Gamma; half turns in place about any "
+        "axis; goals upright, with any heading",
     )
     parser.add_argument(
         "--seed", type=whole(0), default=0, metavar="S", help="seed of the random scenarios (0)"

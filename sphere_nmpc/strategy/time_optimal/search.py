@@ -16,7 +16,7 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, POSITION, flipped_sign, state_error
+from sphere_nmpc.model.state import FARTHEST, INPUT_SIZE, POSITION, flipped_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -265,7 +265,8 @@ class ArrivalSearch:
         is as good as higher speeds.
         """
         situation = self._situation
-        if not situation.drift.is_zero or arrival.error <= self._tolerance:
+        is_usual = self._tolerance < arrival.error < FARTHEST
+        if not situation.drift.is_zero or not is_usual:
             return self._settings.typical_rate
         hold = arrival.hold
         # Both ends by the same integration: that of the solver is another one on a long interval.

@@ -32,7 +32,7 @@ class TimeOptimalSettings:
     manoeuvre_time: float = 2.5
     """Time [s] at either end of a long plan that has a knot every period; between the two there is
     a single interval of steady rolling. Longer: larger problems for far goals."""
-    longest_manoeuvre: float = 10.0
+    longest_manoeuvre: float = 25.0
     """Longest such time [s] of other robots, see `of`."""
 
     # The problem: end at the goal, at rest, after a given time
@@ -223,7 +223,7 @@ class TimeOptimalSettings:
     of a high control rate."""
     slip_noise: float = 0.01
     """Process noise [m, -; a sample] above which a new plan takes the floor to be slippery."""
-    slip_acceleration: float = 0.45
+    slip_acceleration: float = 0.4
     """Share [-] of the acceleration limit that such a plan uses. On floors of friction 0.15 to 0.2
     a sphere that uses all of it slips with every plan and never arrives."""
 

@@ -223,7 +223,7 @@ class TimeOptimalSettings:
     of a high control rate."""
     slip_noise: float = 0.01
     """Process noise [m, -; a sample] above which a new plan takes the floor to be slippery."""
-    slip_acceleration: float = 0.4
+    slip_acceleration: float = 0.43
     """Share [-] of the acceleration limit that such a plan uses. On floors of friction 0.15 to 0.2
     a sphere that uses all of it slips with every plan and never arrives."""
 

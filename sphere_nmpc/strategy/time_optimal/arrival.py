@@ -63,6 +63,8 @@ class Arrival:
         Predicted drift at the arrival.
     momenta : ndarray, shape (K, 3)
         Predicted momentum at the knots [rad/s; world frame].
+    turns : int
+        Whole turns of steady rolling that were left out of the problem.
     """
 
     hold: FirstOrderHold
@@ -74,6 +76,7 @@ class Arrival:
     work: int
     drift: Drift
     momenta: Vector
+    turns: int = 0
 
     @property
     def duration(self) -> float:
@@ -210,6 +213,7 @@ class ArrivalSolver:
             FirstOrderHold(times, solution.inputs), solution.states, goal,
             float(np.sqrt(solution.cost)), iterations, solution.kkt_residual,
             _CALL_WORK + (iterations + 1) * problem.intervals, drift, solution.momenta,
+            turns,
         )
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:

@@ -7,6 +7,7 @@ the search aims at the near goal, whatever the distance. What it finds is extend
 solved again, as the direction to the near goal is slightly another one.
 """
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,8 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
 _FIRST_TURNS, _GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
 
+_PARTS = 4
+"""Parts of a search at whose ends the best near arrival is extended."""
 _LARGEST_SHORTENING = 0.04
 """Share of the time of manoeuvres by which an extended arrival is shortened at first."""
 
@@ -75,6 +78,15 @@ class DistantSearch:
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
         """Continue the search; see `ArrivalSearch.improve`."""
+        end = self.work + work
+        # Not always the earliest arrival at the near goal becomes that at the distant one.
+        part = work // _PARTS if self._turns else work
+        while self.work < end and time.perf_counter() < deadline:
+            self._improve(min(part, end - self.work), deadline)
+        return self.best
+
+    def _improve(self, work: int, deadline: float) -> None:
+        """Continue the near search and extend what it finds."""
         done = self._search.work
         found = self._search.improve(work, deadline)
         self.work += self._search.work - done
@@ -85,7 +97,6 @@ class DistantSearch:
             ):
                 self.best = arrival
         self._found = found
-        return self.best
 
     def _near(self, start: Arrival | None) -> tuple[Situation, Arrival | None]:
         """Return the situation with a near goal, and the arrival at it that `start` contains."""
@@ -156,7 +167,7 @@ class DistantSearch:
             duration = tuning.stretched(guess.end, delay)
             found = self._planner.solve(self._situation, goal, duration, guess, self._new_plan)
             self.work += found.work
-            if found.error <= tuning.coarse_error:
+            if found.error <= tuning.arrival_error:
                 return found
         return None
 

@@ -65,7 +65,7 @@ def replan(
         arrival = plan.planner.solve(
             situation, plan.arrival.goal, tuning.stretched(left, delay), rest, new_plan=False
         )
-        if arrival.error <= tuning.arrival_error:
+        if arrival.error <= (tuning.distant_error if arrival.turns else tuning.arrival_error):
             # After a large delay the robot does not behave as the plan assumed: plan as at first.
             is_large = delay > tuning.large_delay
             fruitless = 0 if is_large else plan.fruitless

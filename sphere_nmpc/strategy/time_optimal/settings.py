@@ -186,6 +186,9 @@ class TimeOptimalSettings:
 
     delays: tuple[float, ...] = (1.0, 1.01, 1.02, 1.04, 1.08, 1.16, 1.32)
     """Factors [-] on the time left that are tried, in this order, before a new search."""
+    distant_error: float = 1e-3
+    """Predicted terminal error [-] up to which a plan with whole turns left is kept: it contains
+    the direction of steady rolling, which is corrected on the way."""
     further_delays: tuple[float, ...] = (1.6, 2.0, 2.5)
     """Further factors [-] for the result of a search, which near the goal may be much too short
     once it is solved precisely."""

@@ -78,11 +78,11 @@ class DistantSearch:
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
         """Continue the search; see `ArrivalSearch.improve`."""
-        end = self.work + work
         # Not always the earliest arrival at the near goal becomes that at the distant one.
-        part = work // _PARTS if self._turns else work
-        while self.work < end and time.perf_counter() < deadline:
-            self._improve(min(part, end - self.work), deadline)
+        parts = _PARTS if self._turns else 1
+        for _ in range(parts):
+            if time.perf_counter() < deadline:
+                self._improve(-(-work // parts), deadline)
         return self.best
 
     def _improve(self, work: int, deadline: float) -> None:

@@ -204,7 +204,7 @@ class TimeOptimalSettings:
     """... with these factors [-] on the time left that are tried in each."""
     improvement_divisor: int = 10
     """Each later sample spends the planning effort over this on an earlier arrival."""
-    fruitless_searches: int = 20
+    fruitless_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""
     least_search_time: float = 5e-3

@@ -17,8 +17,8 @@ from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.holdable_goal import given_up_angle, holdable_goal
-from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _LEAST_MOMENTUM = 10.0
 """Momentum [rad/s] below which its direction is no longer followed ..."""
@@ -88,7 +88,7 @@ class HeldGoal:
             # What it adds on the way is not known; at rest its torque has to be held in any case.
             return replace(drift, momentum=np.zeros(3))
         way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
-        speed = cruise_speed(situation.constants, self._max_speed)
+        speed = SteadyRolling.of(situation.constants, self._max_speed).speed
         return drift.after_slope(self._settings.manoeuvre_allowance + way / speed)
 
     def _is_unloading(self, situation: Situation, holding: bool) -> bool:

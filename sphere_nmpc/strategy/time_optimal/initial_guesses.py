@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import INPUT_SIZE, Vector, flipped_sign
 from sphere_nmpc.solver.half_motions import (
     Drives,
@@ -24,6 +23,7 @@ from sphere_nmpc.solver.half_motions import (
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _INTERVALS = (4, 8)
 """Range of the number of intervals of random speeds; the end is excluded."""
@@ -48,23 +48,6 @@ class Guess(NamedTuple):
     hold: FirstOrderHold
     goal: Vector
     missed: float = 0.0
-
-
-def cruise_speed(constants: LumpedConstants, max_speed: float) -> float:
-    """Return the speed of steady rolling with both rotors at their limit [m/s].
-
-    With the contact axis perpendicular to the resultant of the two rotor speeds, the shell turns
-    about a horizontal axis of constant direction: the centre rolls in a straight line at
-    Rs c1 sqrt(2) u_max.
-
-    Parameters
-    ----------
-    constants : LumpedConstants
-        Constants of the motion.
-    max_speed : float
-        Limit of the rotor speeds u_max [rad/s].
-    """
-    return constants.shell_radius * constants.input_gain * float(np.sqrt(2.0)) * max_speed
 
 
 def meeting_guesses(
@@ -104,7 +87,7 @@ def meeting_guesses(
         Effort of finding them, in microseconds or so.
     """
     start, goal, period = situation.state, situation.goal, drives.period
-    speed = cruise_speed(situation.constants, drives.limit)
+    speed = SteadyRolling.of(situation.constants, drives.limit).speed
     first, last = max(2, int(durations[0] / period)), int(durations[1] / period)
     levels = (last + 1) // 2
     count, wanted = numbers

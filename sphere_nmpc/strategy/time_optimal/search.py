@@ -23,12 +23,12 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
     Guess,
-    cruise_speed,
     meeting_guesses,
     perturbed,
     random_hold,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _SCALING = 1e-6
 """Change of the rotor speeds for the derivative of the terminal error by their scale [-]."""
@@ -95,7 +95,8 @@ class ArrivalSearch:
         way = situation.goal[POSITION] - situation.state[POSITION]
         distance = float(np.linalg.norm(way))
         self._window = settings.window
-        self._least = distance / cruise_speed(situation.constants, limit) + self._drives.ramp
+        speed = SteadyRolling.of(situation.constants, limit).speed
+        self._least = distance / speed + self._drives.ramp
         if not situation.drift.is_zero:
             self._least += settings.manoeuvre_allowance
         share = 0.0 if strict else settings.coarse_error_share

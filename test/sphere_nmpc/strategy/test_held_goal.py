@@ -14,8 +14,8 @@ from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.holdable_goal import holdable_goal
 from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
-from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 ROBOT = RobotParameters()
 LIMIT = ROBOT.max_rotor_speed
@@ -64,7 +64,7 @@ def test_goal_is_held_with_the_momentum_at_the_arrival(held: HeldGoal) -> None:
     """Of a push and a slope the sum is held: their directions differ."""
     drift = Drift(np.array([25.0, 5.0, 0.0]), slope_torque(ROBOT, np.radians(0.3), 2.0))
     way = make_state(np.array([3.0, 0.0]), TILTED[QUATERNION])
-    travel = TUNING.manoeuvre_allowance + 3.0 / cruise_speed(ROBOT.lumped, LIMIT)
+    travel = TUNING.manoeuvre_allowance + 3.0 / SteadyRolling.of(ROBOT.lumped, LIMIT).speed
     now = situation(TILTED, drift, way)
     ends = {None: drift.after_slope(travel), 1.3: drift.after_slope(1.3)}
     found = []

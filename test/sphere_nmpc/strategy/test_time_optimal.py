@@ -17,9 +17,9 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal.grid import KnotGrid, knot_durations
-from sphere_nmpc.strategy.time_optimal.initial_guesses import cruise_speed
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.scenario.perturbation import perturbed
@@ -104,14 +104,14 @@ def test_plan_that_is_solved_again_between_its_knots_is_not_delayed(
     assert errors(found, scenario.goal)[-1] < 1e-4
 
 
-def test_cruise_speed_is_that_of_the_plant() -> None:
+def test_speed_of_steady_rolling_is_that_of_the_plant() -> None:
     # The contact axis e3 and both rotors at the limit: steady rolling in a straight line.
     plant = RollingPlant(ROBOT, AT_ORIGIN)
     plant.advance(np.array([100.0, 100.0]), 1e-6)
     plant.displace(AT_ORIGIN)
     plant.advance(np.array([100.0, 100.0]), 2.0)
     distance = float(np.linalg.norm(plant.state[:2]))
-    assert distance == pytest.approx(2.0 * cruise_speed(ROBOT.lumped, 100.0), rel=1e-6)
+    assert distance == pytest.approx(2.0 * SteadyRolling.of(ROBOT.lumped, 100.0).speed, rel=1e-6)
 
 
 def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> None:

@@ -7,6 +7,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from robots import HEAVY_ROTORS
 from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.dynamics import (
@@ -21,13 +22,6 @@ from sphere_nmpc.model.symbolic_rotation import quaternion_product
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 TABLE_1 = RobotParameters()
-HEAVY_ROTORS = RobotParameters(
-    shell_mass=0.4, shell_radius=0.25, shell_inertia=0.02, rotor_offset=0.11,
-    counterweight_mass=1.3, rotor_mass=1.3, rotor_axial_inertia=0.011,
-    rotor_transverse_inertia=0.006, counterweight_axial_inertia=0.002,
-    counterweight_transverse_inertia=0.001,
-)
-"""Nothing equal by chance as in Table 1; rotors and counterweights must balance each other."""
 
 ROUNDING = 1e-12
 """Relative; a few hundred operations in double precision."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from robots import HEAVY_ROTORS
 
 from sphere_nmpc.model.dynamics import body_rate
 from sphere_nmpc.model.parameters import RobotParameters
@@ -23,12 +24,6 @@ from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 TABLE_1 = RobotParameters()
-HEAVY_ROTORS = RobotParameters(
-    shell_mass=0.4, shell_radius=0.25, shell_inertia=0.02, rotor_offset=0.11,
-    counterweight_mass=1.3, rotor_mass=1.3, rotor_axial_inertia=0.011,
-    rotor_transverse_inertia=0.006, counterweight_axial_inertia=0.002,
-    counterweight_transverse_inertia=0.001,
-)
 CENTRED_ROTORS = replace(TABLE_1, rotor_offset=0.0, shell_inertia=0.001)
 """Inertia about the body's z axis is the smaller one, r3 > r1, unlike in the others."""
 ROBOTS = [TABLE_1, HEAVY_ROTORS, CENTRED_ROTORS]

@@ -197,7 +197,7 @@ class ArrivalSolver:
             rest = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
             problem = self._problem(situation, target, durations, rest)
             if steady:
-                self._roll_steadily(situation, problem, start, steady, turns)
+                self._roll_steadily(problem, rolling, start, steady, turns)
             solution = self._solver.solve(problem, start)
             iterations += solution.iterations
             if situation.drift.is_zero or not situation.drift.imbalance.any():
@@ -256,18 +256,18 @@ class ArrivalSolver:
         return row
 
     def _roll_steadily(
-        self, situation: Situation, problem: HoldProblem, guess: Vector, interval: int, turns: int
+        self, problem: HoldProblem, rolling: SteadyRolling, guess: Vector, interval: int,
+        turns: int,
     ) -> None:
         """Fix the knots of `interval` to the limits that are nearest to those of the guess."""
         knots = slice(interval - 1, interval + 1)
         corner = np.copysign(self._max_speed, np.sum(guess[knots], axis=0))
         problem.lower[knots] = problem.upper[knots] = corner
-        rolling = SteadyRolling.of(situation.constants, self._max_speed)
         problem.steady_interval, problem.whole_turns = interval, turns * rolling.turn_time
         # A tilt t bends the path to a circle of the radius Rs / t. It counts as much as the angle
         # by which the direction to the end of that circular path differs.
         way = rolling.speed * float(problem.durations[interval])
-        weight = way / (2.0 * situation.constants.shell_radius)
+        weight = way / (2.0 * problem.constants[0])
         problem.steady_axis = weight * corner / np.linalg.norm(corner)
 
     def _problem(

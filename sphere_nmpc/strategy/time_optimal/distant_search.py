@@ -20,7 +20,6 @@ from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     SteadyRolling,
-    steady_interval,
     with_turns,
     without_turns,
 )
@@ -101,29 +100,24 @@ class DistantSearch:
     def _near(self, start: Arrival | None) -> tuple[Situation, Arrival | None]:
         """Return the situation with a near goal, and the arrival at it that `start` contains."""
         situation, rolling = self._situation, self._rolling
-        goal = situation.goal.copy()
-        way = goal[POSITION] - situation.state[POSITION]
-        distance = float(np.linalg.norm(way))
-        if start is not None:
-            interval, self._turns = steady_interval(np.diff(start.hold.times), rolling)
-            if not self._turns:
-                return situation, start
-            goal = start.goal.copy()
-            ends = start.states[interval : interval + 2, POSITION]
-            way, hold = ends[1] - ends[0], start.hold
-            hold = without_turns(hold, interval, self._turns * rolling.turn_time)
+        if start is None:
+            goal = situation.goal
+            way = goal[POSITION] - situation.state[POSITION]
+            beyond = float(np.linalg.norm(way)) - self._planner.tuning.near_distance
+            self._turns = max(0, int(beyond / rolling.turn_length))
         else:
-            near = self._planner.tuning.near_distance
-            self._turns = max(0, int((distance - near) / rolling.turn_length))
-            if not self._turns:
-                return situation, None
+            goal, self._turns = start.goal, start.turns
+            interval = int(np.argmax(np.diff(start.hold.times)))
+            way = start.states[interval + 1, POSITION] - start.states[interval, POSITION]
+        if not self._turns:
+            return situation, start
         self._turn = rolling.turn_length / float(np.linalg.norm(way)) * way
-        if self._turns % 2:
-            goal = flipped_sign(goal)
-        goal[POSITION] -= self._turns * self._turn
+        near = flipped_sign(goal) if self._turns % 2 else goal.copy()
+        near[POSITION] = goal[POSITION] - self._turns * self._turn
         if start is not None:
-            start = replace(start, hold=hold, goal=goal)
-        return replace(situation, goal=goal), start
+            hold = without_turns(start.hold, interval, self._turns * rolling.turn_time)
+            start = replace(start, hold=hold, goal=near)
+        return replace(situation, goal=near), start
 
     def _extended(self, arrival: Arrival) -> Arrival | None:
         """Return an arrival at the goal from one at the near goal; None where there is none.

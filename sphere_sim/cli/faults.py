@@ -1,12 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``sphere_nmpc faults``: fault campaign on running nodes, with single faults and pairs."""
+"""``sphere_nmpc faults``: fault campaign on running nodes, with up to three faults at once."""
 
 import argparse
 import contextlib
 import math
+import os
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -19,18 +21,24 @@ from rich.table import Table
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.environment import DOMAIN
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_sim.cli.arguments import whole
+from sphere_sim.cli.arguments import number, whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, name_of, pairs
-from sphere_sim.faults.outcome import FaultRow, Outcome, rows, write_json
+from sphere_sim.faults.catalogue import FAULTS, Fault, chosen, combined, name_of
+from sphere_sim.faults.outcome import FaultRow, Outcome, read_outcomes, rows, write_json
 from sphere_sim.output.result_folder import prepare_folder
-from sphere_sim.ros.faults.fault_session import SessionSettings, fault_session
+from sphere_sim.ros.faults.fault_session import RATE, SessionSettings
 from sphere_sim.ros.faults.machine_faults import MACHINE_FAULTS, MachineFault
-from sphere_sim.ros.faults.trial import Trial
+from sphere_sim.ros.faults.trial_process import TrialPlan
+from sphere_sim.ros.faults.trial_processes import run_trials
 from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.world.settings import PLANTS
 
 _PAIRS = 12
+_MOST_JOBS = 16
+_IN_COMMON = ("seed", "rtf", "strategy", "plant", "rate")
+"""Arguments that all trials in a file have in common."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,31 +56,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parse(arguments)
     console = Console()
-    singles = chosen(FAULTS.values(), given.fault, given.quick)
-    trials = [(fault,) for fault in singles] * given.repeat
-    if given.pairs:
-        trials += pairs(singles, given.pairs, given.seed)
-    machines = chosen(MACHINE_FAULTS.values(), given.fault, given.quick) * given.repeat
+    campaign = {name: getattr(given, name) for name in _IN_COMMON}
     prepare_folder(given.json.parent)
-    outcomes: list[Outcome] = []
+    outcomes = read_outcomes(given.json, campaign) if given.resume else []
+    done = {(outcome.fault, outcome.repetition) for outcome in outcomes}
+    plans = [p for p in _plans(given) if (name_of(p.faults), p.repetition) not in done]
+    machines = [
+        (fault, repetition)
+        for repetition in range(given.repeat)
+        for fault in chosen(MACHINE_FAULTS.values(), given.fault, given.quick)
+        if (fault.name, repetition) not in done
+    ]
+    number_of_trials = len(outcomes) + len(plans) + len(machines)
 
     def remains() -> str:
-        done = f"{len(outcomes)} of {len(trials) + len(machines)} trials"
-        return f"all nodes are stopped after {done}"
+        tried = f"{len(outcomes)} of {number_of_trials} trials"
+        return f"all nodes are stopped after {tried}; --resume continues from {given.json}"
 
-    try:
-        with if_interrupted(remains), _folder(given.out) as folder, own_domain():
-            for outcome in chain(
-                _run_trials(
-                    trials, SessionSettings(folder, given.rtf, given.seed, given.strategy), console
-                ),
-                _run_machine_faults(machines, console),
-            ):
-                outcomes.append(outcome)
-    finally:
-        table = rows(outcomes)
-        if table:
-            write_json(given.json, table)
+    with if_interrupted(remains), _folder(given.out, given.resume) as folder:
+        settings = SessionSettings(
+            folder, given.rtf, given.seed, given.strategy, given.plant, given.rate
+        )
+        for outcome in chain(
+            _run_trials(plans, settings, given.jobs, console),
+            _run_machine_faults(machines, console),
+        ):
+            outcomes.append(outcome)
+            write_json(given.json, outcomes, campaign)
+    table = rows(outcomes)
     _print(table, console)
     return 0 if all(row.survived == len(row.outcomes) for row in table) else 1
 
@@ -95,6 +106,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pairs", nargs="?", type=whole(1), const=_PAIRS, default=0, metavar="N",
                         help="then N pairs of simultaneous faults, drawn by the seed "
                         f"(default: {_PAIRS})")
+    parser.add_argument("--triples", type=whole(1), default=0, metavar="N",
+                        help="then N triples likewise")
     parser.add_argument("--repeat", type=whole(1), default=1, metavar="N",
                         help="try each fault N times, each time with another goal")
     parser.add_argument("--seed", type=whole(0), default=0,
@@ -103,20 +116,46 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help="simulated over wall time (default: 2)")
     parser.add_argument("--strategy", choices=sorted(STRATEGIES),
                         default=ControllerSettings().strategy, help="what the controller solves")
+    parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0],
+                        help="what the simulator simulates (default: %(default)s)")
+    parser.add_argument("--rate", type=number(RATE, 500.0), default=RATE, metavar="HZ",
+                        help="rate of poses, commands and, above the default, solves (default: "
+                        "%(default)g Hz, and a solve at each sampling instant)")
+    parser.add_argument("--jobs", type=whole(1, _MOST_JOBS), default=1, metavar="N",
+                        help="run N trials at the same time, each in a ROS domain of its own")
+    parser.add_argument("--resume", action="store_true",
+                        help="keep the trials in --json and run those that it lacks")
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help="keep logs and bags in this folder")
     given = parser.parse_args(arguments)
+    if given.jobs > 1 and os.environ.get(DOMAIN):
+        parser.error(f"--jobs: given {given.jobs} and {DOMAIN}={os.environ[DOMAIN]}, expected one "
+                     "job in a given domain")
     if not 0.5 <= given.rtf <= 5.0:
         parser.error(f"--rtf: given {given.rtf:g}, expected 0.5 to 5")
     return given
 
 
+def _plans(given: argparse.Namespace) -> list[TrialPlan]:
+    """Return the trials: each fault, as often as wanted, then the combinations."""
+    singles = chosen(FAULTS.values(), given.fault, given.quick)
+    several: list[tuple[Fault, ...]] = [(fault,) for fault in singles] * given.repeat
+    for size, wanted in ((2, given.pairs), (3, given.triples)):
+        several += combined(singles, size, wanted, given.seed)
+    tried: Counter[str] = Counter()
+    plans = []
+    for faults in several:
+        plans.append(TrialPlan(faults, tried[name_of(faults)]))
+        tried[name_of(faults)] += 1
+    return plans
+
+
 @contextlib.contextmanager
-def _folder(given: Path | None) -> Iterator[Path]:
+def _folder(given: Path | None, may_exist: bool) -> Iterator[Path]:
     """Yield the folder for logs and bags, a temporary one unless `given`."""
     if given is not None:
         folder = given.expanduser().absolute()
-        if folder.exists() and any(folder.iterdir()):
+        if folder.exists() and any(folder.iterdir()) and not may_exist:
             raise SphereNmpcError(f"{folder}: is not empty; choose another --out")
         yield folder
         return
@@ -128,39 +167,30 @@ def _folder(given: Path | None) -> Iterator[Path]:
 
 
 def _run_trials(
-    trials: list[tuple[Fault, ...]], settings: SessionSettings, console: Console
+    plans: list[TrialPlan], settings: SessionSettings, jobs: int, console: Console
 ) -> Iterator[Outcome]:
-    """Run the trials; after one that was not survived the nodes are restarted."""
-    left = list(trials)
-    sessions = 0
+    """Run the trials with a display of the progress."""
     with _progress(console) as progress:
-        task = progress.add_task("starting nodes", total=len(trials), visible=bool(trials))
-        while left:
-            sessions += 1
-            own = replace(
-                settings,
-                folder=settings.folder / f"session_{sessions}",
-                seed=settings.seed + sessions - 1,
-            )
-            with fault_session(own) as session:
-                while left:
-                    faults = left.pop(0)
-                    progress.update(task, description=name_of(faults))
-                    outcome = Trial(session, faults).run()
-                    progress.advance(task)
-                    progress.console.print(_line(outcome), highlight=False, soft_wrap=True)
-                    yield outcome
-                    if not outcome.survived:
-                        break
+        task = progress.add_task("starting nodes", total=len(plans), visible=bool(plans))
+
+        def show(plan: TrialPlan) -> None:
+            progress.update(task, description=name_of(plan.faults))
+
+        for outcome in run_trials(plans, settings, jobs, show):
+            progress.advance(task)
+            progress.console.print(_line(outcome), highlight=False, soft_wrap=True)
+            yield outcome
 
 
-def _run_machine_faults(faults: list[MachineFault], console: Console) -> Iterator[Outcome]:
-    """Run the commands under faults of the machine."""
-    with _progress(console) as progress:
+def _run_machine_faults(
+    faults: list[tuple[MachineFault, int]], console: Console
+) -> Iterator[Outcome]:
+    """Run the commands under faults of the machine, each with its repetition."""
+    with own_domain() if faults else contextlib.nullcontext(), _progress(console) as progress:
         task = progress.add_task("machines", total=len(faults), visible=bool(faults))
-        for fault in faults:
+        for fault, repetition in faults:
             progress.update(task, description=fault.name)
-            outcome = fault.run()
+            outcome = replace(fault.run(), repetition=repetition)
             progress.advance(task)
             progress.console.print(_line(outcome), highlight=False, soft_wrap=True)
             yield outcome

@@ -81,6 +81,7 @@ _BLIND = ("no fresh pose",)
 _LATE = ("late poses rose",)
 _FAILED = ("solve failed",)
 _STILL = ("clock stands still", "paused")
+_OTHER = ("other publisher",)
 
 
 def _pose(name: str, disturbance: str, /, **more: Any) -> Fault:
@@ -95,6 +96,19 @@ def _goal(name: str, kind: str, /, **more: Any) -> Fault:
 def _kill(node: str, **more: Any) -> Fault:
     name = f"{node}_killed"
     return Fault(name, "process", "kill", {"node": node}, named_by=("SIGKILL",), **more)
+
+
+def _stop(node: str, **more: Any) -> Fault:
+    return Fault(f"{node}_stopped", "process", "stop", {"node": node}, **more)
+
+
+def _burst(name: str, *lost: str, **more: Any) -> Fault:
+    return Fault(f"burst_{name}", "burst", "loss", {"of": lost}, 2.0, **more)
+
+
+def _two_poses(name: str, **options: Any) -> Fault:
+    # As for two controllers, the graph is checked by wall time.
+    return Fault(f"two_poses_{name}", "rival", "two_poses", options, 6.0, _OTHER)
 
 
 def _solver(name: str, mode: str, /, **more: Any) -> Fault:
@@ -117,11 +131,16 @@ _ALL = (
     _pose("sign", "sign_flipped"),
     _pose("norm", "scaled", options={"by": 2.0}, named_by=_REFUSED, blind=True),
     _pose("frame", "framed", options={"frame": "map"}, named_by=_REFUSED, blind=True),
+    _burst("poses", "poses", named_by=_BLIND, blind=True),
+    _burst("commands", "commands"),
+    # Not blind: the command to rest is lost, too.
+    _burst("both", "poses", "commands", named_by=_BLIND, quick=True),
+    _burst("clock", "clock", named_by=(*_STILL, *_REFUSED)),
     _goal("burst", "burst"),
     _goal("unreachable", "unreachable", named_by=("goal_pose refused", *_FAILED)),
     _goal("malformed", "malformed", named_by=("goal_pose refused",), quick=True),
     Fault("clock_paused", "clock", "pause", duration=1.5, named_by=_STILL),
-    Fault("clock_lost", "clock", "clock_lost", named_by=(*_STILL, *_REFUSED)),
+    Fault("clock_lost", "clock", "loss", {"of": ("clock",)}, named_by=(*_STILL, *_REFUSED)),
     Fault("clock_back", "clock", "clock_back", {"by": 3.0}, 1.0, ("clock jumped",),
           continuous=False, quick=True),
     Fault("clock_0.1x", "clock", "pace", {"factor": 0.1}, 0.5),
@@ -129,6 +148,8 @@ _ALL = (
     _kill("controller", goal_again=True, continuous=False, quick=True),
     _kill("simulator", continuous=False),
     _kill("recorder"),
+    _stop("controller"),
+    _stop("simulator"),
     _solver("raises", "raise", named_by=_FAILED, quick=True),
     _solver("not_finite", "nan", named_by=_FAILED),
     _solver("wild", "wild"),
@@ -139,8 +160,11 @@ _ALL = (
     Fault("cpu_shared", "cpu", "hogs", {"number": 4}),
     Fault("disk_full", "disk", "disk_full", named_by=("recording stopped",), quick=True),
     # Diagnostics detect a second controller by wall time, once every 0.5 s.
-    Fault("two_controllers", "rival", "rival", duration=6.0, named_by=("other publisher",),
+    Fault("two_controllers", "rival", "rival", duration=6.0, named_by=_OTHER,
           continuous=False, quick=True),
+    _two_poses("near", offset=0.1),
+    _two_poses("far", offset=2.0),
+    _two_poses("other_sphere"),
     Fault("parameters_at_start", "parameters", "bad_start", duration=0.0,
           named_by=("expected",), goal_again=True, continuous=False),
     Fault("parameters_live", "parameters", "bad_live", duration=1.0, named_by=("refused live",),
@@ -152,8 +176,13 @@ _ALL = (
 FAULTS = {fault.name: fault for fault in _ALL}
 """All faults by name, in the order in which they are tried."""
 
-_WITHOUT_RECORDER = {"recorder_killed", "disk_full"}
-"""A recorder that has been killed writes nothing to a full disk."""
+_IMPOSSIBLE = (
+    {"recorder_killed", "disk_full"},
+    {"controller_stopped", "cpu_starved"},
+    {"controller_stopped", "parameters_at_start"},
+)
+"""Pairs of which one undoes the other: a recorder that has been killed writes nothing to a full
+disk, and a controller that is throttled or started again does not remain stopped."""
 
 
 def chosen(
@@ -176,34 +205,46 @@ def chosen(
     return [fault for fault in known if fault.quick or not quick]
 
 
-def pairs(faults: Iterable[Fault], number: int, seed: int) -> list[tuple[Fault, ...]]:
-    """Return some pairs of different actions, drawn without repetition.
+def combined(
+    faults: Iterable[Fault], size: int, number: int, seed: int
+) -> list[tuple[Fault, ...]]:
+    """Return some combinations of faults of different actions, drawn without repetition.
 
     Parameters
     ----------
     faults : iterable of Fault
         The faults to draw from.
+    size : int
+        Number of simultaneous faults.
     number : int
-        Number of pairs, at most the number of possible ones.
+        Number of combinations, at most the number of possible ones.
     seed : int
         Seed of the draw.
     """
     possible = [
-        (one, other) for one, other in itertools.combinations(faults, 2)
-        # Two disturbances of poses can be combined; two paces or two solver failures cannot.
-        if (one.action != other.action or one.action == "pose")
-        # Parameters of a node that has been killed cannot be set.
-        and not ("bad_live" in (one.action, other.action)
-                 and {"kill", "bad_start"} & {one.action, other.action})
-        # A simulator that has been killed neither is pushed nor keeps the momentum.
-        and not {"disturbance", "simulator_killed"} <= {
-            one.name, one.group, other.name, other.group
-        }
+        several for several in itertools.combinations(faults, size)
+        if all(_can_coincide(one, other) for one, other in itertools.combinations(several, 2))
     ]
-    order = np.random.default_rng([seed, 1]).permutation(len(possible))
-    # After the draw, so that the exclusion does not change the other pairs of a seed.
-    drawn = [possible[i] for i in order if {f.name for f in possible[i]} != _WITHOUT_RECORDER]
-    return drawn[:number]
+    order = np.random.default_rng([seed, size]).permutation(len(possible))
+    return [possible[i] for i in order[:number]]
+
+
+def _can_coincide(one: Fault, other: Fault) -> bool:
+    """Return whether two faults, in the order of the catalogue, are possible together."""
+    actions, names = {one.action, other.action}, {one.name, other.name}
+    # Two disturbances of poses can be combined; two paces or two solver failures cannot.
+    if one.action == other.action and one.action != "pose":
+        return False
+    # Parameters of a node that has been killed or stopped cannot be set.
+    if "bad_live" in actions and {"kill", "stop", "bad_start"} & actions:
+        return False
+    # A simulator that has been killed or stopped neither is pushed nor keeps the momentum.
+    if other.group == "disturbance" and one.options.get("node") == "simulator":
+        return False
+    # One of them would continue or end what the other has stopped.
+    if "stop" in actions and one.options.get("node", "") == other.options.get("node", "-"):
+        return False
+    return names not in _IMPOSSIBLE
 
 
 def name_of(faults: Iterable[Fault]) -> str:

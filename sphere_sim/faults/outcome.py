@@ -4,10 +4,17 @@
 
 import json
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+import statistics
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+from sphere_nmpc.errors import SphereNmpcError
+
+
+class OutcomesUnreadableError(SphereNmpcError):
+    """A file does not hold outcomes of the campaign that is to be continued."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,8 @@ class Outcome:
         Largest rotor acceleration, commanded or measured [rad/s^2].
     complaints : tuple of str
         Reasons why it does not count as survived; empty if it does.
+    repetition : int
+        Number of the trial among those of the same fault, from 0 on.
     """
 
     fault: str
@@ -34,11 +43,17 @@ class Outcome:
     worst_speed: float = 0.0
     worst_slew: float = 0.0
     complaints: tuple[str, ...] = ()
+    repetition: int = 0
 
     @property
     def survived(self) -> bool:
         """Whether there is no complaint."""
         return not self.complaints
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the outcome as it is written to the file."""
+        recovery = None if math.isnan(self.recovery) else self.recovery
+        return asdict(self) | {"recovery": recovery}
 
 
 @dataclass
@@ -64,7 +79,16 @@ class FaultRow:
     @property
     def recovery(self) -> float:
         """The longest recovery [s]; nan if the goal was never reached."""
-        return max((o.recovery for o in self.outcomes if o.recovery >= 0.0), default=math.nan)
+        return max(self._recoveries, default=math.nan)
+
+    @property
+    def median_recovery(self) -> float:
+        """The median of the recoveries [s]; nan if the goal was never reached."""
+        return statistics.median(self._recoveries) if self._recoveries else math.nan
+
+    @property
+    def _recoveries(self) -> list[float]:
+        return [outcome.recovery for outcome in self.outcomes if outcome.recovery >= 0.0]
 
     @property
     def complaints(self) -> list[str]:
@@ -77,7 +101,8 @@ class FaultRow:
             "fault": self.fault,
             "tried": len(self.outcomes),
             "survived": self.survived,
-            "recover_s": None if math.isnan(self.recovery) else round(self.recovery, 3),
+            "recover_s": _rounded(self.recovery),
+            "recover_median_s": _rounded(self.median_recovery),
             "worst_speed": max(outcome.worst_speed for outcome in self.outcomes),
             "worst_slew": max(outcome.worst_slew for outcome in self.outcomes),
         }
@@ -91,8 +116,58 @@ def rows(outcomes: Iterable[Outcome]) -> list[FaultRow]:
     return list(found.values())
 
 
-def write_json(path: Path, table: Iterable[FaultRow]) -> None:
-    """Write the table to a file."""
+def write_json(path: Path, outcomes: Iterable[Outcome], campaign: Mapping[str, Any]) -> None:
+    """Write the table of faults, and all trials, to a file, which is replaced at once.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    outcomes : iterable of Outcome
+        The trials so far.
+    campaign : mapping
+        Settings that all of them have in common.
+    """
+    outcomes = list(outcomes)
+    content = {
+        "campaign": dict(campaign),
+        "faults": [row.as_json() for row in rows(outcomes)],
+        "trials": [outcome.as_json() for outcome in outcomes],
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"faults": [row.as_json() for row in table]}, indent=2, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    new = path.with_name(f"{path.name}.new")
+    new.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    new.replace(path)
+
+
+def read_outcomes(path: Path, campaign: Mapping[str, Any]) -> list[Outcome]:
+    """Return the trials in a file of the same campaign; none if there is no file.
+
+    Raises
+    ------
+    OutcomesUnreadableError
+        If it holds something else, or the trials of another campaign.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        given = content["campaign"]
+        trials = [
+            Outcome(**{
+                **trial, "complaints": tuple(trial["complaints"]),
+                "recovery": math.nan if trial["recovery"] is None else trial["recovery"],
+            })
+            for trial in content["trials"]
+        ]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OutcomesUnreadableError(f"{path}: cannot be continued: {error!r}") from None
+    if given != dict(campaign):
+        raise OutcomesUnreadableError(
+            f"{path}: given trials of the campaign {given}, expected {dict(campaign)}"
+        )
+    return trials
+
+
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 3)

@@ -119,7 +119,8 @@ class PoseStream:
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
+        self.rng = rng
+        """Source of randomness."""
         self.disturbances: list[Disturbance] = []
         """Disturbances of the samples that enter from now on, applied in this order."""
         self._pending: list[Arrival] = []
@@ -128,7 +129,7 @@ class PoseStream:
         """Take a sample at time `now` [ns]."""
         arrivals = [(now, sample)]
         for disturb in self.disturbances:
-            arrivals = [out for arrival in arrivals for out in disturb(arrival, self._rng)]
+            arrivals = [out for arrival in arrivals for out in disturb(arrival, self.rng)]
         self._pending.extend(arrivals)
 
     def leave(self, now: int) -> list[PoseSample]:

@@ -18,8 +18,10 @@ from sphere_sim.ros.faults.process_actions import (
     Hogs,
     Kill,
     SecondController,
+    Stop,
     Throttle,
 )
+from sphere_sim.ros.faults.second_poses import SecondPoses
 
 
 class DisturbedPoses(Action):
@@ -49,16 +51,25 @@ class Pause(Action):
         session.call("simulator/pause", SetBool.Request(data=False))
 
 
-class ClockLost(Action):
-    """Loss of the clock: the controller receives poses only."""
+class Loss(Action):
+    """Loss of poses, clock or commands between simulator and controller.
+
+    Parameters
+    ----------
+    of : tuple of str
+        What is lost: poses, clock, commands.
+    """
+
+    def __init__(self, of: tuple[str, ...]) -> None:
+        self._of = of
 
     def begin(self, session: FaultSession) -> None:
-        """Stop forwarding the clock."""
-        session.proxy.clock_passes = False
+        """Stop forwarding it."""
+        session.proxy.lost.update(self._of)
 
     def end(self, session: FaultSession) -> None:
-        """Forward the clock again."""
-        session.proxy.clock_passes = True
+        """Forward it again."""
+        session.proxy.lost.difference_update(self._of)
 
 
 class ClockBack(Action):
@@ -144,15 +155,17 @@ _ACTIONS: dict[str, Any] = {
     "pose": DisturbedPoses,
     "goals": BadGoals,
     "pause": Pause,
-    "clock_lost": ClockLost,
+    "loss": Loss,
     "clock_back": ClockBack,
     "pace": Pace,
     "kill": Kill,
+    "stop": Stop,
     "solver": BadSolver,
     "throttle": Throttle,
     "hogs": Hogs,
     "disk_full": StoppedRecording,
     "rival": SecondController,
+    "two_poses": SecondPoses,
     "bad_start": BadStart,
     "bad_live": BadLiveParameters,
     "push": Push,

@@ -4,6 +4,7 @@
 
 import itertools
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ from sphere_sim.ros.session.serving import serve_until
 
 READY = 60.0
 """How long nodes may take to be ready [s]; a busy machine needs some ten."""
-_RATE = 20.0
+RATE = 20.0
 """Rate of poses, clock and commands [Hz], low enough for the proxy on a busy machine."""
 _REPEAT = 3.0
 """Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
@@ -58,12 +59,18 @@ class SessionSettings:
         Seed of the goals and of random faults.
     strategy : str
         Strategy of the controller.
+    plant : str
+        Plant of the simulator.
+    rate : float
+        Rate of poses, clock and commands, and if it is not the default one, of solves [Hz].
     """
 
     folder: Path
     pace: float = 2.0
     seed: int = 0
     strategy: str = "time_optimal"
+    plant: str = "rolling"
+    rate: float = RATE
 
 
 class FaultSession:
@@ -77,7 +84,8 @@ class FaultSession:
 
     def __init__(self, settings: SessionSettings) -> None:
         self.settings = settings
-        self.rng = np.random.default_rng([settings.seed, 0])
+        self.rng = np.random.default_rng(settings.seed)
+        """Source of randomness of goals and faults."""
         settings.folder.mkdir(parents=True, exist_ok=True)
         self._bags = (settings.folder / f"bag_{i}" for i in itertools.count(1))
         self.solver_file = settings.folder / "solver"
@@ -103,15 +111,24 @@ class FaultSession:
             )
         }
 
+    def draw(self, name: str, repetition: int) -> None:
+        """Begin the random numbers of a trial, so that they do not depend on others."""
+        identity = zlib.crc32(name.encode())
+        self.rng = np.random.default_rng([self.settings.seed, identity, repetition])
+        self.proxy.stream.rng = self.rng
+
     def arguments(self, name: str) -> list[str]:
         """Return the ROS arguments of a node."""
+        settings = self.settings
         parameters: dict[str, dict[str, object]] = {
             "controller": {
-                "use_sim_time": True, "command_rate": _RATE, "strategy": self.settings.strategy,
-                "thread_priority": 1,
+                "use_sim_time": True, "strategy": settings.strategy, "thread_priority": 1,
+                "command_rate": settings.rate,
+                "control_rate": 0.0 if settings.rate == RATE else settings.rate,
             },
             "simulator": {
-                "real_time_factor": self.settings.pace, "pose_rate": _RATE, "thread_priority": 1,
+                "plant": settings.plant, "real_time_factor": settings.pace,
+                "pose_rate": settings.rate, "thread_priority": 1,
             },
             "recorder": {"use_sim_time": True},
         }

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of processes: killed, starved, duplicated, without disk space, started wrongly."""
+"""Faults of processes: killed, stopped, starved, duplicated, without disk space."""
 
 import contextlib
 import resource
@@ -50,6 +50,27 @@ class Kill(Action):
         if self._node == "simulator":
             session.monitor.limits.restart()
         session.start(self._node)
+
+
+class Stop(Action):
+    """SIGSTOP to a node, and SIGCONT at the end.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+
+    def begin(self, session: FaultSession) -> None:
+        """Stop it."""
+        session.processes[self._node].send(signal.SIGSTOP)
+
+    def end(self, session: FaultSession) -> None:
+        """Continue it."""
+        session.processes[self._node].send(signal.SIGCONT)
 
 
 class Throttle(Action):
@@ -165,7 +186,7 @@ class BadStart(Action):
 
     _WRONG = (
         "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
-        "control_rate:=fast",
+        "time_budget:=fast",
     )
 
     def begin(self, session: FaultSession) -> None:

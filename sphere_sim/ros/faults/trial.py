@@ -40,10 +40,15 @@ class Trial:
         Session with the nodes under test.
     faults : tuple of Fault
         The faults.
+    repetition : int, optional
+        Number among the trials of the same faults; with the seed it determines goal and faults.
     """
 
-    def __init__(self, session: FaultSession, faults: tuple[Fault, ...]) -> None:
+    def __init__(
+        self, session: FaultSession, faults: tuple[Fault, ...], repetition: int = 0
+    ) -> None:
         self._session = session
+        self._repetition = repetition
         self._monitor = session.monitor
         self._faults = faults
         self._actions = [action_of(fault) for fault in faults]
@@ -52,6 +57,7 @@ class Trial:
     def run(self) -> Outcome:
         """Run the trial; an error of the campaign itself is a complaint too."""
         session, monitor = self._session, self._monitor
+        session.draw(name_of(self._faults), self._repetition)
         upright = any(fault.upright for fault in self._faults)
         goal = upright_goal(session.rng) if upright else random_goal(session.rng)
         run = monitor.begin(goal)
@@ -77,7 +83,7 @@ class Trial:
         monitor.limits.continuous = True
         return Outcome(
             name_of(self._faults), recovery, monitor.limits.worst_speed,
-            monitor.limits.worst_slew, tuple(self._complaints),
+            monitor.limits.worst_slew, tuple(self._complaints), self._repetition,
         )
 
     def _apply_faults(self) -> None:

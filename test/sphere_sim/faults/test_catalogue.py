@@ -1,22 +1,28 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults have actions, are selected by name or group, and are combined in pairs by a seed."""
+"""Faults have actions, are selected by name or group, and are combined by a seed."""
+
+import itertools
 
 import pytest
 
-from sphere_sim.faults.catalogue import FAULTS, chosen, name_of, pairs
+from sphere_sim.faults.catalogue import FAULTS, chosen, combined, name_of
 from sphere_sim.ros.faults.actions import action_of
 
 GROUPS = {
-    "pose", "goal", "clock", "process", "solver", "cpu", "disk", "rival", "parameters",
+    "pose", "burst", "goal", "clock", "process", "solver", "cpu", "disk", "rival", "parameters",
     "disturbance",
 }
 
 IMPOSSIBLE = (
     {"controller_killed", "parameters_live"}, {"parameters_at_start", "parameters_live"},
     {"recorder_killed", "disk_full"}, {"simulator_killed", "push"}, {"simulator_killed", "tilt"},
+    {"simulator_stopped", "push"}, {"simulator_stopped", "parameters_live"},
+    {"controller_stopped", "cpu_starved"}, {"controller_stopped", "controller_killed"},
+    {"burst_clock", "clock_lost"},
 )
-"""Pairs of which the second fault needs the process that the first has ended."""
+"""Pairs of which the second fault needs the process that the first has ended or stopped, or undoes
+the first."""
 
 
 def test_every_group_is_there_and_the_quick_campaign_has_each() -> None:
@@ -52,17 +58,27 @@ def test_faults_are_selected_by_their_names_and_groups() -> None:
     assert names == ["pose_nan", "goal_burst", "goal_unreachable", "goal_malformed"]
 
 
-def test_pairs_are_those_of_the_seed_and_none_is_drawn_twice() -> None:
-    drawn = pairs(FAULTS.values(), 20, seed=5)
-    assert drawn == pairs(FAULTS.values(), 20, seed=5)
-    assert drawn != pairs(FAULTS.values(), 20, seed=6)
-    assert len({name_of(pair) for pair in drawn}) == 20
+@pytest.mark.parametrize("size", [2, 3])
+def test_combinations_are_those_of_the_seed_and_none_is_drawn_twice(size) -> None:
+    drawn = combined(FAULTS.values(), size, 20, seed=5)
+    assert drawn == combined(FAULTS.values(), size, 20, seed=5)
+    assert drawn != combined(FAULTS.values(), size, 20, seed=6)
+    assert len({name_of(faults) for faults in drawn}) == 20
+    assert {len(faults) for faults in drawn} == {size}
 
 
-def test_a_pair_is_of_two_actions_that_do_not_undo_each_other() -> None:
-    everything = pairs(FAULTS.values(), 10_000, seed=0)
-    assert len(everything) < 10_000
-    for one, other in everything:
-        assert one is not other
-        assert one.action == "pose" or one.action != other.action
-        assert {one.name, other.name} not in IMPOSSIBLE
+@pytest.mark.parametrize("size", [2, 3])
+def test_combined_faults_have_different_actions_and_do_not_undo_each_other(size) -> None:
+    everything = combined(FAULTS.values(), size, 100_000, seed=0)
+    assert 500 < len(everything) < 100_000
+    for faults in everything:
+        for one, other in itertools.combinations(faults, 2):
+            assert one is not other
+            assert one.action == "pose" or one.action != other.action
+            assert {one.name, other.name} not in IMPOSSIBLE
+
+
+def test_poses_and_commands_are_lost_alone_and_together() -> None:
+    bursts = {fault.options["of"]: fault for fault in chosen(FAULTS.values(), ["burst"])}
+    assert set(bursts) == {("poses",), ("commands",), ("poses", "commands"), ("clock",)}
+    assert {fault.duration for fault in bursts.values()} == {2.0}

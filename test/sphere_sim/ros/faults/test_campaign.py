@@ -11,6 +11,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 pytest.importorskip("rclpy")
 
 from sphere_sim.cli.main import main as command
+from sphere_sim.faults.outcome import Outcome, write_json
 
 SHORT = (
     "pose_dropped_100", "pose_nan", "controller_killed", "disk_full", "parameters_at_start",
@@ -52,6 +53,9 @@ def test_faults_are_named_and_the_goal_is_reached_within_the_limits(tmp_path, ca
         (["--rtf", "50"], "expected 0.5 to 5"),
         (["--seed", "-1"], "expected a whole number from 0 on"),
         (["--repeat", "0"], "expected a whole number from 1 on"),
+        (["--triples", "0"], "expected a whole number from 1 on"),
+        (["--rate", "1000"], "expected a number from 20 to 500"),
+        (["--plant", "flat"], "choose from"),
     ],
 )
 def test_wrong_arguments_are_refused_in_a_line(tmp_path, capsys, wrong, message) -> None:
@@ -59,6 +63,39 @@ def test_wrong_arguments_are_refused_in_a_line(tmp_path, capsys, wrong, message)
         main(["--json", str(tmp_path / "f.json"), *wrong])
     assert message in capsys.readouterr().err
     assert not (tmp_path / "f.json").exists()
+
+
+def test_jobs_are_refused_in_a_given_domain(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    with pytest.raises(SystemExit, match="2"):
+        main(["--json", str(tmp_path / "f.json"), "--jobs", "2"])
+    assert "expected one job in a given domain" in capsys.readouterr().err
+
+
+def test_campaign_that_is_complete_runs_nothing_when_it_is_resumed(tmp_path, capsys) -> None:
+    path = tmp_path / "f.json"
+    common = {"seed": 0, "rtf": 2.0, "strategy": "time_optimal", "plant": "rolling", "rate": 20.0}
+    write_json(path, [Outcome("pose_nan", 1.0, repetition=i) for i in range(2)], common)
+    given = ["--json", str(path), "--fault", "pose_nan", "--repeat", "2", "--resume"]
+    assert main(given) == 0
+    assert "2 of 2 trials survived" in capsys.readouterr().out
+    assert main([*given, "--seed", "1"]) == 1
+    assert "'seed': 0" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_triple_is_survived_on_the_plant_with_contact(tmp_path, capsys, monkeypatch) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)  # each job takes a domain of its own
+    path = tmp_path / "faults.json"
+    code = main(["--json", str(path), "--rtf", "1", "--plant", "rigid_body", "--jobs", "2",
+                 "--triples", "1",
+                 "--fault", "pose_nan", "controller_stopped", "burst_commands"])
+    trials = json.loads(path.read_text())["trials"]
+    triple = "pose_nan + burst_commands + controller_stopped"
+    assert {trial["fault"] for trial in trials} == {*triple.split(" + "), triple}
+    assert [trial["complaints"] for trial in trials] == [[]] * 4, capsys.readouterr().out
+    assert code == 0
 
 
 def test_folder_that_is_not_empty_is_left_alone(tmp_path, capsys) -> None:

@@ -6,6 +6,7 @@ import os
 import resource
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,9 +17,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 from sphere_sim.ros.faults.fault_session import SessionError
-from sphere_sim.ros.faults.process_actions import DiskFull, Hogs, SecondController
+from sphere_sim.ros.faults.process_actions import DiskFull, Hogs, SecondController, Stop
 from sphere_sim.ros.session.child_process import ChildProcess
 from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.serving import serve_until
 
 
 class Session:
@@ -58,6 +60,22 @@ def test_second_controller_that_does_not_connect_is_ended(tmp_path) -> None:
             action.end(session)
     assert not rival.running and rival.pid
     assert session.publishers == []
+
+
+def state_of(process: ChildProcess) -> str:
+    """Return the state of a process in the words of Linux, T for a stopped one."""
+    return Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def test_stopped_process_continues_at_the_end(tmp_path) -> None:
+    session, action = Session(tmp_path), Stop("controller")
+    with session.processes:
+        controller = session.processes["controller"]
+        controller.start()
+        action.begin(session)
+        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) == "T", 30.0)
+        action.end(session)
+        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) != "T", 30.0)
 
 
 def limit_of(process: ChildProcess) -> int:

@@ -1,0 +1,123 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A process that runs trials in nodes and a ROS domain of its own."""
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import signal
+import sys
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import NoReturn
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.faults.catalogue import Fault
+from sphere_sim.faults.outcome import Outcome
+from sphere_sim.ros.faults.fault_session import SessionSettings, fault_session
+from sphere_sim.ros.faults.trial import Trial
+from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.ros.session.parent import end_with_parent
+
+_ENDED_WITHIN = 30.0
+"""Longest wait for a process that ends its nodes [s]."""
+
+
+class TrialsError(SphereNmpcError):
+    """The nodes cannot be started, or a process of the campaign has ended."""
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """A trial that is to be run.
+
+    Attributes
+    ----------
+    faults : tuple of Fault
+        What is caused at the same time.
+    repetition : int
+        Number among the trials of the same faults; it determines the random numbers.
+    """
+
+    faults: tuple[Fault, ...]
+    repetition: int = 0
+
+
+class TrialProcess:
+    """Process that runs one trial after another; it starts with the first.
+
+    Parameters
+    ----------
+    settings : SessionSettings
+        Settings of its sessions; each has a folder of its own in the given one.
+    """
+
+    def __init__(self, settings: SessionSettings) -> None:
+        # A new interpreter: rclpy and its threads must not be forked.
+        context = multiprocessing.get_context("spawn")
+        self.link, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(theirs, settings, os.getpid()), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def begin(self, plan: TrialPlan | None) -> None:
+        """Begin a trial, or end the process with None."""
+        with contextlib.suppress(BrokenPipeError):  # `outcome` reports why it has ended
+            self.link.send(plan)
+
+    def outcome(self) -> Outcome:
+        """Wait for the outcome of the trial and return it.
+
+        Raises
+        ------
+        TrialsError
+            If the nodes cannot be started, or the process has ended.
+        """
+        try:
+            received = self.link.recv()
+        except (EOFError, OSError):
+            self._process.join(_ENDED_WITHIN)
+            raise TrialsError(
+                f"a process of the campaign ended, exit code {self._process.exitcode}"
+            ) from None
+        if isinstance(received, Outcome):
+            return received
+        raise TrialsError(received)
+
+    def close(self) -> None:
+        """End process and nodes, also during a trial."""
+        self._process.terminate()
+        self._process.join(_ENDED_WITHIN)
+        self._process.kill()
+        self.link.close()
+
+
+def _serve(link: Connection, settings: SessionSettings, parent: int) -> None:
+    """Run trials until None is received; after one that was not survived nodes are restarted."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    signal.signal(signal.SIGTERM, _end)
+    end_with_parent(parent)
+    folders = (settings.folder / f"session_{i}" for i in itertools.count(1))
+    try:
+        with own_domain():
+            plan = link.recv()
+            while plan is not None:
+                folder = next(folder for folder in folders if not folder.exists())
+                with fault_session(replace(settings, folder=folder)) as session:
+                    while plan is not None:
+                        outcome = Trial(session, plan.faults, plan.repetition).run()
+                        link.send(outcome)
+                        plan = link.recv()
+                        if not outcome.survived:
+                            break
+    except SphereNmpcError as error:
+        link.send(str(error))
+    except EOFError:  # the parent has ended
+        pass
+
+
+def _end(*_: object) -> NoReturn:
+    sys.exit(1)

@@ -1,0 +1,62 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Trials that are run in several processes at the same time."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from multiprocessing.connection import wait
+
+from sphere_sim.faults.outcome import Outcome
+from sphere_sim.ros.faults.fault_session import SessionSettings
+from sphere_sim.ros.faults.trial_process import TrialPlan, TrialProcess
+
+
+def run_trials(
+    plans: Sequence[TrialPlan],
+    settings: SessionSettings,
+    jobs: int,
+    on_begin: Callable[[TrialPlan], object],
+) -> Iterator[Outcome]:
+    """Yield the outcome of each trial as it is done.
+
+    Parameters
+    ----------
+    plans : sequence of TrialPlan
+        The trials.
+    settings : SessionSettings
+        Settings of all sessions; each process has a folder of its own in the given one.
+    jobs : int
+        Number of processes.
+    on_begin : callable
+        Called with each trial that begins.
+
+    Raises
+    ------
+    TrialsError
+        If nodes cannot be started, or a process has ended.
+    """
+    left = iter(plans)
+    processes: list[TrialProcess] = []
+
+    def go_on(process: TrialProcess) -> bool:
+        """Begin the next trial; end the process and return False if there is none."""
+        plan = next(left, None)
+        if plan is not None:
+            on_begin(plan)
+        process.begin(plan)
+        return plan is not None
+
+    try:
+        for number in range(1, min(jobs, len(plans)) + 1):
+            folder = settings.folder / f"job_{number}"
+            processes.append(TrialProcess(replace(settings, folder=folder)))
+        busy = {process.link: process for process in processes if go_on(process)}
+        while busy:
+            for link in wait(list(busy)):
+                process = busy[link]  # type: ignore[index]
+                yield process.outcome()
+                if not go_on(process):
+                    del busy[link]  # type: ignore[arg-type]
+    finally:
+        for process in processes:
+            process.close()

@@ -21,7 +21,7 @@ from rich.table import Table
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.environment import DOMAIN
+from sphere_nmpc.ros.environment import DOMAIN, RosEnvironmentError
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import number, whole
 from sphere_sim.cli.exits import if_interrupted
@@ -55,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         If the campaign cannot be run.
     """
     given = _parse(arguments)
+    if given.jobs > 1 and (domain := os.environ.get(DOMAIN)):
+        raise RosEnvironmentError(DOMAIN, domain, f"no value with --jobs {given.jobs}")
     console = Console()
     campaign = {name: getattr(given, name) for name in _IN_COMMON}
     prepare_folder(given.json.parent)
@@ -128,9 +130,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help="keep logs and bags in this folder")
     given = parser.parse_args(arguments)
-    if given.jobs > 1 and os.environ.get(DOMAIN):
-        parser.error(f"--jobs: given {given.jobs} and {DOMAIN}={os.environ[DOMAIN]}, expected one "
-                     "job in a given domain")
     if not 0.5 <= given.rtf <= 5.0:
         parser.error(f"--rtf: given {given.rtf:g}, expected 0.5 to 5")
     return given

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between arrays and ROS messages; the only place where wxyz becomes xyzw and back.
+"""Conversion between arrays and ROS messages; wxyz becomes xyzw here and in `serialised` only.
 
 Stamps are whole nanoseconds on this side, so that they compare exactly; control times are seconds
 since `epoch`, a stamp that is 0 in simulated time. Messages are read by attribute, so that those
@@ -163,9 +163,7 @@ def joint_states_from_ros(message: Any) -> tuple[Vector, Vector, Vector]:
     return angles, speeds, torques
 
 
-def hold_to_trajectory(
-    hold: FirstOrderHold, epoch: int = 0, message: JointTrajectory | None = None
-) -> JointTrajectory:
+def hold_to_trajectory(hold: FirstOrderHold, epoch: int = 0) -> JointTrajectory:
     """Return a first-order hold as velocity-only points, stamped with the time of its first knot.
 
     A controller that interpolates the speeds linearly, as ros2_controllers' joint trajectory
@@ -177,24 +175,15 @@ def hold_to_trajectory(
         Rotor speeds [rad/s] over control time [s].
     epoch : int, optional
         Stamp [ns] of control time 0.
-    message : JointTrajectory, optional
-        A message to fill again: making new points takes longer than a solve.
     """
-    if message is None:
-        message = JointTrajectory(joint_names=list(JOINT_NAMES))
     start = stamp_of(hold.start, epoch)
+    message = JointTrajectory(joint_names=list(JOINT_NAMES))
     message.header.stamp = stamp_to_ros(start)
-    points = message.points
-    number = hold.times.size
-    del points[number:]
-    points.extend(JointTrajectoryPoint() for _ in range(number - len(points)))
-    for point, time, speeds in zip(
-        points, hold.times.tolist(), hold.speeds.tolist(), strict=True
-    ):
+    for time, speeds in zip(hold.times.tolist(), hold.speeds.tolist(), strict=True):
+        point = JointTrajectoryPoint(velocities=speeds)
         after, rest = divmod(stamp_of(time, epoch) - start, NANOSECONDS)
-        point.velocities = speeds
-        duration = point.time_from_start
-        duration.sec, duration.nanosec = after, rest
+        point.time_from_start.sec, point.time_from_start.nanosec = after, rest
+        message.points.append(point)
     return message
 
 

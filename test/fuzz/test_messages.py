@@ -16,7 +16,8 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import JOINT_NAMES, hold_from_trajectory
+from sphere_nmpc.ros.conversions import JOINT_NAMES
+from sphere_nmpc.ros.serialised import hold_and_stamp
 from sphere_sim.faults.limits import LimitCheck
 from sphere_sim.ros.simulator.node import SimulatorNode
 
@@ -72,7 +73,8 @@ def sent(controller, monkeypatch) -> LimitCheck:
 
     def check_and_publish(message) -> None:
         # Relative to the epoch, as times since 1970 would be rounded.
-        check.trajectory(hold_from_trajectory(message, 0, controller._control_clock.epoch))
+        hold, _ = hold_and_stamp(message, 0, controller._control_clock.epoch)
+        check.trajectory(hold)
         publish(message)
 
     monkeypatch.setattr(controller._sender._trajectories, "publish", check_and_publish)
@@ -86,7 +88,7 @@ def test_any_pose_and_goal_leave_the_controller_within_its_limits(
 ) -> None:
     sent.begin()
     controller._receive_goal(goal)
-    controller._receive_pose(pose)
+    controller._receive_pose(serialize_message(pose))
     controller._tick()
     assert not sent.broken
 
@@ -115,8 +117,8 @@ def test_any_command_leaves_the_robot_within_its_limits(graph, trajectory, data)
     if node is None:
         node = graph.simulator = SimulatorNode([Parameter("start_paused", value=True)])
         graph.add(node)
-    node._receiver._receive_trajectory(trajectory)
-    node._receiver._receive_speeds(Float64MultiArray(data=data))
+    node._receiver._receive_trajectory(serialize_message(trajectory))
+    node._receiver._receive_speeds(serialize_message(Float64MultiArray(data=data)))
     before = np.array(node.simulator.speed_reference)
     for _ in range(3):
         node._advance()

@@ -12,7 +12,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import hold_to_trajectory
+from sphere_nmpc.ros.serialised import speeds_message, trajectory_message
 
 _LONGEST_FINAL_RAMP = 1.0
 """Wall time that the final ramp may take [s]; launch kills a process after five."""
@@ -40,7 +40,7 @@ class CommandSender:
         self._now = now
         self._hold: FirstOrderHold | None = None
         self._silent = True
-        self._trajectory: JointTrajectory | None = None
+        self._trajectory: bytes | None = None
         self._trajectories = node.create_publisher(JointTrajectory, "rotor_trajectory", 10)
         self._speeds = node.create_publisher(Float64MultiArray, "rotor_commands", 10)
         self._timer = node.create_timer(self._period, self._sample)
@@ -49,7 +49,7 @@ class CommandSender:
         """Send a hold, control times [s] since `epoch` [ns]; it replaces what was sent before."""
         self._hold = hold
         self._silent = False
-        self._trajectory = hold_to_trajectory(hold, epoch, self._trajectory)
+        self._trajectory = trajectory_message(hold, epoch)
         self.repeat()
 
     def repeat(self) -> None:
@@ -84,4 +84,4 @@ class CommandSender:
         self._publish(hold.at(now))
 
     def _publish(self, speeds: Vector) -> None:
-        self._speeds.publish(Float64MultiArray(data=speeds.tolist()))
+        self._speeds.publish(speeds_message(speeds))

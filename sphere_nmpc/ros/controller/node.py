@@ -35,12 +35,13 @@ from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
-from sphere_nmpc.ros.conversions import framed_pose_from_ros, stamp_from_ros
+from sphere_nmpc.ros.conversions import framed_pose_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
+from sphere_nmpc.ros.serialised import header_stamp, pose_of_message
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 _CHECK_EVERY = 0.25
@@ -133,7 +134,8 @@ class ControllerNode(RunnableNode):
         )
         self._inputs = [
             self.create_subscription(
-                PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS
+                PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS,
+                raw=True,
             ),
             self.create_subscription(
                 PoseStamped, "goal_pose", self._receive_goal, 1, event_callbacks=NO_EVENTS
@@ -199,12 +201,13 @@ class ControllerNode(RunnableNode):
         schedule.completed(duration, decision.solved)
         self._reports.tick(decision, request.instant, duration, epoch)
 
-    def _receive_pose(self, message: PoseStamped) -> None:
-        stamp, now = stamp_from_ros(message.header.stamp), self._control_clock.now()
-        measured = self._control_clock.time_of(stamp)
-        self._monitor.pose_received(self._schedule.pose_age(measured, now))
+    def _receive_pose(self, message: bytes | PoseStamped) -> None:
+        now = self._control_clock.now()
         try:
-            pose = TimedPose(stamp, measured, framed_pose_from_ros(message))
+            stamp = header_stamp(message)
+            measured = self._control_clock.time_of(stamp)
+            self._monitor.pose_received(self._schedule.pose_age(measured, now))
+            pose = TimedPose(stamp, measured, pose_of_message(message))
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
             return

@@ -11,7 +11,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.conversions import hold_from_trajectory, stamp_from_ros
+from sphere_nmpc.ros.serialised import hold_and_stamp, speeds_of_message
 from sphere_sim.world.simulator import Simulator
 
 _NEGLIGIBLE_SPEED = 0.1
@@ -62,19 +62,19 @@ class CommandReceiver:
         self.received = 0
         """Number of messages received, accepted or not."""
         self._trajectories = node.create_subscription(
-            JointTrajectory, "rotor_trajectory", self._receive_trajectory, 10
+            JointTrajectory, "rotor_trajectory", self._receive_trajectory, 10, raw=True
         )
         self._speeds = node.create_subscription(
-            Float64MultiArray, "rotor_commands", self._receive_speeds, 10
+            Float64MultiArray, "rotor_commands", self._receive_speeds, 10, raw=True
         )
 
-    def _receive_trajectory(self, message: JointTrajectory) -> None:
+    def _receive_trajectory(self, message: bytes | JointTrajectory) -> None:
         self.received += 1
         simulator = self._simulator
         try:
             epoch = self._epoch()
             unstamped = 0 if self._zero_is_time else epoch + simulator.now
-            hold = hold_from_trajectory(message, unstamped, epoch)
+            hold, stamp = hold_and_stamp(message, unstamped, epoch)
         except InvalidInputError as error:
             self._fault_log.report("rotor_trajectory refused", str(error))
             return
@@ -102,13 +102,13 @@ class CommandReceiver:
                 f"given an end {simulator.time - hold.end:.6g} s ago; the rotors ramp to rest",
             )
         self._count_clamped(lambda: simulator.follower.follow_trajectory(hold))
-        self._on_trajectory(stamp_from_ros(message.header.stamp))
+        self._on_trajectory(stamp)
 
-    def _receive_speeds(self, message: Float64MultiArray) -> None:
+    def _receive_speeds(self, message: bytes | Float64MultiArray) -> None:
         self.received += 1
         simulator = self._simulator
-        speeds = np.array(message.data, dtype=float)
         try:
+            speeds = speeds_of_message(message)
             self._count_clamped(lambda: simulator.follower.follow_speeds(speeds, simulator.time))
         except InvalidInputError as error:
             self._fault_log.report("rotor_commands refused", str(error))

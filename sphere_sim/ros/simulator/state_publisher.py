@@ -13,6 +13,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from sphere_nmpc.ros import conversions
+from sphere_nmpc.ros.serialised import clock_message, joint_states_message, pose_message
 from sphere_sim.world.simulator import Simulator
 
 try:
@@ -62,7 +63,7 @@ class StatePublisher:
         # Tools should not draw the poses of a late or slow sensor: they get the true state then.
         measured = poses[-1][1] if simulator.settings.is_sensor_plain else plant.state
         self._last = [
-            (self._pose, conversions.pose_to_ros(seen, self.epoch + stamp, self._radius))
+            (self._pose, pose_message(seen, self.epoch + stamp, self._radius))
             for stamp, seen in poses
         ]
         # At 2000 instants a second, messages without a subscriber would take too much time.
@@ -72,7 +73,7 @@ class StatePublisher:
             )
             self._last.append((self._odometry, odometry))
         if self._joints.get_subscription_count() > 0:
-            joints = conversions.joint_states_to_ros(
+            joints = joint_states_message(
                 plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now
             )
             self._last.append((self._joints, joints))
@@ -82,7 +83,7 @@ class StatePublisher:
             self._last.append((self._transforms, TFMessage(transforms=[transform])))
         # The clock comes last, so that a node that acts on it has the pose of that instant.
         if self._clock is not None:
-            self._last.append((self._clock, Clock(clock=conversions.stamp_to_ros(now))))
+            self._last.append((self._clock, clock_message(now)))
         self.repeat()
 
     def flush(self, timeout: float) -> None:

@@ -20,18 +20,15 @@ class StrategyEntry:
         Where its class is, as ``module:Class``; imported when the strategy is first made. The
         class takes the settings of the controller and the parameters of the robot, and has the
         methods of `sphere_nmpc.strategy.contract.Strategy`.
-    first_plan_takes_all : bool
-        Whether the first plan towards a goal uses all the wall time that it is given.
     """
 
     sample_period: float
     path: str
-    first_plan_takes_all: bool = False
 
 
 STRATEGIES: dict[str, StrategyEntry] = {
     "time_optimal": StrategyEntry(
-        0.25, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy", True
+        0.25, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy"
     ),
     "plan_keeping": StrategyEntry(0.5, "sphere_nmpc.strategy.plan_keeping:PlanKeepingStrategy"),
     "paper": StrategyEntry(0.5, "sphere_nmpc.strategy.paper:PaperStrategy"),

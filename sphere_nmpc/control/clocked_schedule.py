@@ -9,7 +9,7 @@ from sphere_nmpc.control.planning_time import PlanningTime
 from sphere_nmpc.control.sample_grid import SampleGrid
 from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPose
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.settings import ControllerSettings
 
 
 class ClockedSchedule:
@@ -96,6 +96,10 @@ class ClockedSchedule:
         """
         if not self._starting or self._planning.pace is None or not awaits_start(now):
             return None
+        return self.restart(now, wall)
+
+    def restart(self, now: float, wall: float) -> Actions:
+        """Return the first tick of a new grid."""
         self._grid.reset()
         return self.tick(now, wall)
 
@@ -122,10 +126,8 @@ class ClockedSchedule:
         return self._request(now, now, 0.0)
 
     def goal_changed(self) -> None:
-        """Start immediately, and expect that the first plan takes its whole time budget."""
+        """Start immediately."""
         self._starting = True
-        if STRATEGIES[self._settings.strategy].first_plan_takes_all:
-            self._planning.expect_all()
 
     def enabled(self) -> None:
         """Start as towards a new goal."""

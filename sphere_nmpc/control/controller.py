@@ -10,7 +10,7 @@ from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.estimation.contract import Background, Estimate, Estimator
+from sphere_nmpc.estimation.contract import Estimate, Estimator
 from sphere_nmpc.estimation.factory import make_estimator
 from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -18,9 +18,10 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.registry import make_strategy
+from sphere_nmpc.worker.contract import Worker
 
 
 class Controller:
@@ -37,9 +38,9 @@ class Controller:
         Robot as built, and the limits of its drives.
     strategy : Strategy, optional
         Defaults to the one named in `settings`.
-    background : callable, optional
-        Runs tasks that a sampling instant need not wait for (the fit of the plant's parameters),
-        one after another; by default they run immediately, so that results repeat.
+    worker : Worker, optional
+        Searches for plans and learns the plant beside the control loop, which then only follows;
+        by default both are done in line, so that results repeat.
     """
 
     def __init__(
@@ -47,15 +48,16 @@ class Controller:
         settings: ControllerSettings,
         robot: RobotParameters,
         strategy: Strategy | None = None,
-        background: Background | None = None,
+        worker: Worker | None = None,
     ) -> None:
         self._settings = settings
         robot = self._robot = within_torque(robot)
-        self._strategy = make_strategy(settings, robot) if strategy is None else strategy
-        self._background = background
+        self._worker = worker
+        self._searching: SearchingStrategy | None = None
+        self._strategy = strategy or self._make_strategy()
         self._commands = Commands(robot)
         self._estimator = make_estimator(
-            settings, robot.lumped, self._commands.sent, background,
+            settings, robot.lumped, self._commands.sent, worker,
             acceleration=robot.max_rotor_acceleration,
         )
         self._goal: Vector | None = None
@@ -99,7 +101,8 @@ class Controller:
             return False
         self._goal = wanted
         self._arrival.reset()
-        self._reset_strategy()
+        if self._searching is None:
+            self._reset_strategy()
         return True
 
     def change(self, settings: ControllerSettings) -> None:
@@ -112,9 +115,9 @@ class Controller:
         if (settings.strategy, settings.period) == (before.strategy, before.period):
             self._strategy.change(settings)
         else:
-            self._strategy = make_strategy(settings, self._robot)
+            self._strategy = self._make_strategy()
         self._estimator = make_estimator(
-            settings, self._robot.lumped, self._commands.sent, self._background, self._estimator,
+            settings, self._robot.lumped, self._commands.sent, self._worker, self._estimator,
             self._robot.max_rotor_acceleration,
         )
 
@@ -155,6 +158,15 @@ class Controller:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
         known = self._goal is not None and self._estimator.newest is not None
         return known and self.enabled and not self._commands.sent.moves_after(now)
+
+    @property
+    def searches(self) -> bool:
+        """Whether a plan is being searched for beside the loop; `is_due` tells when to use it."""
+        return self._searching is not None and self._searching.searches
+
+    def is_due(self, now: float) -> bool:
+        """Return whether there is a plan that begins at `now` [s] or before, to be decided on."""
+        return self._searching is not None and self._searching.is_due(now)
 
     def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
         """Plan for the sampling instant `time` [s]; to be followed by `commit`.
@@ -280,7 +292,16 @@ class Controller:
         except Exception as error:
             # Nothing that it kept is needed after a reset: a new one takes its place.
             self._record(error)
-            self._strategy = make_strategy(self._settings, self._robot)
+            self._strategy = self._make_strategy()
+
+    def _make_strategy(self) -> Strategy:
+        """Return a new strategy that searches beside the loop if it can, and there is a worker."""
+        strategy = make_strategy(self._settings, self._robot)
+        self._searching = None
+        if self._worker is not None and isinstance(strategy, SearchingStrategy):
+            strategy.search_beside(self._worker)
+            self._searching = strategy
+        return strategy
 
 
 def _states(state: Vector | None) -> Vector:

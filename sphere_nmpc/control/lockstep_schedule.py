@@ -65,6 +65,10 @@ class LockstepSchedule:
         """Return None: a new goal is planned for when the pose is repeated or the next arrives."""
         return None
 
+    def restart(self, now: float, wall: float) -> Actions:
+        """Return no action: the sampling instants are those at which the simulator waits."""
+        return NOTHING
+
     def command_time(self, request: PlanRequest, elapsed: float) -> float:
         """Return the sampling instant: no control time passes while a plan is made."""
         return request.now

@@ -87,10 +87,6 @@ class PlanningTime:
         """
         self._took.append(late + duration * (self.pace or 1.0))
 
-    def expect_all(self) -> None:
-        """Predict that the next plan will use its whole time budget, as a first one does."""
-        self._took.append(PLANNING_SHARE * self._period)
-
     @property
     def lead(self) -> float:
         """Lead of a plan: predicted delay of its command behind the instant [s, control time].

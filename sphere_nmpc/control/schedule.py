@@ -112,6 +112,12 @@ class Schedule(Protocol):
         whether at a control time [s] there is a goal to start for and the rotors are at rest.
         """
 
+    def restart(self, now: float, wall: float) -> Actions:
+        """Return what to do to plan now, whatever the sampling instants so far.
+
+        The timer has to be restarted.
+        """
+
     def command_time(self, request: PlanRequest, elapsed: float) -> float:
         """Return the control time [s] from which the command of a plan applies.
 

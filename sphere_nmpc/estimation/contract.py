@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contract between the controller and an estimator of the state and of the plant's parameters."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,9 +12,6 @@ from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
-
-Background = Callable[[Callable[[], None]], object]
-"""Runs a task that the control loop does not wait for, tasks one after another."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimator for exact poses: prediction from the newest one, parameters by least squares."""
 
-from sphere_nmpc.estimation.contract import Background, Estimate, PlantEstimate
-from sphere_nmpc.estimation.drifting_plant import DriftingPlantEstimator
+from sphere_nmpc.estimation.contract import Estimate, PlantEstimate
+from sphere_nmpc.estimation.learning_task import Begin
+from sphere_nmpc.estimation.plant_learning import InLineLearning, LearningBeside
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.transition import Transition
@@ -11,6 +12,7 @@ from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.worker.contract import Worker
 
 _SHORTEST_TRANSITION, _LONGEST_TRANSITION = 0.2, 2.0
 """Spacing of the poses used for learning [s]; predictions over longer gaps are inaccurate."""
@@ -32,8 +34,8 @@ class ExactPoseEstimator:
         Constants of the robot as built.
     sent : SentInputs
         Rotor speeds that were sent.
-    background : callable, optional
-        Runs the fit of the parameters; by default it runs immediately, so that results repeat.
+    worker : Worker, optional
+        Fits the parameters; by default they are fitted in line, so that results repeat.
     prior : ParameterDistribution, optional
         What another estimator has learnt about the parameters.
     acceleration : float, optional
@@ -45,17 +47,17 @@ class ExactPoseEstimator:
         settings: ControllerSettings,
         nominal: LumpedConstants,
         sent: SentInputs,
-        background: Background | None = None,
+        worker: Worker | None = None,
         prior: ParameterDistribution | None = None,
         acceleration: float = float("inf"),
     ) -> None:
         self._settings = settings
         self._nominal = nominal
         self._sent = sent
-        self._background = background
+        self._worker = worker
         mean = (ParameterDistribution.prior(settings.drive_lag) if prior is None else prior).mean
         self._acceleration = acceleration
-        self._fit = DriftingPlantEstimator(nominal, mean, settings.momentum, acceleration)
+        self._fit = self._learning(mean)
         self._newest: tuple[float, Vector] | None = None
         self._learnt_up_to: tuple[float, Vector] | None = None
         self._connected = False
@@ -112,19 +114,22 @@ class ExactPoseEstimator:
         """Take over changed settings; estimates that they do not concern are kept."""
         before, self._settings = self._settings, settings
         if settings.momentum != before.momentum:
-            mean = self._fit.result.parameters.mean
-            self._fit = DriftingPlantEstimator(
-                self._nominal, mean, settings.momentum, self._acceleration
-            )
+            self._fit = self._learning(self._fit.result.parameters.mean)
         if settings.drive_lag != before.drive_lag:
-            # Transitions seen so far would pull the lag back to its last estimate. A task in the
-            # background finishes on the old object without effect.
-            self._fit = self._fit.restarted(settings.drive_lag)
+            # Transitions seen so far would pull the lag back to its last estimate.
+            self._fit.restart(settings.drive_lag)
 
     def forget(self) -> None:
         """Discard the newest pose and the transition that has begun."""
         self._newest = self._learnt_up_to = None
         self._connected = False
+
+    def _learning(self, mean: Vector) -> InLineLearning | LearningBeside:
+        """Return new learning with this prior mean of the scaled parameters, shape (5,)."""
+        begin = Begin(self._nominal, mean, self._settings.momentum, self._acceleration)
+        if self._worker is None:
+            return InLineLearning(begin)
+        return LearningBeside(begin, self._worker)
 
     def _drift(self, stamp: float, lag: float, constants: Vector) -> Drift:
         """Return the drift at the newest pose, measured at `stamp` [s]."""
@@ -148,14 +153,7 @@ class ExactPoseEstimator:
         if last is None or time - last[0] > _LONGEST_TRANSITION:
             self._connected = False
             return
-        fit, sent, (since, start) = self._fit, self._sent.copy(), last
-        connected, self._connected = self._connected, True
-
-        def learn() -> None:
-            pieces = sent.pieces(since - _LEAD, time)
-            fit.observe(Transition(start, pose, *pieces, _LEAD), time, connected)
-
-        if self._background is None:
-            learn()
-        else:
-            self._background(learn)
+        since, start = last
+        pieces = self._sent.pieces(since - _LEAD, time)
+        transition = Transition(start, pose, *pieces, _LEAD)
+        self._connected = self._fit.observe(transition, time, self._connected)

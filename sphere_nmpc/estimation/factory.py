@@ -2,19 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the estimator by the settings."""
 
-from sphere_nmpc.estimation.contract import Background, Estimator
+from sphere_nmpc.estimation.contract import Estimator
 from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
 from sphere_nmpc.estimation.noisy_poses import NoisyPoseEstimator
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.worker.contract import Worker
 
 
 def make_estimator(
     settings: ControllerSettings,
     nominal: LumpedConstants,
     sent: SentInputs,
-    background: Background | None = None,
+    worker: Worker | None = None,
     previous: Estimator | None = None,
     acceleration: float = float("inf"),
 ) -> Estimator:
@@ -28,8 +29,8 @@ def make_estimator(
         Constants of the robot as built.
     sent : SentInputs
         Rotor speeds that were sent.
-    background : callable, optional
-        Runs tasks that the control loop does not wait for; by default they run immediately.
+    worker : Worker, optional
+        Learns beside the control loop; by default it is learnt in line.
     previous : Estimator, optional
         The one in use so far. It is kept if it still suits the settings; otherwise its
         parameters and its newest pose are handed over.
@@ -48,7 +49,7 @@ def make_estimator(
     else:
         if isinstance(previous, ExactPoseEstimator):
             return previous
-        made = ExactPoseEstimator(settings, nominal, sent, background, prior, acceleration)
+        made = ExactPoseEstimator(settings, nominal, sent, worker, prior, acceleration)
     if newest is not None:
         made.observe(*newest)
     return made

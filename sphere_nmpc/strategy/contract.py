@@ -3,13 +3,14 @@
 """Contract between a strategy and the control loop."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.worker.contract import Worker
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,4 +75,22 @@ class Strategy(Protocol):
 
     def reset(self) -> None:
         """Forget warm starts and plans, as after a new goal: the strategy then acts like new."""
+        ...
+
+
+@runtime_checkable
+class SearchingStrategy(Protocol):
+    """Strategy that can search beside the control loop."""
+
+    def search_beside(self, worker: Worker) -> None:
+        """Search by a worker from now on; a new goal then needs no `Strategy.reset`."""
+        ...
+
+    @property
+    def searches(self) -> bool:
+        """Whether the robot waits for a plan that is being searched for."""
+        ...
+
+    def is_due(self, now: float) -> bool:
+        """Return whether a search has ended whose plan begins at `now` [s] or before."""
         ...

@@ -29,7 +29,6 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.controller.background import Background
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
@@ -43,11 +42,14 @@ from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_nmpc.ros.serialised import header_stamp, pose_of_message
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.worker.process import WorkerProcess
 
 _CHECK_EVERY = 0.25
 """Wall time between two checks of clock, pose and topics [s]."""
 _GOALS_EVERY = 2.0
 """Shortest wall time between two log lines about goals [s], which may arrive at any rate."""
+_FOUND_EVERY = 4e-3
+"""Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
@@ -83,11 +85,10 @@ class ControllerNode(RunnableNode):
             LockstepSchedule(settings) if settings.lockstep
             else ClockedSchedule(settings, self._control_clock.simulated)
         )
-        self._background = Background(lambda line: self._fault_log.report("learning failed", line))
-        self.controller = Controller(
-            settings, robot.settings,
-            background=self._background.do if self._schedule.is_real_time else None,
-        )
+        self._worker: WorkerProcess | None = None
+        if self._schedule.is_real_time:
+            self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
+        self.controller = Controller(settings, robot.settings, worker=self._worker)
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._stored_goal = StoredGoal(
             self, settings.goal_memory, self._control_clock, self._fault_log
@@ -106,6 +107,8 @@ class ControllerNode(RunnableNode):
             self.create_timer(_CHECK_EVERY, self._check, clock=wall),
             self.create_timer(_SAVE_EVERY, self._save_goal, clock=wall),
         ]
+        self._found_timer = self.create_timer(_FOUND_EVERY, self._use_found, clock=wall)
+        self._found_timer.cancel()
         tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
         self._diagnostics = Diagnostics(self, self._control_clock.stamp, tasks)
 
@@ -122,7 +125,8 @@ class ControllerNode(RunnableNode):
         if now is not None:
             self._plan(self._schedule.final_request(now))
         self._sender.send_final_ramp()
-        self._background.close()
+        if self._worker is not None:
+            self._worker.close()
 
     def _subscribe(self) -> None:
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before
@@ -176,9 +180,13 @@ class ControllerNode(RunnableNode):
             return
         actions = self._schedule.start(now, time.monotonic(), self.controller.awaits_start)
         if actions is not None:
-            if self._timer is not None:
-                self._timer.reset()
-            self._carry_out(actions)
+            self._begin_grid(actions)
+
+    def _begin_grid(self, actions: Actions) -> None:
+        """Carry out the first actions of a new grid of sampling instants."""
+        if self._timer is not None:
+            self._timer.reset()
+        self._carry_out(actions)
 
     def _carry_out(self, actions: Actions) -> None:
         if actions.refused is not None:
@@ -200,6 +208,17 @@ class ControllerNode(RunnableNode):
         duration = time.perf_counter() - began
         schedule.completed(duration, decision.solved)
         self._reports.tick(decision, request.instant, duration, epoch)
+        between = self._settings.control_period > _FOUND_EVERY
+        if between and self.controller.searches and self._found_timer.is_canceled():
+            self._found_timer.reset()
+
+    def _use_found(self) -> None:
+        """Plan immediately when a search has ended, rather than at the next sampling instant."""
+        now = self._control_clock.now()
+        if now is not None and self.controller.is_due(now):
+            self._begin_grid(self._schedule.restart(now, time.monotonic()))
+        if not self.controller.searches:
+            self._found_timer.cancel()
 
     def _receive_pose(self, message: bytes | PoseStamped) -> None:
         now = self._control_clock.now()

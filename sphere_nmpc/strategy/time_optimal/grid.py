@@ -76,13 +76,16 @@ class KnotGrid:
         """Begin the grid at `now` [s]."""
         self._origin = now
 
+    def origin(self, now: float) -> float:
+        """Return the control time of one of the knots [s]: `now` if the grid has not begun."""
+        return now if self._origin is None else self._origin
+
     def to_first_knot(self, now: float, new_plan: bool) -> float:
         """Return the time from `now` [s] to the first knot after it [s], positive.
 
         A new plan leaves out a knot that is too near. A plan that is being followed changes its
         slope there, however near, and would not be feasible without it.
         """
-        origin = now if self._origin is None else self._origin
-        left = self._period - float(np.mod(now - origin, self._period))
+        left = self._period - float(np.mod(now - self.origin(now), self._period))
         shortest = self._shortest if new_plan else _SAME_TIME
         return left + self._period if left < shortest else left

@@ -9,6 +9,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.search_task import precise_arrival
 from sphere_nmpc.strategy.time_optimal.states import Following, Searching, StartedSearch
 
 
@@ -74,21 +75,18 @@ class PlanSearch:
             return Searching(strict=state.strict, found_none=True)
         if waited > 0.0:
             planner.grid.begin_again(now)
-        tuning = self._tuning
-        with_momentum = not situation.drift.is_zero
-        accepted = tuning.rolling_back_error if with_momentum else tuning.arrival_error
-        for delay in tuning.delays + tuning.further_delays:
-            duration = tuning.stretched(found.duration, delay)
-            arrival = planner.solve(
-                situation, found.goal, duration, found.hold, new_plan=True
-            )
-            if arrival.error <= accepted:
-                return Following(arrival, now, planner, unspent)
-        return Searching(strict=True)
+        arrival = precise_arrival(planner, situation, found)
+        if arrival is None:
+            return Searching(strict=True)
+        return Following(arrival, now, planner, unspent)
+
+    def planner(self, situation: Situation) -> ArrivalPlanner:
+        """Return the planner with the limit of acceleration that the floor allows."""
+        slippery = situation.noise > self._tuning.slip_noise
+        return self._reduced if slippery else self._full
 
     def _begin(self, situation: Situation, strict: bool) -> StartedSearch:
-        slippery = situation.noise > self._tuning.slip_noise
-        planner = self._reduced if slippery else self._full
+        planner = self.planner(situation)
         goal = nearer_sign(situation.goal, situation.state)
         search = DistantSearch(
             planner, dataclasses.replace(situation, goal=goal), new_plan=True, strict=strict

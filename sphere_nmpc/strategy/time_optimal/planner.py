@@ -39,12 +39,17 @@ class ArrivalPlanner:
         seeds: Iterator[int],
         tuning: TimeOptimalSettings,
     ) -> None:
-        self.tuning = tuning = tuning.of(robot)
+        given, tuning = tuning, tuning.of(robot)
+        self.tuning = tuning
         """Tuning of searches and solves for this robot."""
+        self.general_tuning = given
+        """The same for any robot."""
         self.max_speed = robot.max_rotor_speed
         """Limit of the rotor speeds [rad/s]."""
-        self._robot = robot
-        self._period = period
+        self.robot = robot
+        """Limits of the drives."""
+        self.period = period
+        """Sample period [s]."""
         self.grid = grid
         """Times of the knots."""
         self._seeds = seeds
@@ -59,10 +64,13 @@ class ArrivalPlanner:
     ) -> ArrivalSearch:
         """Return a new search from `situation`; parameters as for `solve` and `ArrivalSearch`."""
         first = self.grid.to_first_knot(situation.time, new_plan)
-        seed = next(self._seeds)
         return ArrivalSearch(
-            self._robot, self._period, situation, first, seed, self.tuning, strict
+            self.robot, self.period, situation, first, self.next_seed(), self.tuning, strict
         )
+
+    def next_seed(self) -> int:
+        """Return the seed of the next search."""
+        return next(self._seeds)
 
     def solve(
         self,

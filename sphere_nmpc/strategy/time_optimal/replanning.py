@@ -3,7 +3,9 @@
 """Re-planning over the shrinking horizon: the rest of the plan from the measured state."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +18,9 @@ from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.states import Following
 
+Improve = Callable[[Following, int], Following]
+"""Searches for an earlier arrival than that of a plan, with an effort."""
+
 
 def replan(
     plan: Following,
@@ -23,6 +28,7 @@ def replan(
     dead_band: float,
     deadline: float,
     settings: ControllerSettings,
+    improve: Improve | None = None,
 ) -> Following | None:
     """Solve the rest of the plan again, for the same arrival time or a later one.
 
@@ -38,12 +44,17 @@ def replan(
         Steady clock reading at which to stop [s].
     settings : ControllerSettings
         Planning effort, sample period, control period.
+    improve : callable, optional
+        Called with the plan that is kept and the effort of a search for an earlier arrival;
+        returns the plan to follow. By default it is searched in line, until the deadline.
 
     Returns
     -------
     Following or None
         None if the plan has ended, or no delay that is tried makes it reach the goal.
     """
+    if improve is None:
+        improve = partial(_improved, situation=situation, deadline=deadline, settings=settings)
     tuning, now = plan.planner.tuning, situation.time
     left = plan.time_left(now)
     if left < tuning.ended_time:
@@ -56,7 +67,7 @@ def replan(
             if changed is None:
                 return None
             kept = replace(plan, arrival=changed, planned_at=now)
-            return _improved(kept, situation, settings.planning_effort, deadline, settings)
+            return improve(kept, settings.planning_effort)
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:
@@ -71,7 +82,7 @@ def replan(
             fruitless = 0 if is_large else plan.fruitless
             kept = replace(plan, arrival=arrival, planned_at=now, fruitless=fruitless)
             work = settings.planning_effort // (1 if is_large else tuning.improvement_divisor)
-            return _improved(kept, situation, work, deadline, settings)
+            return improve(kept, work)
         if best is None or arrival.error < 0.5 * best.error:
             best = arrival
         if best.error < accepted:
@@ -117,8 +128,8 @@ def _after_change(
 
 def _improved(
     plan: Following,
-    situation: Situation,
     work: int,
+    situation: Situation,
     deadline: float,
     settings: ControllerSettings,
 ) -> Following:

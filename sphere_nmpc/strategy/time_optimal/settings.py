@@ -224,6 +224,13 @@ class TimeOptimalSettings:
     search_share: float = 0.5
     """Share [of the sample period] for which a search from rest may continue over several samples
     of a high control rate."""
+    search_ahead: float = 0.1
+    """Time [s] from the request of a search beside the control loop to the start of its plan,
+    where the sphere moves; doubled after a search that took longer ..."""
+    search_farthest_ahead: float = 0.5
+    """... up to this time [s]."""
+    longest_search: float = 0.2
+    """Wall time [s] after which such a search stops."""
     slip_noise: float = 0.01
     """Process noise [m, -; a sample] above which a new plan takes the floor to be slippery."""
     slip_acceleration: float = 0.43

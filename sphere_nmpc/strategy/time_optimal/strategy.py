@@ -20,7 +20,14 @@ import time
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, angle_error, nearer_sign, state_error
+from sphere_nmpc.model.state import (
+    POSITION,
+    QUATERNION,
+    Vector,
+    angle_error,
+    nearer_sign,
+    state_error,
+)
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -37,6 +44,12 @@ from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoa
 from sphere_nmpc.strategy.time_optimal.new_plan import PlanSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.replanning import replan
+from sphere_nmpc.strategy.time_optimal.searches_beside import (
+    Outcome,
+    Purpose,
+    SearchesBeside,
+    later,
+)
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.states import (
     Following,
@@ -45,6 +58,7 @@ from sphere_nmpc.strategy.time_optimal.states import (
     Searching,
     State,
 )
+from sphere_nmpc.worker.contract import Worker
 
 
 class TimeOptimalStrategy:
@@ -72,7 +86,26 @@ class TimeOptimalStrategy:
         self._goals = IntermediateGoals(self._tuning)
         self._held_goal = HeldGoal(robot.max_rotor_speed, self._tuning)
         self._rest_at_goal = RestAtGoal(settings, robot, self._tuning)
+        self._beside: SearchesBeside | None = None
         self.reset()
+
+    def search_beside(self, worker: Worker) -> None:
+        """Search by a worker from now on, and follow the plan meanwhile.
+
+        A changed goal is then found by comparison, and needs no `reset`: the plan in force is
+        followed until there is one to the new goal.
+        """
+        self._beside = SearchesBeside(worker, self._tuning)
+
+    def is_due(self, now: float) -> bool:
+        """Return whether a search has ended whose plan begins at `now` [s] or before."""
+        return self._beside is not None and self._beside.is_due(now)
+
+    @property
+    def searches(self) -> bool:
+        """Whether a plan is being searched for beside the loop, other than an earlier arrival."""
+        beside = self._beside
+        return beside is not None and beside.purpose in (Purpose.NEW, Purpose.REDIRECT)
 
     def change(self, settings: ControllerSettings) -> None:
         """Use another planning effort and other weights; plan and started search are kept."""
@@ -82,6 +115,10 @@ class TimeOptimalStrategy:
     def reset(self) -> None:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._state: State = Searching()
+        self._goal: Vector | None = None
+        self._improved_at = -np.inf
+        if self._beside is not None:
+            self._beside.cancel()
         self._grid = KnotGrid(self._settings.period, self._tuning)
         self._seeds = itertools.count(1)
         limit = self._robot.max_rotor_acceleration
@@ -118,6 +155,8 @@ class TimeOptimalStrategy:
         began = time.perf_counter()
         self._grid.begin(situation.time)
         self._use_attained(situation)
+        if self._beside is not None:
+            situation = self._with_goal_of_plan(situation, self._beside)
         situation = self._aim(self._holdable(situation))
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)
@@ -153,7 +192,7 @@ class TimeOptimalStrategy:
         tuning, settings = self._tuning, self._settings
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
         if isinstance(state, Following):
-            followed = replan(state, situation, dead_band, deadline, settings)
+            followed = self._followed(state, situation, dead_band, deadline)
             if followed is not None:
                 return followed
             state = Searching()
@@ -171,7 +210,143 @@ class TimeOptimalStrategy:
         elif at_rest and error < self._resting_band(dead_band, situation):
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
+        if self._beside is not None and self._beside.available:
+            return self._found_beside(state, situation, at_rest, dead_band, deadline)
         return self._plan_search.search(state, situation, at_rest, deadline, settings)
+
+    def _followed(
+        self, state: Following, situation: Situation, dead_band: float, deadline: float
+    ) -> Following | None:
+        """Return what remains of the plan, or of an earlier arrival; None if it has ended."""
+        settings, beside = self._settings, self._beside
+        if beside is None or not beside.available:
+            return replan(state, situation, dead_band, deadline, settings)
+
+        def improve(plan: Following, work: int) -> Following:
+            return self._search_earlier(plan, situation, work, beside)
+
+        if beside.purpose is Purpose.EARLIER:
+            outcome = beside.take(situation.time, settings.control_period)
+            if outcome is not None and not outcome.is_late:
+                arrival, begins = outcome.result.arrival, outcome.situation.time
+                if arrival is None:
+                    state = dataclasses.replace(state, fruitless=state.fruitless + 1)
+                else:
+                    earlier = Following(arrival, begins, outcome.planner, 0)
+                    found = replan(earlier, situation, dead_band, deadline, settings, improve)
+                    if found is not None:
+                        return found
+        return replan(state, situation, dead_band, deadline, settings, improve)
+
+    def _search_earlier(
+        self, plan: Following, situation: Situation, work: int, beside: SearchesBeside
+    ) -> Following:
+        """Begin a search for an earlier arrival, once a sample period; return the plan."""
+        tuning, settings, now = plan.planner.tuning, self._settings, situation.time
+        begins = now + max(beside.ahead, settings.control_period)
+        idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
+        over = plan.fruitless >= tuning.fruitless_searches or plan.time_left(begins) < (
+            tuning.fixed_time
+        )
+        if beside.purpose is None and idle and not over:
+            self._improved_at = now
+            hold = plan.arrival.hold.delayed(plan.planned_at)
+            start = later(situation, hold, begins, tuning.precise_step)
+            start = dataclasses.replace(start, goal=plan.arrival.goal)
+            known = plan.rest(begins)
+            beside.begin(Purpose.EARLIER, plan.planner, start, work, known=known)
+        return plan
+
+    def _found_beside(
+        self,
+        state: Searching,
+        situation: Situation,
+        at_rest: bool,
+        dead_band: float,
+        deadline: float,
+    ) -> Searching | Following:
+        """Return the plan that a search beside the loop has found, or go on searching."""
+        beside, settings = self._beside, self._settings
+        assert beside is not None
+        outcome = None
+        if beside.purpose is Purpose.NEW:
+            outcome = beside.take(situation.time, settings.control_period)
+        if outcome is not None and self._is_for(outcome, situation.goal):
+            result = outcome.result
+            if result.arrival is None:
+                return Searching(
+                    strict=state.strict or not result.found_none, found_none=result.found_none
+                )
+            if outcome.from_rest and at_rest:
+                self._grid.begin_again(situation.time)
+                return Following(result.arrival, situation.time, outcome.planner, 0)
+            begins = outcome.situation.time
+            self._grid.begin_again(begins)
+            found = Following(result.arrival, begins, outcome.planner, 0)
+            followed = replan(
+                found, situation, dead_band, deadline, settings, lambda plan, _: plan
+            )
+            return Searching() if followed is None else followed
+        if beside.purpose is not Purpose.NEW:
+            start = situation
+            if not at_rest:
+                ramp = come_to_rest(situation, self._robot, self._tuning.rest_time, "").hold
+                begins = situation.time + beside.ahead
+                start = later(situation, ramp, begins, self._tuning.precise_step)
+            beside.begin(
+                Purpose.NEW, self._plan_search.planner(situation), start,
+                settings.planning_effort, from_rest=at_rest, strict=state.strict,
+            )
+        return state
+
+    def _is_for(self, outcome: Outcome, goal: Vector) -> bool:
+        """Return whether a search was for this goal, but for what momentum changes of it."""
+        aimed = outcome.situation.goal
+        turned = angle_error(goal, aimed) < self._tuning.largest_change_of_goal
+        return turned and np.array_equal(aimed[POSITION], goal[POSITION])
+
+    def _with_goal_of_plan(self, situation: Situation, beside: SearchesBeside) -> Situation:
+        """Return the situation with the goal of the plan that is followed.
+
+        To another goal a plan is searched for that begins a little later on the way; where that is
+        not possible everything begins anew.
+        """
+        state, wanted = self._state, situation.goal
+        if self._goal is None:
+            self._goal = wanted
+        if np.array_equal(wanted, self._goal):
+            if beside.purpose is Purpose.REDIRECT:
+                beside.cancel()
+            return situation
+        outcome = None
+        if beside.purpose is Purpose.REDIRECT:
+            outcome = beside.take(situation.time, self._settings.control_period)
+        far = float(np.linalg.norm(wanted[POSITION] - situation.state[POSITION]))
+        simple = situation.drift.is_zero and far < self._tuning.farthest
+        failed = outcome is not None and outcome.result.arrival is None
+        if not isinstance(state, Following) or not simple or failed or not beside.available:
+            self.reset()
+            self._grid.begin(situation.time)
+            self._goal = wanted
+            return situation
+        if outcome is not None and not outcome.is_late:
+            arrival, begins = outcome.result.arrival, outcome.situation.time
+            assert arrival is not None
+            for part in (self._goals, self._held_goal, self._rest_at_goal):
+                part.reset()
+            self._grid.begin_again(begins)
+            self._goal = outcome.situation.goal
+            self._state = Following(arrival, begins, outcome.planner, 0)
+        elif beside.purpose is not Purpose.REDIRECT:
+            hold = state.arrival.hold.delayed(state.planned_at)
+            begins = situation.time + beside.ahead
+            start = later(situation, hold, begins, self._tuning.precise_step)
+            beside.begin(
+                Purpose.REDIRECT, self._plan_search.planner(situation),
+                dataclasses.replace(start, goal=wanted), self._settings.planning_effort,
+            )
+        assert self._goal is not None
+        return dataclasses.replace(situation, goal=self._goal)
 
     def _resting_band(self, dead_band: float, situation: Situation) -> float:
         """Return the error below which a sphere at rest stays: with momentum it is corrected."""

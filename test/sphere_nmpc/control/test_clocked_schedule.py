@@ -152,16 +152,13 @@ def test_only_the_first_solved_plan_towards_a_goal_starts_a_grid() -> None:
     assert schedule.start(1.2, WALL, always) is not None
 
 
-@pytest.mark.parametrize(
-    ("strategy", "lead"), [("time_optimal", MOST_LEAD * 0.25), ("paper", 0.0)]
-)
-def test_first_plan_of_a_search_is_expected_to_take_all_its_time(
-    strategy: str, lead: float
-) -> None:
-    schedule = clocked(strategy=strategy)
-    schedule.goal_changed()
-    (request,) = requests(schedule, 1.0)
-    assert request.instant == pytest.approx(1.0 + lead)
+def test_restart_begins_a_new_grid_at_the_present_time() -> None:
+    schedule = clocked()
+    requests(schedule, 1.0)
+    request = schedule.restart(1.1, WALL).plan
+    assert request is not None and request.instant == pytest.approx(1.1)
+    assert [r.instant for r in requests(schedule, 1.6)] == pytest.approx([1.6])
+    assert schedule.missed == 0
 
 
 def test_disabling_plans_immediately_and_keeps_the_grid() -> None:

@@ -63,7 +63,7 @@ def test_second_reading_of_the_same_instant_counts_for_nothing() -> None:
 def test_lead_follows_from_recent_durations() -> None:
     planning = PlanningTime(0.25, simulated=False)
     assert planning.lead == 0.0
-    planning.expect_all()
+    planning.took(1.0, 0.0)
     assert planning.lead == pytest.approx(MOST_LEAD * 0.25)
     for _ in range(8):
         planning.took(0.02, 0.0)

@@ -1,0 +1,107 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Learning of the plant's parameters, in line or by a worker beside the control loop."""
+
+from sphere_nmpc.estimation.drifting_plant import DriftingPlant
+from sphere_nmpc.estimation.learning_task import Begin, Observe, Restart
+from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.worker.contract import Reply, Task, Worker
+
+
+class InLineLearning:
+    """Learning of which each result is complete when `observe` returns.
+
+    Parameters
+    ----------
+    begin : Begin
+        Constants as built, prior and limits.
+    """
+
+    def __init__(self, begin: Begin) -> None:
+        self._estimator = begin.estimator()
+
+    @property
+    def result(self) -> DriftingPlant:
+        """The present estimate."""
+        return self._estimator.result
+
+    def observe(self, transition: Transition, time: float, connected: bool) -> bool:
+        """Take a transition that ends at control time `time` [s] into account."""
+        self._estimator.observe(transition, time, connected)
+        return True
+
+    def restart(self, lag: float) -> None:
+        """Keep the constants, and take another lag [s] as prior."""
+        self._estimator = self._estimator.restarted(lag)
+
+
+class LearningBeside:
+    """The same by a worker: the result is that of the newest task that is complete.
+
+    Where the worker has lost the estimator, as it has ended, another one begins with the
+    parameters known so far.
+
+    Parameters
+    ----------
+    begin : Begin
+        Constants as built, prior and limits.
+    worker : Worker
+        Does the tasks.
+    """
+
+    def __init__(self, begin: Begin, worker: Worker) -> None:
+        self._begin = begin
+        self._worker = worker
+        self._result = begin.estimator().result
+        self._replies: list[Reply[DriftingPlant]] = []
+        self._begun = False
+        self._submit_begin()
+
+    @property
+    def result(self) -> DriftingPlant:
+        """The newest estimate."""
+        self._collect()
+        return self._result
+
+    def observe(self, transition: Transition, time: float, connected: bool) -> bool:
+        """Submit a transition; False where the worker does not take it."""
+        self._collect()
+        if not self._begun:
+            self._submit_begin()
+            connected = False
+        return self._begun and self._submit(Observe(transition, time, connected))
+
+    def restart(self, lag: float) -> None:
+        """Keep the constants, and take another lag [s] as prior."""
+        self._collect()
+        mean = self._result.parameters.with_lag_prior(lag).mean
+        begin = Begin(self._begin.nominal, mean, self._begin.momentum, self._begin.acceleration)
+        # What is known until the worker has answered; it keeps noise and drift as well.
+        self._result = begin.estimator().result
+        self._begin, self._replies = begin, []
+        if self._begun:
+            self._begun = self._submit(Restart(lag))
+
+    def _submit_begin(self) -> None:
+        self._begun = self._submit(self._begin)
+
+    def _submit(self, task: Task[DriftingPlant]) -> bool:
+        reply = self._worker.submit(task)
+        self._replies.append(reply)
+        return not reply.error
+
+    def _collect(self) -> None:
+        """Take over the results that have arrived."""
+        self._worker.poll()
+        replies = self._replies
+        while replies and not replies[0].pending:
+            reply = replies.pop(0)
+            if reply.result is not None:
+                self._result = reply.result
+            elif reply.lost and self._begun:
+                parameters = self._result.parameters
+                begin = self._begin
+                self._begin = Begin(
+                    begin.nominal, parameters.mean, begin.momentum, begin.acceleration
+                )
+                self._begun = False

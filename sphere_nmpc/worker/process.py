@@ -1,0 +1,156 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Worker in a process of its own, so that its work never holds the interpreter of the loop."""
+
+import os
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
+
+from sphere_nmpc.worker.contract import Reply, Result, Task
+
+_MOST_PENDING = 8
+"""Tasks that may be pending: what they need fits into the socket, so that sending never blocks."""
+_PATIENCE = 3.0
+"""Wall time [s] without a result after which a worker that has a task is replaced: a search takes
+a tenth of it at most."""
+_FIRST_PATIENCE = 20.0
+"""The same for the first result of a process [s], which has to be loaded first."""
+_RESTART_EVERY = 1.0
+"""Shortest wall time between two starts of the process [s]."""
+_LONGEST_END = 1.0
+"""Wait for the process when it is closed [s]."""
+_CONNECTION_ERRORS = (OSError, EOFError)
+
+
+class WorkerProcess:
+    """`Worker` whose tasks are done by a child process.
+
+    A process that ends, or that is silent for too long, is replaced; its tasks then fail, and
+    whatever they kept in its store is lost.
+
+    Parameters
+    ----------
+    on_fault : callable
+        Called with one line about each failed task and each replaced process.
+    """
+
+    def __init__(self, on_fault: Callable[[str], object]) -> None:
+        self._on_fault = on_fault
+        self._pending: deque[Reply[Any]] = deque()
+        self._connection: Connection | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._start()
+
+    @property
+    def available(self) -> bool:
+        """Whether there is a process; after its end there is none for a second."""
+        self._restart()
+        return self._connection is not None
+
+    @property
+    def pid(self) -> int:
+        """Id of the present process; 0 while there is none."""
+        return 0 if self._process is None else self._process.pid
+
+    def submit(self, task: Task[Result]) -> Reply[Result]:
+        """Send a task to the process; see `Worker.submit`."""
+        reply: Reply[Result] = Reply()
+        self._restart()
+        connection = self._connection
+        if connection is None or len(self._pending) >= _MOST_PENDING:
+            reply.error = "the worker has ended" if connection is None else "the worker is busy"
+            return reply
+        if not self._pending:
+            self._heard = time.monotonic()
+        try:
+            connection.send(task)
+        except _CONNECTION_ERRORS as error:
+            self._replace(str(error))
+            reply.error = "the worker has ended"
+            return reply
+        self._pending.append(reply)
+        return reply
+
+    def poll(self) -> None:
+        """Take the results that have arrived, and replace a process that does not answer."""
+        connection = self._connection
+        if connection is None or not self._pending:
+            return
+        try:
+            while self._pending and connection.poll(0.0):
+                result, error = connection.recv()
+                self._heard, self._patience = time.monotonic(), _PATIENCE
+                reply = self._pending.popleft()
+                reply.result, reply.error, reply.ready = result, error, not error
+                if error:
+                    self._on_fault(error)
+        except _CONNECTION_ERRORS:
+            self._replace("it has ended")
+            return
+        silent = time.monotonic() - self._heard
+        if self._pending and silent > self._patience:
+            self._replace(f"given no result for {silent:.1f} s, expected {self._patience:g} s")
+
+    def close(self) -> None:
+        """End the process for good; pending tasks fail."""
+        self._started = float("inf")
+        self._fail("the worker is closed")
+        process = self._process
+        self._drop()
+        if process is not None:
+            try:
+                process.wait(_LONGEST_END)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _start(self) -> None:
+        """Start a process; it ends when the other end of its connection is closed."""
+        self._started = self._heard = time.monotonic()
+        self._patience = _FIRST_PATIENCE
+        here, there = Pipe()
+        # What is found here has to be found there, also where the path was changed meanwhile.
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        command = [sys.executable, "-m", "sphere_nmpc.worker.serve", str(there.fileno())]
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, pass_fds=[there.fileno()], env=environment
+            )
+            self._connection = here
+        except OSError as error:
+            here.close()
+            self._on_fault(f"worker not started: {error}")
+        finally:
+            there.close()
+
+    def _replace(self, why: str) -> None:
+        """Start another process unless one was started just now; `submit` does it later then."""
+        self._on_fault(f"worker replaced: {why}")
+        self._fail(why)
+        process = self._process
+        self._drop()
+        if process is not None:
+            process.kill()
+            process.poll()
+        self._restart()
+
+    def _restart(self) -> None:
+        """Start a process where there is none, and none was started just now."""
+        if self._connection is None and time.monotonic() - self._started > _RESTART_EVERY:
+            self._start()
+
+    def _drop(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        self._connection = self._process = None
+
+    def _fail(self, why: str) -> None:
+        while self._pending:
+            reply = self._pending.popleft()
+            reply.error, reply.lost = why, True

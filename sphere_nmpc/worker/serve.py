@@ -1,0 +1,55 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Program of the worker process: does the tasks that arrive until its connection is closed.
+
+It is started by `sphere_nmpc.worker.process` as ``python -m sphere_nmpc.worker.serve DESCRIPTOR``.
+"""
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+from importlib import import_module
+from multiprocessing.connection import Connection
+
+from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.worker.contract import Store
+
+_NICENESS = 5
+"""Niceness of the process: where processors are scarce, the control loop comes first."""
+_USED = ("sphere_nmpc.strategy.time_optimal.search_task", "sphere_nmpc.estimation.learning_task")
+"""Modules of the tasks, loaded before the first of them arrives."""
+
+
+def serve(connection: Connection) -> None:
+    """Do the tasks that arrive; each is answered by its result and an error, empty if none."""
+    store: Store = {}
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            task = connection.recv()
+            result, error = None, ""
+            try:
+                result = task(store)
+            except Exception as raised:
+                # One failed task must not prevent the next ones.
+                error = f"{type(raised).__name__}: {raised}"
+            connection.send((result, error))
+
+
+def main(argv: list[str]) -> int:
+    """Serve the connection whose file descriptor is the only argument."""
+    # The control loop decides when this process ends, not a Ctrl-C for both.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(_NICENESS)
+    limit_library_threads()
+    for name in _USED:
+        import_module(name)
+    gc.freeze()
+    serve(Connection(int(argv[0])))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

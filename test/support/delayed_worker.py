@@ -1,0 +1,43 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A worker whose results arrive after a given time on any clock, so that tests repeat."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from sphere_nmpc.worker.contract import Reply, Result, Store, Task
+
+
+class DelayedWorker:
+    """`Worker` that does each task when it is submitted and delivers the result later.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns the time [s].
+    delay : float
+        Time from a task to its result [s].
+    """
+
+    def __init__(self, clock: Callable[[], float], delay: float) -> None:
+        self._clock = clock
+        self.delay = delay
+        self.available = True
+        self.store: Store = {}
+        self.tasks: list[Any] = []
+        """All tasks so far."""
+        self._waiting: deque[tuple[float, Reply[Any], Any]] = deque()
+
+    def submit(self, task: Task[Result]) -> Reply[Result]:
+        """Do a task, and keep its result."""
+        reply: Reply[Result] = Reply()
+        self.tasks.append(task)
+        self._waiting.append((self._clock() + self.delay, reply, task(self.store)))
+        return reply
+
+    def poll(self) -> None:
+        """Deliver the results that are due."""
+        while self._waiting and self._waiting[0][0] <= self._clock():
+            _, reply, reply.result = self._waiting.popleft()
+            reply.ready = True

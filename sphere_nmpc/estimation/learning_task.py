@@ -30,8 +30,8 @@ class Begin:
 
     def __call__(self, store: Store) -> DriftingPlant:
         """Make the estimator in the worker."""
-        store[_KEY] = self.estimator()
-        return _result(store)
+        made = store[_KEY] = self.estimator()
+        return made.result
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +42,13 @@ class Observe:
     time: float
     connected: bool
 
-    def __call__(self, store: Store) -> DriftingPlant:
-        """Update the estimator in the worker."""
-        _estimator(store).observe(self.transition, self.time, self.connected)
-        return _result(store)
+    def __call__(self, store: Store) -> DriftingPlant | None:
+        """Update the estimator in the worker; None where the worker has lost it."""
+        estimator: DriftingPlantEstimator | None = store.get(_KEY)
+        if estimator is None:
+            return None
+        estimator.observe(self.transition, self.time, self.connected)
+        return estimator.result
 
 
 @dataclass(frozen=True)
@@ -54,16 +57,10 @@ class Restart:
 
     lag: float
 
-    def __call__(self, store: Store) -> DriftingPlant:
-        """Replace the estimator in the worker."""
-        store[_KEY] = _estimator(store).restarted(self.lag)
-        return _result(store)
-
-
-def _estimator(store: Store) -> DriftingPlantEstimator:
-    estimator: DriftingPlantEstimator = store[_KEY]
-    return estimator
-
-
-def _result(store: Store) -> DriftingPlant:
-    return _estimator(store).result
+    def __call__(self, store: Store) -> DriftingPlant | None:
+        """Replace the estimator in the worker; None where the worker has lost it."""
+        estimator: DriftingPlantEstimator | None = store.get(_KEY)
+        if estimator is None:
+            return None
+        estimator = store[_KEY] = estimator.restarted(self.lag)
+        return estimator.result

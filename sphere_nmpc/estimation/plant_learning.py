@@ -53,7 +53,7 @@ class LearningBeside:
         self._begin = begin
         self._worker = worker
         self._result = begin.estimator().result
-        self._replies: list[Reply[DriftingPlant]] = []
+        self._replies: list[Reply[DriftingPlant | None]] = []
         self._begun = False
         self._submit_begin()
 
@@ -85,7 +85,7 @@ class LearningBeside:
     def _submit_begin(self) -> None:
         self._begun = self._submit(self._begin)
 
-    def _submit(self, task: Task[DriftingPlant]) -> bool:
+    def _submit(self, task: Task[DriftingPlant | None]) -> bool:
         reply = self._worker.submit(task)
         self._replies.append(reply)
         return not reply.error
@@ -98,7 +98,7 @@ class LearningBeside:
             reply = replies.pop(0)
             if reply.result is not None:
                 self._result = reply.result
-            elif reply.lost and self._begun:
+            elif reply.ready and self._begun:
                 parameters = self._result.parameters
                 begin = self._begin
                 self._begin = Begin(

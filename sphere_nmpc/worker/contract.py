@@ -26,14 +26,11 @@ class Reply(Generic[Result]):
     error : str
         Why there will be no result: the task was not taken or has raised, or the worker has ended;
         empty otherwise.
-    lost : bool
-        Whether the worker has ended, with all that its tasks kept.
     """
 
     result: Result | None = None
     ready: bool = False
     error: str = ""
-    lost: bool = False
 
     @property
     def pending(self) -> bool:

@@ -152,5 +152,4 @@ class WorkerProcess:
 
     def _fail(self, why: str) -> None:
         while self._pending:
-            reply = self._pending.popleft()
-            reply.error, reply.lost = why, True
+            self._pending.popleft().error = why

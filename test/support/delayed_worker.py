@@ -33,11 +33,23 @@ class DelayedWorker:
         """Do a task, and keep its result."""
         reply: Reply[Result] = Reply()
         self.tasks.append(task)
-        self._waiting.append((self._clock() + self.delay, reply, task(self.store)))
+        result, error = None, ""
+        try:
+            result = task(self.store)
+        except Exception as raised:
+            error = str(raised)
+        self._waiting.append((self._clock() + self.delay, reply, (result, error)))
         return reply
+
+    def lose(self) -> None:
+        """End and start again, as a process that was killed: what the tasks kept is lost."""
+        self.store.clear()
+        for _, reply, _ in self._waiting:
+            reply.error = "killed"
+        self._waiting.clear()
 
     def poll(self) -> None:
         """Deliver the results that are due."""
         while self._waiting and self._waiting[0][0] <= self._clock():
-            _, reply, reply.result = self._waiting.popleft()
-            reply.ready = True
+            _, reply, (reply.result, reply.error) = self._waiting.popleft()
+            reply.ready = not reply.error

@@ -323,6 +323,9 @@ class TimeOptimalStrategy:
             outcome = beside.take(situation.time, self._settings.control_period)
         far = float(np.linalg.norm(wanted[POSITION] - situation.state[POSITION]))
         simple = situation.drift.is_zero and far < self._tuning.farthest
+        if simple and isinstance(state, Searching) and beside.purpose is Purpose.NEW:
+            # Goals that arrive faster than a search takes would otherwise prevent any plan.
+            return dataclasses.replace(situation, goal=self._goal)
         failed = outcome is not None and outcome.result.arrival is None
         if not isinstance(state, Following) or not simple or failed or not beside.available:
             self.reset()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.clocked_schedule import ClockedSchedule
-from sphere_nmpc.control.planning_time import MOST_LEAD, PLANNING_SHARE
+from sphere_nmpc.control.planning_time import PLANNING_SHARE
 from sphere_nmpc.control.schedule import NOTHING, PlanRequest, TimedPose
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import ControllerSettings

@@ -1,10 +1,7 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Both estimators behind the contract: live changes, learning in the background, snapshots."""
+"""Both estimators behind the contract: live changes, learning by a worker."""
 
-import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +17,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.settings import ControllerSettings
+from test.support.delayed_worker import DelayedWorker
 
 LUMPED = RobotParameters().lumped
 START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
@@ -179,15 +177,35 @@ def test_other_kind_of_estimator_takes_over_parameters_and_pose(
     )
 
 
-def test_learning_in_the_background_gives_the_constants_of_learning_in_line(
-    sent: SentInputs,
+@pytest.mark.parametrize("delay", [0.0, 0.3], ids=["at once", "one transition later"])
+def test_learning_by_a_worker_gives_the_constants_of_learning_in_line(
+    sent: SentInputs, delay: float
 ) -> None:
-    in_line = tracked(EXACT, sent)
-    with ThreadPoolExecutor(1) as pool:
-        found = make_estimator(EXACT, LUMPED, sent, background=pool.submit)
-        track(found, sent)
-    assert found.plant.constants == in_line.plant.constants
-    assert found.plant.lag == in_line.plant.lag and found.plant.noise == in_line.plant.noise
+    in_line, clock = tracked(EXACT, sent), Clock()
+    worker = DelayedWorker(clock, delay)
+    found = make_estimator(EXACT, LUMPED, sent, worker=worker)
+    track(found, sent)
+    clock.time = 1.0
+    assert same(found.plant, in_line.plant)
+
+
+def test_learning_of_which_no_result_has_arrived_changes_nothing(sent: SentInputs) -> None:
+    clock = Clock()
+    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(clock, 1.0))
+    before = found.plant
+    track(found, sent)
+    assert same(found.plant, before)
+    clock.time = 1.0
+    assert not same(found.plant, before)
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    time = 0.0
+
+    def __call__(self) -> float:
+        return self.time
 
 
 def same(first: PlantEstimate, second: PlantEstimate) -> bool:
@@ -197,45 +215,11 @@ def same(first: PlantEstimate, second: PlantEstimate) -> bool:
     ) and np.array_equal(first.deviations, second.deviations)
 
 
-def test_update_that_is_interrupted_in_the_middle_publishes_nothing(
+def test_update_that_fails_changes_nothing_and_the_next_one_succeeds(
     sent: SentInputs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Parameters, noise and deviations that the loop reads are always of one update."""
-    tasks: list[Callable[[], None]] = []
-    found = make_estimator(EXACT, LUMPED, sent, background=tasks.append)
-    track(found, sent)
-    for task in tasks[:-1]:
-        task()
-    before = found.plant
-    stopped, go_on = threading.Event(), threading.Event()
-    invert = np.linalg.inv
-
-    def interrupted(matrix: Vector) -> Vector:
-        stopped.set()
-        go_on.wait()
-        inverse: Vector = invert(matrix)
-        return inverse
-
-    monkeypatch.setattr(plant_estimator.np.linalg, "inv", interrupted)
-    thread = threading.Thread(target=tasks[-1])
-    thread.start()
-    stopped.wait()
-    during = found.plant
-    go_on.set()
-    thread.join()
-    assert same(during, before)
-    assert not same(found.plant, before)
-
-
-def test_update_that_fails_in_the_middle_publishes_nothing_and_the_next_one_succeeds(
-    sent: SentInputs, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tasks: list[Callable[[], None]] = []
-    found = make_estimator(EXACT, LUMPED, sent, background=tasks.append)
-    track(found, sent)
-    *first, second_last, last = tasks
-    for task in first:
-        task()
+    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(Clock(), 0.0))
+    track(found, sent, DURATION - 2.0 * PERIOD)
     before = found.plant
 
     def fail(matrix: Vector) -> Vector:
@@ -243,18 +227,33 @@ def test_update_that_fails_in_the_middle_publishes_nothing_and_the_next_one_succ
 
     with monkeypatch.context() as patch:
         patch.setattr(plant_estimator.np.linalg, "inv", fail)
-        with pytest.raises(np.linalg.LinAlgError):
-            second_last()
+        track(found, sent, DURATION - PERIOD)
     assert same(found.plant, before)
-    last()
+    track(found, sent)
     assert not same(found.plant, before)
 
 
-def test_update_that_ends_after_a_changed_drive_lag_does_not_undo_it(sent: SentInputs) -> None:
-    tasks: list[Callable[[], None]] = []
-    found = make_estimator(EXACT, LUMPED, sent, background=tasks.append)
+def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known(
+    sent: SentInputs,
+) -> None:
+    worker = DelayedWorker(Clock(), 0.0)
+    found = make_estimator(EXACT, LUMPED, sent, worker=worker)
+    track(found, sent)
+    before = found.plant
+    worker.lose()
+    track(found, sent, DURATION + PERIOD)
+    assert found.plant.constants == before.constants
+    track(found, sent, LATER)
+    assert not same(found.plant, before)
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+
+
+def test_result_that_arrives_after_a_changed_drive_lag_does_not_undo_it(
+    sent: SentInputs,
+) -> None:
+    clock = Clock()
+    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(clock, 1.0))
     track(found, sent)
     found.change(replace(EXACT, drive_lag=0.03))
-    for task in tasks:
-        task()
+    clock.time = 1.0
     assert found.plant.lag == pytest.approx(0.03)

@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops in which settings change on the way, or parameters are fitted in a thread."""
+"""Closed loops in which settings change on the way, or parameters are fitted by a worker."""
 
-from concurrent.futures import ThreadPoolExecutor
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,8 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.worker.contract import Reply, Result, Task
+from sphere_nmpc.worker.process import WorkerProcess
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import state_errors
 from sphere_sim.scenario.perturbation import perturbed
@@ -39,6 +41,26 @@ class ChangedOnTheWay(Controller):
             self.change(self._pending)
             self._pending = None
         return super().decide(time, time_budget)
+
+
+class InStep:
+    """Worker for simulated time, which passes faster than the process works: waits for it."""
+
+    available = True
+
+    def __init__(self, process: WorkerProcess) -> None:
+        self._process = process
+
+    def submit(self, task: Task[Result]) -> Reply[Result]:
+        reply = self._process.submit(task)
+        while reply.pending:
+            time.sleep(1e-3)
+            self._process.poll()
+        assert not reply.error
+        return reply
+
+    def poll(self) -> None:
+        """Do nothing: nothing is pending."""
 
 
 def run(controller: Controller, settings: ControllerSettings, robot=ROBOT) -> Trajectory:
@@ -78,11 +100,14 @@ def test_goal_is_reached_in_the_planned_time_though_a_setting_changes_on_the_way
     assert all(decision.solved for decision in found.decisions)
 
 
-def test_learning_in_a_thread_settles_as_well() -> None:
+def test_learning_and_searching_beside_the_loop_settles_as_well() -> None:
     robot = perturbed(ROBOT, 0.05, np.random.default_rng(2))
-    with ThreadPoolExecutor(1) as pool:
-        controller = Controller(TIME_OPTIMAL, ROBOT, background=pool.submit)
+    worker = WorkerProcess(print)
+    try:
+        controller = Controller(TIME_OPTIMAL, ROBOT, worker=InStep(worker))
         found = run(controller, TIME_OPTIMAL, robot)
+    finally:
+        worker.close()
     assert np.max(state_errors(found.states, CASE.goal)[found.times > 6.0]) < 1e-2
     learnt = controller.estimator.plant.constants.as_array()
     nominal, true = ROBOT.lumped.as_array(), robot.lumped.as_array()

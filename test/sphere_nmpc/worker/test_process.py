@@ -1,0 +1,154 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A worker process does tasks in order, is replaced when it fails, and ends with its owner."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from operator import methodcaller
+
+import pytest
+
+from sphere_nmpc.worker import process
+from sphere_nmpc.worker.contract import Reply
+from sphere_nmpc.worker.process import WorkerProcess
+
+PATIENCE = 60.0
+"""How long a busy machine may take for what takes a moment [s]."""
+
+
+@pytest.fixture
+def faults() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def worker(faults: list[str]) -> Iterator[WorkerProcess]:
+    made = WorkerProcess(faults.append)
+    yield made
+    made.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(2e-3)
+
+
+def complete(worker: WorkerProcess, reply: Reply[object]) -> object:
+    def done() -> bool:
+        worker.poll()
+        return not reply.pending
+
+    until(done)
+    assert not reply.error
+    return reply.result
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{pid}/stat") as stat:
+        return stat.read().split()[2] != "Z"
+
+
+def test_tasks_are_done_in_order_and_share_a_store(worker: WorkerProcess) -> None:
+    replies = [worker.submit(methodcaller("setdefault", "first", value)) for value in (3, 4)]
+    assert all(reply.pending for reply in replies), "submitting does not wait"
+    assert [complete(worker, reply) for reply in replies] == [3, 3]
+
+
+def test_task_that_raises_is_told_and_the_next_one_is_done(
+    worker: WorkerProcess, faults: list[str]
+) -> None:
+    failing, next_one = worker.submit(methodcaller("absent")), worker.submit(len)
+    assert complete(worker, next_one) == 0
+    assert "absent" in failing.error and not failing.ready
+    assert faults == [failing.error]
+
+
+def test_process_that_is_killed_fails_its_tasks_and_is_replaced(
+    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
+    assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 1))) == 1
+    first = worker.pid
+    os.kill(first, signal.SIGSTOP)
+    reply = worker.submit(len)
+    os.kill(first, signal.SIGKILL)
+
+    def failed() -> bool:
+        worker.poll()
+        return bool(reply.error)
+
+    until(failed)
+    assert "replaced" in faults[0]
+    assert complete(worker, worker.submit(len)) == 0, "the store of the new process is empty"
+    assert worker.pid != first
+
+
+def test_process_that_does_not_answer_is_replaced(
+    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
+    monkeypatch.setattr(process, "_PATIENCE", 0.2)
+    assert complete(worker, worker.submit(len)) == 0
+    stopped = worker.pid
+    os.kill(stopped, signal.SIGSTOP)
+    reply = worker.submit(len)
+    until(lambda: bool(worker.poll() or reply.error))
+    assert "no result" in reply.error and "replaced" in faults[0]
+    until(lambda: not is_running(stopped))
+    assert complete(worker, worker.submit(len)) == 0
+
+
+def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: WorkerProcess) -> None:
+    assert complete(worker, worker.submit(len)) == 0
+    os.kill(worker.pid, signal.SIGSTOP)
+    # As much as the largest task: a transition with all the holds of a second.
+    task = methodcaller("setdefault", "large", bytes(16_000))
+    replies = [worker.submit(task) for _ in range(12)]
+    assert [reply.pending for reply in replies] == [True] * 8 + [False] * 4
+    assert "busy" in replies[-1].error
+    os.kill(worker.pid, signal.SIGCONT)
+    assert complete(worker, replies[7]) == bytes(16_000)
+
+
+def test_where_no_process_can_be_started_tasks_are_refused(
+    faults: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process.sys, "executable", "/nonexistent/python")
+    worker = WorkerProcess(faults.append)
+    assert not worker.available and worker.submit(len).error
+    assert "not started" in faults[0]
+    worker.close()
+
+
+def test_closing_ends_the_process(worker: WorkerProcess) -> None:
+    pid = worker.pid
+    worker.close()
+    until(lambda: not is_running(pid))
+    assert not worker.available and worker.submit(len).error
+
+
+def test_process_ends_with_an_owner_that_is_killed() -> None:
+    code = (
+        "from sphere_nmpc.worker.process import WorkerProcess\n"
+        "import time\n"
+        "worker = WorkerProcess(print)\n"
+        "print(worker.pid, flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    owner = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert owner.stdout is not None
+    pid = int(owner.stdout.readline())
+    assert is_running(pid)
+    owner.kill()
+    owner.communicate()
+    until(lambda: not is_running(pid))

@@ -53,8 +53,6 @@ def schedule(priority: int) -> bool:
     """
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
-        # Processes that are started from now on, such as the worker, are scheduled ordinarily.
-        policy |= os.SCHED_RESET_ON_FORK
         wanted = os.sched_param(priority)
         # Each thread has its own policy, and the middleware has started some.
         for task in _TASKS.iterdir():

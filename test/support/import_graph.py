@@ -36,8 +36,8 @@ FLOORS = {
         ("strategy", "estimation"),
         ("solver",),
         ("model", "settings"),
-        ("quantity", "cache", "fault_log", "library_threads"),
-        ("errors",),
+        ("quantity", "cache", "fault_log", "worker"),
+        ("errors", "library_threads"),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

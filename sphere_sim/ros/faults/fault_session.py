@@ -3,10 +3,11 @@
 """Simulator, controller and recorder as child processes, with the proxy between them."""
 
 import itertools
+import os
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ READY = 60.0
 """How long nodes may take to be ready [s]; a busy machine needs some ten."""
 RATE = 20.0
 """Rate of poses, clock and commands [Hz], low enough for the proxy on a busy machine."""
+_PRIORITY = 1
+"""Real-time priority of controller, simulator and proxy, where the system allows it."""
 _REPEAT = 3.0
 """Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
 _RESPONSE_TIMEOUT = 30.0
@@ -122,13 +125,13 @@ class FaultSession:
         settings = self.settings
         parameters: dict[str, dict[str, object]] = {
             "controller": {
-                "use_sim_time": True, "strategy": settings.strategy, "thread_priority": 1,
+                "use_sim_time": True, "strategy": settings.strategy, "thread_priority": _PRIORITY,
                 "command_rate": settings.rate,
                 "control_rate": 0.0 if settings.rate == RATE else settings.rate,
             },
             "simulator": {
                 "plant": settings.plant, "real_time_factor": settings.pace,
-                "pose_rate": settings.rate, "thread_priority": 1,
+                "pose_rate": settings.rate, "thread_priority": _PRIORITY,
             },
             "recorder": {"use_sim_time": True},
         }
@@ -158,6 +161,7 @@ class FaultSession:
         self.wait(lambda: self.monitor.time > 0.0, READY, "simulated time")
         # Each trial records a bag of its own.
         self.call("recorder/stop", Trigger.Request())
+        _schedule_in_real_time()
 
     def spin(self, duration: float = 0.02) -> None:
         """Serve the campaign's own node for `duration` [s, wall time]."""
@@ -232,6 +236,17 @@ class FaultSession:
         """Destroy the campaign's own node."""
         self._executor.shutdown()
         self.node.destroy_node()
+
+
+def _schedule_in_real_time() -> None:
+    """Give the threads of this process the priority of the nodes, between which it is.
+
+    Where the system does not allow it, nothing changes, as for the nodes.
+    """
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # not for what is started later
+    with suppress(PermissionError):
+        for task in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(task.name), policy, os.sched_param(_PRIORITY))
 
 
 @contextmanager

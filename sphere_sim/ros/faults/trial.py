@@ -11,7 +11,6 @@ from std_srvs.srv import Trigger
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.faults.catalogue import Fault, name_of
 from sphere_sim.faults.outcome import Outcome
-from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.faults.actions import action_of
 from sphere_sim.ros.faults.fault_session import FaultSession
 from sphere_sim.ros.faults.goal_actions import random_goal, upright_goal
@@ -53,6 +52,8 @@ class Trial:
         self._faults = faults
         self._actions = [action_of(fault) for fault in faults]
         self._complaints: list[str] = []
+        self.bags: tuple[Path, ...] = ()
+        """What was recorded."""
 
     def run(self) -> Outcome:
         """Run the trial; an error of the campaign itself is a complaint too."""
@@ -79,7 +80,7 @@ class Trial:
         except (SphereNmpcError, OSError) as error:
             self._complaints.append(str(error))
         self._judge(tracebacks)
-        self._judge_bags(recorded)
+        self._end_recording(recorded)
         monitor.limits.continuous = True
         return Outcome(
             name_of(self._faults), recovery, monitor.limits.worst_speed,
@@ -154,17 +155,15 @@ class Trial:
         if self._tracebacks() > tracebacks:
             self._complaints.append("an uncaught exception, see the logs")
 
-    def _judge_bags(self, earlier: set[Path]) -> None:
-        """Complain if a bag of this trial cannot be read, or if there is none."""
+    def _end_recording(self, earlier: set[Path]) -> None:
+        """Note the bags of this trial; complain if there is none."""
         try:
             self._session.call("recorder/stop", Trigger.Request())
-            bags = [bag for bag in self._bags() if bag not in earlier]
-            if not bags:
-                self._complaints.append("nothing was recorded")
-            for bag in bags:
-                read_run(bag)
         except SphereNmpcError as error:
             self._complaints.append(str(error))
+        self.bags = tuple(bag for bag in self._bags() if bag not in earlier)
+        if not self.bags:
+            self._complaints.append("nothing was recorded")
 
     def _bags(self) -> list[Path]:
         return sorted(self._session.settings.folder.glob("bag_*"))

@@ -10,6 +10,7 @@ import signal
 import sys
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import NoReturn
 
 from sphere_nmpc.errors import SphereNmpcError
@@ -68,8 +69,8 @@ class TrialProcess:
         with contextlib.suppress(BrokenPipeError):  # `outcome` reports why it has ended
             self.link.send(plan)
 
-    def outcome(self) -> Outcome:
-        """Wait for the outcome of the trial and return it.
+    def outcome(self) -> tuple[Outcome, tuple[Path, ...]]:
+        """Wait for the outcome of the trial and return it with the bags that are to be judged.
 
         Raises
         ------
@@ -83,9 +84,10 @@ class TrialProcess:
             raise TrialsError(
                 f"a process of the campaign ended, exit code {self._process.exitcode}"
             ) from None
-        if isinstance(received, Outcome):
-            return received
-        raise TrialsError(received)
+        if isinstance(received, str):
+            raise TrialsError(received)
+        outcome, bags = received
+        return outcome, bags
 
     def close(self) -> None:
         """End process and nodes, also during a trial."""
@@ -108,8 +110,9 @@ def _serve(link: Connection, settings: SessionSettings, parent: int) -> None:
                 folder = next(folder for folder in folders if not folder.exists())
                 with fault_session(replace(settings, folder=folder)) as session:
                     while plan is not None:
-                        outcome = Trial(session, plan.faults, plan.repetition).run()
-                        link.send(outcome)
+                        trial = Trial(session, plan.faults, plan.repetition)
+                        outcome = trial.run()
+                        link.send((outcome, trial.bags))
                         plan = link.recv()
                         if not outcome.survived:
                             break

@@ -5,8 +5,11 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from multiprocessing.connection import wait
+from pathlib import Path
 
+from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.faults.outcome import Outcome
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.faults.fault_session import SessionSettings
 from sphere_sim.ros.faults.trial_process import TrialPlan, TrialProcess
 
@@ -54,9 +57,24 @@ def run_trials(
         while busy:
             for link in wait(list(busy)):
                 process = busy[link]  # type: ignore[index]
-                yield process.outcome()
+                outcome, bags = process.outcome()
                 if not go_on(process):
                     del busy[link]  # type: ignore[arg-type]
+                yield _with_bags(outcome, bags)  # while the next trial runs
     finally:
         for process in processes:
             process.close()
+
+
+def _with_bags(outcome: Outcome, bags: tuple[Path, ...]) -> Outcome:
+    """Return the outcome of a trial with a complaint about each bag that cannot be read.
+
+    It is not done between two trials, as the proxy has to serve the nodes all the time.
+    """
+    complaints = list(outcome.complaints)
+    for bag in bags:
+        try:
+            read_run(bag)
+        except SphereNmpcError as error:
+            complaints.append(str(error))
+    return replace(outcome, complaints=tuple(complaints))

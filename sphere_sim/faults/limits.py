@@ -26,11 +26,17 @@ class LimitCheck:
         Largest rotor speed [rad/s].
     max_acceleration : float
         Largest rotor acceleration [rad/s^2].
+    servo_error : float, optional
+        Largest change of the servos' speed error that the load causes [rad/s], by which measured
+        speeds may change more than commanded ones.
     """
 
-    def __init__(self, max_speed: float, max_acceleration: float) -> None:
+    def __init__(
+        self, max_speed: float, max_acceleration: float, servo_error: float = 0.0
+    ) -> None:
         self._max_speed = max_speed
         self._max_acceleration = max_acceleration
+        self._servo_error = servo_error
         self.continuous = True
         """Whether a command has to start from the speeds in force."""
         self.restart()
@@ -78,7 +84,8 @@ class LimitCheck:
         if before is None or stamp <= before[0]:
             return
         duration = (stamp - before[0]) * 1e-9 + _RESOLUTION
-        self._check_slew("joint_states", float(np.max(np.abs(speeds - before[1]))) / duration)
+        change = float(np.max(np.abs(speeds - before[1])))
+        self._check_slew("joint_states", change / duration, self._servo_error / duration)
 
     def _check_speed(self, topic: str, speeds: Vector) -> None:
         speed = float(np.max(np.abs(speeds), initial=0.0))
@@ -89,9 +96,9 @@ class LimitCheck:
         if speed > self._max_speed * (1.0 + TOLERANCE):
             self._report(f"{topic} has {speed:.6g} rad/s")
 
-    def _check_slew(self, topic: str, slew: float) -> None:
+    def _check_slew(self, topic: str, slew: float, allowance: float = 0.0) -> None:
         self.worst_slew = max(self.worst_slew, slew)
-        if slew > self._max_acceleration * (1.0 + TOLERANCE):
+        if slew > self._max_acceleration * (1.0 + TOLERANCE) + allowance:
             self._report(f"{topic} has {slew:.6g} rad/s^2")
 
     def _report(self, what: str) -> None:

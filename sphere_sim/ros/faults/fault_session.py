@@ -41,6 +41,10 @@ _REPEAT = 3.0
 """Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
 _RESPONSE_TIMEOUT = 30.0
 """Longest wait for the response of a service [s]."""
+_SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
+"""By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis accelerates
+by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by 10 rad/s^2 about
+their axes, in either direction: 2 * 10 / 300."""
 RADIUS = RobotParameters().shell_radius
 
 
@@ -100,7 +104,7 @@ class FaultSession:
         self.node = rclpy.create_node("faults")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self.monitor = FaultMonitor(self.node, RobotParameters())
+        self.monitor = FaultMonitor(self.node, RobotParameters(), _SERVO_ERROR[settings.plant])
         self.proxy = FaultProxy(self.node, self.rng, self.monitor.pose)
         self.goals = GoalSender(self.node, self.spin)
         self._pushes = self.node.create_publisher(Vector3, "simulator/push", 10)

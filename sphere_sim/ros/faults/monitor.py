@@ -54,10 +54,14 @@ class FaultMonitor:
         Owner of the subscriptions.
     robot : RobotParameters
         Parameters with the limits.
+    servo_error : float
+        See `LimitCheck`.
     """
 
-    def __init__(self, node: Node, robot: RobotParameters) -> None:
-        self.limits = LimitCheck(robot.max_rotor_speed, robot.max_rotor_acceleration)
+    def __init__(self, node: Node, robot: RobotParameters, servo_error: float) -> None:
+        self.limits = LimitCheck(
+            robot.max_rotor_speed, robot.max_rotor_acceleration, servo_error
+        )
         self.run: GoalRun | None = None
         """The run to the goal, judged by the undisturbed poses."""
         self.time = 0.0

@@ -40,8 +40,11 @@ class Kill(Action):
         self._node = node
 
     def begin(self, session: FaultSession) -> None:
-        """Kill it."""
+        """Kill it; a recorder once it has written, as it may lose its last second."""
         process = session.processes[self._node]
+        if self._node == "recorder":
+            before = _written(session)
+            session.wait(lambda: _written(session) > before, READY, "the recorder to write")
         process.kill()
         session.monitor.messages.append(process.ending)
 
@@ -146,19 +149,23 @@ class DiskFull(Action):
     def begin(self, session: FaultSession) -> None:
         """Set the limit a little above the size of the file."""
         self._pid = session.processes["recorder"].pid
-        folder = session.settings.folder
-        session.wait(lambda: any(folder.glob("bag*/*.mcap")), READY, "a bag of the recorder")
-        files = [file.stat() for file in folder.glob("bag*/*.mcap")]
-        # Of the file being written, which may be smaller than earlier ones.
-        written = max(files, key=lambda file: file.st_mtime_ns).st_size
+        session.wait(lambda: _written(session) > 0, READY, "a bag of the recorder")
+        limit = _written(session) + _LEFT_ON_DISK
         hard = resource.prlimit(self._pid, resource.RLIMIT_FSIZE)[1]
-        resource.prlimit(self._pid, resource.RLIMIT_FSIZE, (written + _LEFT_ON_DISK, hard))
+        resource.prlimit(self._pid, resource.RLIMIT_FSIZE, (limit, hard))
 
     def end(self, session: FaultSession) -> None:
         """Remove the limit, if the recorder has not been restarted."""
         with contextlib.suppress(ProcessLookupError):
             hard = resource.prlimit(self._pid, resource.RLIMIT_FSIZE)[1]
             resource.prlimit(self._pid, resource.RLIMIT_FSIZE, (hard, hard))
+
+
+def _written(session: FaultSession) -> int:
+    """Return the size of the bag that was written last [bytes]; 0 without one."""
+    files = [file.stat() for file in session.settings.folder.glob("bag*/*.mcap")]
+    # Of the file being written, which may be smaller than earlier ones.
+    return max(files, key=lambda file: file.st_mtime_ns).st_size if files else 0
 
 
 class SecondController(Action):

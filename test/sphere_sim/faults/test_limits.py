@@ -92,3 +92,17 @@ def test_number_of_kept_violations_is_bounded(check) -> None:
     for _ in range(1000):
         check.command(np.array([200.0, 0.0]))
     assert 0 < len(check.broken) < 100
+
+
+def test_measured_speeds_may_change_by_the_error_of_a_servo_more() -> None:
+    stamp, change = 50_000_000, 20.0  # 400 rad/s^2 over 0.05 s
+    for extra, violations in ((0.06, 0), (0.1, 1)):
+        check = LimitCheck(MAX_SPEED, MAX_ACCELERATION, servo_error=0.07)
+        check.joints(0, np.zeros(2))
+        check.joints(stamp, np.array([0.0, change + extra]))
+        assert len(check.broken) == violations
+        assert check.worst_slew == pytest.approx((change + extra) / 0.05)
+    exact = LimitCheck(MAX_SPEED, MAX_ACCELERATION)
+    exact.joints(0, np.zeros(2))
+    exact.joints(stamp, np.array([0.0, change + 0.06]))
+    assert exact.broken

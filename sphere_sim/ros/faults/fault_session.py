@@ -42,9 +42,9 @@ _REPEAT = 3.0
 _RESPONSE_TIMEOUT = 30.0
 """Longest wait for the response of a service [s]."""
 _SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
-"""By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis accelerates
-by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by 10 rad/s^2 about
-their axes, in either direction: 2 * 10 / 300."""
+"""By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis
+accelerates by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by
+10 rad/s^2 about their axes, in either direction: 2 * 10 / 300."""
 RADIUS = RobotParameters().shell_radius
 
 

@@ -235,7 +235,7 @@ class Controller:
             mode, plan = self._plan(time, estimate, goal, time_budget)
         covariance = None if estimate is None else estimate.covariance
         drift = NO_DRIFT if estimate is None else estimate.drift
-        decision = Decision.with_errors(mode, plan, state, goal, age, covariance, drift)
+        decision = Decision.with_error(mode, plan, state, goal, age, covariance, drift)
         settings = self._settings
         reached = self._arrival.update(
             time, decision.error, settings.goal_tolerance, settings.period

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Result of a sampling instant: mode of the controller, plan, and distance to the goal."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -39,8 +40,10 @@ class Decision:
         The plan, before it is joined to the speeds in force by `Controller.commit`.
     state : ndarray of shape (6,), or None
         State estimated for the sampling instant; None without a fresh pose.
-    error, position_error, angle_error : float
-        Distance to the goal: in R^6, in the plane [m], and of orientation [rad]; nan if unknown.
+    goal : ndarray of shape (6,), or None
+        Goal in force.
+    error : float
+        Distance of the state to the goal in R^6; nan if unknown.
     pose_age : float
         Age of the newest pose [s], negative for one from the future; inf without one.
     covariance : ndarray of shape (5, 5), or None
@@ -53,15 +56,14 @@ class Decision:
     mode: Mode
     plan: Plan
     state: Vector | None
+    goal: Vector | None = None
     error: float = float("nan")
-    position_error: float = float("nan")
-    angle_error: float = float("nan")
     pose_age: float = float("inf")
     covariance: Vector | None = None
     drift: Drift = NO_DRIFT
 
     @classmethod
-    def with_errors(
+    def with_error(
         cls,
         mode: Mode,
         plan: Plan,
@@ -71,15 +73,19 @@ class Decision:
         covariance: Vector | None,
         drift: Drift,
     ) -> "Decision":
-        """Return the decision with the errors of the state, nan where there is no goal."""
-        if goal is None:
-            return cls(
-                mode, plan, state, pose_age=pose_age, covariance=covariance, drift=drift
-            )
-        return cls(
-            mode, plan, state, state_error(state, goal), position_error(state, goal),
-            angle_error(state, goal), pose_age, covariance, drift,
-        )
+        """Return the decision with the error of the state, nan where there is no goal."""
+        error = float("nan") if goal is None else state_error(state, goal)
+        return cls(mode, plan, state, goal, error, pose_age, covariance, drift)
+
+    @property
+    def position_error(self) -> float:
+        """Distance of the state to the goal in the plane [m]; nan if unknown."""
+        return self._distance(position_error)
+
+    @property
+    def angle_error(self) -> float:
+        """Angle between the orientations of state and goal [rad]; nan if unknown."""
+        return self._distance(angle_error)
 
     @property
     def solved(self) -> bool:
@@ -95,6 +101,11 @@ class Decision:
     def angle_deviation(self) -> float:
         """Standard deviation of the orientation, likewise [rad]."""
         return _deviation(self.covariance, slice(2, 5))
+
+    def _distance(self, distance: Callable[[Vector, Vector], float]) -> float:
+        if self.state is None or self.goal is None:
+            return float("nan")
+        return distance(self.state, self.goal)
 
 
 def _deviation(covariance: Vector | None, part: slice) -> float:

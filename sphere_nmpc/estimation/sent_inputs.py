@@ -70,7 +70,7 @@ class SentInputs:
         newest = self.newest
         if newest is None:
             return joined
-        knots = _between(newest, now + _SHORTEST, hold.start - _SHORTEST)
+        knots = newest.knots_between(now + _SHORTEST, hold.start - _SHORTEST)
         if not knots:
             return joined
         speeds = np.array([newest.at(t) for t in knots])
@@ -150,7 +150,7 @@ class SentInputs:
         """
         ends: dict[float, Vector] = {start: self.at(start)}
         for hold, since, until in self._in_force(start, end):
-            for t in (since, *_between(hold, since, until)):
+            for t in (since, *hold.knots_between(since, until)):
                 ends[t] = hold.at(t)
         ends[end] = self.at(end)
         times, speeds = np.array(list(ends)), np.array(list(ends.values()))
@@ -174,7 +174,7 @@ class SentInputs:
         times: list[float] = []
         speeds: list[Vector] = []
         for hold, since, until in self._in_force(start, end):
-            here = [since, *_between(hold, since, until), until]
+            here = [since, *hold.knots_between(since, until), until]
             times += here
             speeds += [hold.at(t) for t in here]
         return times, speeds
@@ -191,11 +191,6 @@ class SentInputs:
                 found.append((hold, since, end))
                 end = since
         return found[::-1]
-
-
-def _between(hold: FirstOrderHold, since: float, until: float) -> list[float]:
-    """Return the times of a hold's knots strictly between two times [s]."""
-    return [t for t in hold.times.tolist() if since < t < until]
 
 
 def _corners(times: Vector, speeds: Vector) -> list[int]:

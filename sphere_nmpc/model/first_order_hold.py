@@ -3,8 +3,9 @@
 """Rotor speeds as a continuous, piecewise linear function of time (Eqs. 21 and 22)."""
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
+from operator import lt
 
 import numpy as np
 
@@ -41,12 +42,14 @@ class FirstOrderHold:
                 f"first-order hold: given times of shape {times.shape} and speeds of shape "
                 f"{speeds.shape}, expected (K,) and (K, {INPUT_SIZE}) with K >= 1"
             )
-        # Methods rather than numpy's functions: this runs several times a control period.
-        if not (np.isfinite(times).all() and np.isfinite(speeds).all()):
+        # On so few numbers Python is faster than NumPy, and this runs several times a control
+        # period.
+        knots = times.tolist()
+        if not all(map(math.isfinite, knots + speeds.ravel().tolist())):
             raise InvalidInputError("first-order hold: given a knot that is not a finite number")
-        if not (times[1:] > times[:-1]).all():
+        if not all(map(lt, knots, knots[1:])):
             raise InvalidInputError(
-                f"first-order hold: given times {times.tolist()}, expected strictly rising ones"
+                f"first-order hold: given times {knots}, expected strictly rising ones"
             )
         self._keep(times, speeds)
 
@@ -90,8 +93,10 @@ class FirstOrderHold:
         if end <= time + 1e-9:
             return cls.constant(time, np.zeros(INPUT_SIZE))
         # Rounded up, as a ramp shortened by rounding would exceed the limit.
-        times = np.array([time, np.nextafter(end, np.inf)])
-        return cls(times, np.vstack((speeds, np.zeros(INPUT_SIZE))))
+        times = np.array([time, math.nextafter(end, math.inf)])
+        knots = np.zeros((2, INPUT_SIZE))
+        knots[0] = speeds
+        return cls(times, knots)
 
     @property
     def start(self) -> float:
@@ -116,6 +121,11 @@ class FirstOrderHold:
         speeds *= time - knots[i]
         speeds += here
         return speeds
+
+    def knots_between(self, since: float, until: float) -> list[float]:
+        """Return the times of the knots strictly between two times [s]."""
+        knots = self._knots
+        return knots[bisect_right(knots, since) : bisect_left(knots, until)]
 
     def slope_at(self, time: float) -> Vector:
         """Return the rotor accelerations after `time` [rad/s^2], shape (2,); 0 outside."""

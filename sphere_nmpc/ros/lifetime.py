@@ -19,6 +19,7 @@ from types import FrameType
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
@@ -48,7 +49,7 @@ class RunnableNode(Node):
 
     def work(self, executor: Executor) -> None:
         """Do one piece of work; called repeatedly until the node is requested to end."""
-        executor.spin_once(timeout_sec=_LONGEST_WAIT)
+        spin_for(executor, _LONGEST_WAIT)
 
     def finish(self) -> None:
         """Send final messages; publishers still work, and signals no longer interrupt."""
@@ -173,6 +174,18 @@ class StopRequest:
             if self.wake is not None:
                 self.wake()
                 return
+
+
+def spin_for(executor: Executor, duration: float) -> None:
+    """Serve callbacks for a wall time [s]; the single-threaded executor serves one at most.
+
+    Between two callbacks the events executor then does not return to Python, which takes as long
+    as receiving a message. The other one could not be woken before the time has passed.
+    """
+    if isinstance(executor, SingleThreadedExecutor):
+        executor.spin_once(timeout_sec=duration)
+    else:
+        executor.spin_until_future_complete(Future(), timeout_sec=duration)
 
 
 def _make_executor(by_events: bool) -> Executor:

@@ -4,11 +4,14 @@
 
 from collections.abc import Callable
 
-from rclpy.clock import ClockChange, JumpThreshold, TimeJump
+from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.ros.conversions import seconds
+from sphere_nmpc.ros.serialised import clock_stamp
 
 _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
 
@@ -17,6 +20,8 @@ class ControlClock:
     """Conversion from stamps to control time, with a report of jumps of the clock.
 
     In simulated time control time is the time on ``/clock``; otherwise it begins with the node.
+    rclpy's subscription of ``/clock`` is taken over, as reading message objects with it takes as
+    long as a solve.
 
     Parameters
     ----------
@@ -30,14 +35,18 @@ class ControlClock:
     def __init__(self, node: Node, on_jump: Callable[[bool | None], object]) -> None:
         self._node = node
         self._on_jump = on_jump
+        self._heard: int | None = None
         backwards = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
         self._jumps = node.get_clock().create_jump_callback(backwards, post_callback=self._jumped)
         self._begin()
+        self.listen()
 
     def stamp(self) -> int:
         """Return the present stamp [ns]; 0 before the first message on ``/clock``."""
+        if self._heard is not None:
+            return self._heard
         return int(self._node.get_clock().now().nanoseconds)
 
     def now(self) -> float | None:
@@ -49,9 +58,23 @@ class ControlClock:
         """Return the control time [s] of a stamp [ns]."""
         return seconds(stamp, self.epoch)
 
+    def listen(self) -> None:
+        """Take over rclpy's subscription of ``/clock``, which it makes anew at each change."""
+        for subscription in self._node.subscriptions if self.simulated else ():
+            if subscription.msg_type is Clock and not subscription.raw:
+                subscription.raw, subscription.callback = True, self._hear
+
+    def _hear(self, message: bytes) -> None:
+        stamp = clock_stamp(message)
+        self._heard = stamp
+        clock = self._node.get_clock()
+        assert isinstance(clock, ROSClock)
+        clock.set_ros_time_override(Time(nanoseconds=stamp, clock_type=clock.clock_type))
+
     def _begin(self) -> None:
         self.simulated = bool(self._node.get_parameter("use_sim_time").value)
         """Whether the node follows ``/clock``."""
+        self._heard = None
         self.epoch = 0 if self.simulated else self.stamp()
         """Stamp of control time 0 [ns]."""
 

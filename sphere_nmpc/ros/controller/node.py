@@ -155,6 +155,7 @@ class ControllerNode(RunnableNode):
         self._timer = None if period is None else self.create_timer(period, self._tick)
 
     def _check(self) -> None:
+        self._control_clock.listen()
         now, simulated = self._control_clock.now(), self._control_clock.simulated
         self._monitor.check(now, simulated, self._settings.pose_timeout)
         self._reports.update()

@@ -22,7 +22,7 @@ from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
-from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.lifetime import RunnableNode, run, spin_for
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
@@ -39,7 +39,7 @@ _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
 _SPIN_EVERY = 2e-3
 """Wall time between two calls of the executor [s]; each takes some 0.2 ms."""
-_SHORTEST_SPIN = 5e-4
+_SHORTEST_SPIN = 2e-4
 """Time to the next instant above which the executor waits for it, rather than a sleep [s]."""
 _SLOW = 0.95
 """Share of the wanted real-time factor below which the machine counts as too slow."""
@@ -139,7 +139,9 @@ class SimulatorNode(RunnableNode):
             self._report_timeout()
         if wait <= 0.0:
             self._advance()
-            wait = 0.0 if self._simulated_clock.awaited is None else _REPEAT_EVERY
+            wait = self._simulated_clock.wait(
+                self.simulator.now, time.monotonic(), self._controller_found
+            )
         self._spin(executor, min(wait, _REPEAT_EVERY))
         if wait >= _REPEAT_EVERY and time.monotonic() > self._published_at + _REPEAT_EVERY:
             self._look_for_controller()
@@ -178,7 +180,12 @@ class SimulatorNode(RunnableNode):
         self._published_at = time.monotonic()
 
     def _spin(self, executor: Executor, wait: float) -> None:
-        if wait > _SHORTEST_SPIN:
+        if _SHORTEST_SPIN < wait < _REPEAT_EVERY:
+            spin_for(executor, wait)
+            self._spun_at = time.monotonic()
+            return
+        if wait >= _REPEAT_EVERY:
+            # Time stands still: a command or a service may let it go on at once.
             executor.spin_once(timeout_sec=wait)
             received = -1  # further messages may be waiting
         elif time.monotonic() > self._spun_at + _SPIN_EVERY:

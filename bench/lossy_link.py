@@ -27,7 +27,7 @@ _ALL_FRAMES = 0x0003
 _SOL_PACKET, _VNET_HEADER, _OUTGOING = 263, 15, 4
 _LARGEST = 1 << 17
 _READY = 5.0
-"""Longest wait until the bridge has opened both ends [s]."""
+"""Longest wait until the bridge has opened both ends, and until these are in operation [s]."""
 
 
 class LinkError(RuntimeError):
@@ -97,13 +97,25 @@ def lossy_link(quality: Quality) -> Iterator[Link]:
         for (host, end), address in zip(ends, ADDRESSES, strict=True):
             _ip("-n", host, "address", "add", f"{address}/24", "dev", end)
             _ip("-n", host, "link", "set", end, "up")
+        for host, end in ends:
+            _wait_until_running(host, end)
         yield Link((one, other), means)
 
 
-def _ip(*arguments: str) -> None:
+def _ip(*arguments: str) -> str:
     done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise LinkError(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
+    return done.stdout
+
+
+def _wait_until_running(host: str, end: str) -> None:
+    """Wait until an interface is in operation: the kernel reports carriers once a second only."""
+    give_up = time.monotonic() + _READY
+    while " state UP " not in _ip("-n", host, "-oneline", "link", "show", "dev", end):
+        if time.monotonic() > give_up:
+            raise LinkError(f"{end} of {host} was not in operation within {_READY:g} s")
+        time.sleep(0.02)
 
 
 def _join(end: tuple[str, str], other: tuple[str, str]) -> None:

@@ -5,7 +5,7 @@
 Pure functions of what a node observes; `sphere_nmpc.ros.graph_monitor` observes and logs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 SILENCE_LIMIT = 1.25
@@ -124,6 +124,29 @@ def incompatible_qos(topic: str, node: str, reason: str) -> GraphFault:
         f"of service that fit; no message passes; 'ros2 topic info -v {topic}' shows both sides",
         severe=False,
     )
+
+
+def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:
+    """Return the fault of a node that other machines are not told the right address of.
+
+    Parameters
+    ----------
+    announced : set of str
+        Addresses that this machine had in its network when the node started, which Fast DDS
+        announces as long as the node runs.
+    present : set of str
+        Those that it has now.
+    """
+    if not present or announced & present:
+        return []
+    before, now = (", ".join(sorted(some)) or "none" for some in (announced, present))
+    return [
+        GraphFault(
+            "network", f"given the address {now}, expected the one that this node announces since "
+            f"its start ({before}); nodes on other machines cannot find it: restart it",
+            severe=False,
+        )
+    ]
 
 
 def _no_time(seen: GraphState) -> list[GraphFault]:

@@ -11,7 +11,14 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.graph_faults import GraphFault, further_publishers, incompatible_qos
+from sphere_nmpc.ros.graph_faults import (
+    GraphFault,
+    further_publishers,
+    incompatible_qos,
+    network_fault,
+)
+from sphere_nmpc.ros.loopback import reaches_other_machines
+from sphere_nmpc.ros.network import network_addresses
 
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -35,11 +42,17 @@ class GraphMonitor:
     def __init__(self, node: Node, fault_log: FaultLog) -> None:
         self._node = node
         self._fault_log = fault_log
+        self._announced = network_addresses() if reaches_other_machines() else None
         self.faults: list[GraphFault] = []
         """The present faults, the most severe first."""
 
     def update(self, found: Sequence[GraphFault]) -> None:
-        """Take `found` as the present faults, and log which are new and which have ended."""
+        """Take `found` as the present faults, and log which are new and which have ended.
+
+        That of the network is added here.
+        """
+        if self._announced is not None:
+            found = [*found, *network_fault(self._announced, network_addresses())]
         before = {fault.kind for fault in self.faults}
         self.faults = list(found)
         for fault in found:

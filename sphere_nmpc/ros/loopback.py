@@ -8,6 +8,7 @@ machine only, but still opens its ports on all interfaces, where any machine can
 """
 
 import os
+import re
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
@@ -22,6 +23,8 @@ TRANSPORT_VARIABLES = (_STATIC_PEERS, _DISCOVERY_SERVER, BUILTIN_TRANSPORTS, *PR
 _PROFILES = Path(__file__).with_name("loopback.xml")
 """Profiles that restrict Fast DDS to the loopback interface."""
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+_OWN = re.compile(r"localhost|(?<![\w.])127\.")
+"""Names of this machine in lists of hosts."""
 _REACH = {
     "SUBNET": f"from every machine of the network; {LOCALHOST_ONLY}=1 keeps it on this machine",
     "LOCALHOST": "from this machine only; its ports are open on all interfaces, "
@@ -65,16 +68,13 @@ def apply_localhost_only(environment: MutableMapping[str, str] = os.environ) -> 
 
 def network_reach(environment: Mapping[str, str] = os.environ) -> str:
     """Return one line that says from where nodes with this environment can be reached."""
-    reach = environment.get(DISCOVERY_RANGE, "").upper()
-    if environment.get(LOCALHOST_ONLY) == "1":
-        reach = "LOCALHOST"
     if _uses_loopback_only(environment):
         source = "from this machine only, over the loopback"
     elif server := environment.get(_DISCOVERY_SERVER):
         source = f"from the nodes of the discovery server {server}"
     else:
         # ROS treats an unknown range as LOCALHOST.
-        source = _REACH.get(reach or "SUBNET", _REACH["LOCALHOST"])
+        source = _REACH.get(_range(environment), _REACH["LOCALHOST"])
         if profiles := _profiles(environment):
             source += f"; transports as in {profiles}"
         if peers := environment.get(_STATIC_PEERS):
@@ -82,6 +82,30 @@ def network_reach(environment: Mapping[str, str] = os.environ) -> str:
     if environment.get("ROS_SECURITY_ENABLE") == "true":
         source += "; SROS 2 is on"
     return f"ROS domain {environment.get('ROS_DOMAIN_ID') or '0'}: reachable {source}"
+
+
+def other_machines(environment: Mapping[str, str] = os.environ) -> str:
+    """Return the variable that names other machines to be discovered; empty without any."""
+    reach = _range(environment)
+    peers = "" if reach in ("OFF", "SYSTEM_DEFAULT") else environment.get(_STATIC_PEERS, "")
+    named = {_STATIC_PEERS: peers, _DISCOVERY_SERVER: environment.get(_DISCOVERY_SERVER, "")}
+    for variable, hosts in named.items():
+        if any(host and not _OWN.search(host) for host in hosts.split(";")):
+            return variable
+    return ""
+
+
+def reaches_other_machines(environment: Mapping[str, str] = os.environ) -> bool:
+    """Return whether nodes with this environment are to be found by those of other machines."""
+    wide = _range(environment) in ("SUBNET", "SYSTEM_DEFAULT")
+    return bool(other_machines(environment)) or (wide and not _uses_loopback_only(environment))
+
+
+def _range(environment: Mapping[str, str]) -> str:
+    """Return the discovery range in force, as ROS reads it."""
+    if environment.get(LOCALHOST_ONLY) == "1":
+        return "LOCALHOST"
+    return environment.get(DISCOVERY_RANGE, "").upper() or "SUBNET"
 
 
 def _uses_loopback_only(environment: Mapping[str, str]) -> bool:

@@ -12,6 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import check_environment, unwritable_log_folder
 from sphere_nmpc.ros.loopback import apply_localhost_only
+from sphere_nmpc.ros.network import wait_for_network
 from sphere_nmpc.ros.shared_memory import avoid_foreign_shared_memory
 
 _WITHOUT_LOG_FILE = ("--ros-args", "--disable-external-lib-logs")
@@ -29,7 +30,7 @@ def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
     args : sequence of str
         Arguments after the program's name.
     quiet : bool, optional
-        Whether to omit the messages about a missing log file and unused shared memory, where the
+        Whether to omit the messages about a missing log file, network or shared memory, where the
         nodes that are started afterwards print them too.
 
     Raises
@@ -40,8 +41,9 @@ def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
         If rclpy fails, with its reason.
     """
     apply_localhost_only()
+    messages = [wait_for_network()]  # first: names of peers may need a network to be resolved
     check_environment()
-    messages = [avoid_foreign_shared_memory()]
+    messages.append(avoid_foreign_shared_memory())
     unwritable = unwritable_log_folder()
     if unwritable is not None:
         args = [*args, *_WITHOUT_LOG_FILE]

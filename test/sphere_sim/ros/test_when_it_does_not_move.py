@@ -16,7 +16,7 @@ from rosgraph_msgs.msg import Clock
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros import graph_faults
+from sphere_nmpc.ros import graph_faults, graph_monitor
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
@@ -30,6 +30,15 @@ ROWS = [
 ]
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 CASE = PAPER_CASES[1]
+ADDRESSES: set[str] = set()
+"""Addresses of this machine in its network, as the nodes under test see them."""
+
+
+@pytest.fixture(autouse=True)
+def network(monkeypatch) -> None:
+    ADDRESSES.clear()
+    monkeypatch.setattr(graph_monitor, "network_addresses", lambda: frozenset(ADDRESSES))
+    monkeypatch.setattr(graph_monitor, "reaches_other_machines", lambda: True)
 
 
 def pattern(row: str) -> re.Pattern[str]:
@@ -183,6 +192,13 @@ def goal_in_another_frame(graph) -> None:
     graph.publisher(PoseStamped, "goal_pose").publish(goal)
 
 
+def network_after_the_start(graph) -> None:
+    ADDRESSES.clear()
+    robot(graph, on_the_wall, silent)
+    controller(graph)
+    ADDRESSES.add("192.0.2.1")
+
+
 def lockstep_without_controller(graph) -> None:
     simulator(graph, lockstep=True)
 
@@ -217,6 +233,7 @@ MISTAKES: dict[Callable[..., None], str] = {
     pose_sent_best_effort_in_lockstep: "incompatible QoS",
     pose_in_another_frame: ": pose refused: frame",
     goal_in_another_frame: ": goal_pose refused: frame",
+    network_after_the_start: "expected the one that this node announces",
     lockstep_without_controller: "time waits",
     commands_on_another_clock: "rotor_trajectory refused",
     push_from_above: "push refused",

@@ -3,19 +3,26 @@
 """Runs to goals with simulator and controller on two hosts, over a link that loses packets.
 
     sudo python bench/two_hosts.py --loss 0 1 5 20 --goals 6 --json out/two_hosts.json
+    sudo python bench/two_hosts.py --loss 0 --starts 50 --discovery server
 
-The hosts are network namespaces, see `lossy_link`. Discovery is limited to the machine itself and
-the other host, by address; shared memory, which would bypass the link, is switched off.
+The hosts are network namespaces, see `lossy_link`. Shared memory, which would bypass the link, is
+switched off. With ``--starts`` all processes are started anew each time, and the time is measured
+until they have discovered each other, and until the sphere moves to a first goal: by then poses,
+goal and commands have passed.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
 import statistics
 import subprocess
 import sys
+import sysconfig
 import tempfile
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +36,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.serving import serve_until
 
 DEADLINE = 60.0
 """Time to a goal after which it is given up [s]."""
@@ -39,6 +47,15 @@ _PATIENCE = 90.0
 _REPEAT = 3.0
 """Wall time after which an unconfirmed goal is sent again [s]."""
 _DOMAIN = "65"
+_MOTION = 1e-3
+"""Change of the error from which on the sphere moves [mixed units]."""
+_UP = 10.0
+"""Time within which a start counts as up [s]."""
+_SERVER_PORT = "11811"
+_PEERS = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ";".join(ADDRESSES)}
+_SERVER = {"ROS_DISCOVERY_SERVER": f"{ADDRESSES[0]}:{_SERVER_PORT}"}
+DISCOVERY: dict[str, dict[str, str]] = {"peers": _PEERS, "server": _SERVER, "multicast": {}}
+"""Variables of each means of discovery; the server runs on the simulator's host."""
 
 
 def main() -> int:
@@ -60,7 +77,8 @@ def main() -> int:
     if given.json:
         given.json.parent.mkdir(parents=True, exist_ok=True)
         given.json.write_text(json.dumps({"two_hosts": results}, indent=2) + "\n")
-    return 0 if all(row["reached"] == row["goals"] for row in results) else 1
+    wanted, got = ("starts", "up_in_10_s") if given.starts else ("goals", "reached")
+    return 0 if all(row[got] == row[wanted] for row in results) else 1
 
 
 def _parse() -> argparse.Namespace:
@@ -70,6 +88,9 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--delay", type=float, default=20.0, help="in either direction [ms]")
     parser.add_argument("--jitter", type=float, default=10.0, help="around it, either way [ms]")
     parser.add_argument("--goals", type=int, default=6, help="one after the other, for each loss")
+    parser.add_argument("--starts", type=int, default=0,
+                        help="measure this many starts for each loss, instead of goals")
+    parser.add_argument("--discovery", choices=DISCOVERY, default="peers")
     parser.add_argument("--seed", type=int, default=0, help="of the goals")
     parser.add_argument("--strategy", default="time_optimal")
     parser.add_argument("--json", type=Path)
@@ -82,25 +103,70 @@ def _over(quality: Quality, given: argparse.Namespace) -> dict[str, object]:
     with lossy_link(quality) as link:
         here, there = link.hosts
         environment = {
-            **{k: v for k, v in os.environ.items() if not k.startswith(("ROS_A", "FAST"))},
+            **{k: v for k, v in os.environ.items()
+               if not k.startswith(("ROS_A", "ROS_S", "ROS_DISC", "ROS_L", "FAST"))},
             "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", _DOMAIN),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_STATIC_PEERS": ";".join(ADDRESSES),
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            **DISCOVERY[given.discovery],
         }
-        own = ["--goals", str(given.goals), "--seed", str(given.seed),
-               "--strategy", given.strategy, "--inside", there]
-        done = subprocess.run(
-            ["ip", "netns", "exec", here, sys.executable, __file__, *own],
-            env=environment, stdout=subprocess.PIPE, text=True, check=False,
-        )
-        if done.returncode:
-            raise LinkError(f"the run ended with exit code {done.returncode}")
-        return {"by": link.means, **json.loads(done.stdout.splitlines()[-1])}
+        own = ["--goals", str(given.goals), "--starts", str(given.starts),
+               "--seed", str(given.seed), "--strategy", given.strategy, "--inside", there]
+
+        def run() -> dict[str, float]:
+            done = subprocess.run(
+                ["ip", "netns", "exec", here, sys.executable, __file__, *own],
+                env=environment, stdout=subprocess.PIPE, text=True, check=False,
+            )
+            if done.returncode:
+                raise LinkError(f"the run ended with exit code {done.returncode}")
+            result: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+            return result
+
+        with _server(here) if given.discovery == "server" else contextlib.nullcontext():
+            measured = _starts(run, given.starts) if given.starts else run()
+        return {"by": link.means, "discovery": given.discovery, **measured}
+
+
+@contextlib.contextmanager
+def _server(host: str) -> Iterator[None]:
+    """Run the discovery server of Fast DDS, which does not find the libraries of its wheel."""
+    programs = Path(sys.executable).parent
+    libraries = [programs.parent / "lib", Path(sysconfig.get_path("purelib"), "ros_fastrtps.libs")]
+    server = [str(programs / "fast-discovery-server"), "-i", "0"]
+    process = subprocess.Popen(
+        ["ip", "netns", "exec", host, *server, "-l", ADDRESSES[0], "-p", _SERVER_PORT],
+        stdout=subprocess.DEVNULL,
+        env={**os.environ, "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries))},
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _starts(run: Callable[[], dict[str, float]], number: int) -> dict[str, object]:
+    """Start everything `number` times, and return how long that took."""
+    times = []
+    for _ in range(number):
+        times.append(run())
+        print(times[-1], flush=True)
+    found = [time["found_s"] for time in times if "found_s" in time]
+    moving = [time["moving_s"] for time in times if "moving_s" in time]
+    return {
+        "starts": number,
+        "up_in_10_s": sum(time <= _UP for time in moving),
+        "found_s": round(statistics.median(found), 2) if found else None,
+        "found_s_most": max(found, default=None),
+        "moving_s": round(statistics.median(moving), 2) if moving else None,
+        "moving_s_most": max(moving, default=None),
+        "never": number - len(moving),
+    }
 
 
 def _inside(given: argparse.Namespace) -> dict[str, object]:
     """Start the simulator here and the controller there, and send goals from here."""
+    began = time.monotonic()
     with tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
         nodes.start("simulator", ["--ros-args", "-p", "pose_rate:=50.0"])
         nodes.start(
@@ -110,7 +176,8 @@ def _inside(given: argparse.Namespace) -> dict[str, object]:
         )
         rclpy.init(args=[])
         try:
-            return _Goals(given.goals, given.seed).run()
+            goals = _Goals(given.goals, given.seed)
+            return goals.start(began) if given.starts else goals.run()
         except SphereNmpcError:
             print(Path(logs, "controller.log").read_text(), file=sys.stderr)
             raise
@@ -149,12 +216,32 @@ class _Goals:
             "missed_ticks": int(self._status["missed_ticks"]),
         }
 
+    def start(self, began: float) -> dict[str, object]:
+        """Return the times until everything has been found and until the sphere moves [s]."""
+        times: dict[str, object] = {}
+        try:
+            self._goals.prepare(_PATIENCE)
+            times["found_s"] = round(time.monotonic() - began, 2)
+            run = self._goals.send(random_goal(self._rng, REACH), _PATIENCE, _REPEAT)
+            at_first: list[float] = []
+
+            def moves() -> bool:
+                if not at_first and not math.isnan(run.error):
+                    at_first.append(run.error)
+                return bool(at_first) and abs(run.error - at_first[0]) > _MOTION
+
+            if serve_until(self._spin, moves, _PATIENCE):
+                times["moving_s"] = round(time.monotonic() - began, 2)
+        except SphereNmpcError as error:
+            print(error, file=sys.stderr)
+        return times
+
     def _spin(self) -> None:
         rclpy.spin_once(self._node, timeout_sec=0.05)
 
     def _take_status(self, message: DiagnosticStatus) -> None:
         self._status = {pair.key: pair.value for pair in message.values}
-        age = float(self._status["pose_age_s"])
+        age = float(self._status.get("pose_age_s", "nan"))
         if math.isfinite(age):
             self._ages.append(age)
 

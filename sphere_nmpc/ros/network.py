@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Addresses of this machine that Fast DDS announces to nodes on other machines.
 
-A node announces the addresses that interfaces in operation have when it starts, or 127.0.0.1 where
-there are none, and keeps to them as long as it runs. Nodes on other machines that are told 127.0.0.1
+A node announces the addresses that interfaces in operation have when it starts, 127.0.0.1 where
+there are none, and keeps to them as long as it runs. Nodes on other machines that hear 127.0.0.1
 answer to themselves, and neither side ever discovers the other.
 """
 

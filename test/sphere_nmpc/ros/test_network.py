@@ -143,7 +143,7 @@ def test_node_that_starts_before_its_network_is_found_from_another_host(hosts, t
         stderr=subprocess.PIPE, text=True,
     )
     try:
-        time.sleep(3.0)  # long enough for a start on most machines: then it has announced 127.0.0.1
+        time.sleep(3.0)  # most machines start a node in less; without the wait it is never found
         for host in hosts:
             subprocess.run(["ip", "-n", host, "link", "set", "cable", "up"], check=True)
         goal = subprocess.run(

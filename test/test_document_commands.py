@@ -53,6 +53,7 @@ CHECKS: dict[str, Callable[[tuple[str, ...]], None]] = {
 UNCHECKED = (
     # Tools of ROS whose arguments do not depend on the package.
     "ros2 security", "ros2 pkg prefix", "ros2 topic list", "ros2 node list", "colcon", "rosdep",
+    ".venv/bin/fast-discovery-server",
     # test_documents.py checks that targets and scripts exist.
     "make", "python", "python3", ".venv/bin/python",
     # Tools of the system.

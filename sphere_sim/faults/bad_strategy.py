@@ -5,13 +5,15 @@
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.worker.contract import Worker
 
 _LATENESS = 0.4
 """Additional wall time of a late plan [s]."""
@@ -59,3 +61,36 @@ class BadStrategy:
     def reset(self) -> None:
         """Reset the inner strategy."""
         self._inner.reset()
+
+
+class BadSearchingStrategy(BadStrategy):
+    """The same for a strategy that can search beside the control loop.
+
+    Parameters
+    ----------
+    inner : Strategy and SearchingStrategy
+        The strategy that makes the plans.
+    mode_file : Path
+        See `BadStrategy`.
+    """
+
+    _inner: Any  # both a Strategy and a SearchingStrategy
+
+    def search_beside(self, worker: Worker) -> None:
+        """Pass the worker on."""
+        self._inner.search_beside(worker)
+
+    @property
+    def searches(self) -> bool:
+        """Whether the inner strategy searches while the robot waits."""
+        return bool(self._inner.searches)
+
+    def is_due(self, now: float) -> bool:
+        """Return whether the inner strategy has a plan that begins at `now` [s] or before."""
+        return bool(self._inner.is_due(now))
+
+
+def failing_on_demand(inner: Strategy, mode_file: Path) -> BadStrategy:
+    """Return a wrapper of a strategy that searches beside the control loop if the strategy can."""
+    is_searching = isinstance(inner, SearchingStrategy)
+    return (BadSearchingStrategy if is_searching else BadStrategy)(inner, mode_file)

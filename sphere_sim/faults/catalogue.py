@@ -82,6 +82,7 @@ _LATE = ("late poses rose",)
 _FAILED = ("solve failed",)
 _STILL = ("clock stands still", "paused")
 _OTHER = ("other publisher",)
+_WORKER = ("worker replaced",)
 
 
 def _pose(name: str, disturbance: str, /, **more: Any) -> Fault:
@@ -150,6 +151,10 @@ _ALL = (
     _kill("recorder"),
     _stop("controller", named_by=("missed ticks rose",)),
     _stop("simulator", named_by=("clock stopped", *_STILL)),
+    Fault("worker_killed", "worker", "signal_worker", {"signal": "SIGKILL"}, named_by=_WORKER,
+          quick=True),
+    # Longer than the controller waits for a result, by wall time.
+    Fault("worker_stopped", "worker", "signal_worker", {"signal": "SIGSTOP"}, 8.0, _WORKER),
     _solver("raises", "raise", named_by=_FAILED, quick=True),
     _solver("not_finite", "nan", named_by=_FAILED),
     _solver("wild", "wild"),
@@ -183,6 +188,10 @@ _IMPOSSIBLE = (
 )
 """Pairs of which one undoes the other: a recorder that has been killed writes nothing to a full
 disk, and a controller that is throttled or started again does not remain stopped."""
+_OF_WHOLE_CONTROLLER = {
+    "controller_killed", "controller_stopped", "cpu_starved", "parameters_at_start",
+}
+"""Faults that concern the controller's worker too."""
 
 
 def chosen(
@@ -243,6 +252,8 @@ def _can_coincide(one: Fault, other: Fault) -> bool:
         return False
     # One of them would continue or end what the other has stopped.
     if "stop" in actions and one.options.get("node", "") == other.options.get("node", "-"):
+        return False
+    if "signal_worker" in actions and names & _OF_WHOLE_CONTROLLER:
         return False
     return names not in _IMPOSSIBLE
 

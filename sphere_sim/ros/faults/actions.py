@@ -22,6 +22,7 @@ from sphere_sim.ros.faults.process_actions import (
     Throttle,
 )
 from sphere_sim.ros.faults.second_poses import SecondPoses
+from sphere_sim.ros.faults.worker_actions import SignalWorker
 
 
 class DisturbedPoses(Action):
@@ -160,6 +161,7 @@ _ACTIONS: dict[str, Any] = {
     "pace": Pace,
     "kill": Kill,
     "stop": Stop,
+    "signal_worker": SignalWorker,
     "solver": BadSolver,
     "throttle": Throttle,
     "hogs": Hogs,

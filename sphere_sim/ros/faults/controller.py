@@ -16,7 +16,7 @@ from sphere_nmpc.ros.controller.node import main as run_controller
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Strategy
 from sphere_nmpc.strategy.registry import make_strategy
-from sphere_sim.faults.bad_strategy import BadStrategy
+from sphere_sim.faults.bad_strategy import failing_on_demand
 from sphere_sim.ros.session.parent import end_with_parent
 
 
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str]) -> int:
     end_with_parent(int(parent))
 
     def make(settings: ControllerSettings, robot: RobotParameters) -> Strategy:
-        return BadStrategy(make_strategy(settings, robot), Path(mode_file))
+        return failing_on_demand(make_strategy(settings, robot), Path(mode_file))
 
     controller.make_strategy = make
     return run_controller(rest)

@@ -10,9 +10,10 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.strategy.contract import SearchingStrategy
 from sphere_nmpc.strategy.registry import make_strategy
-from sphere_sim.faults.bad_strategy import BadStrategy
+from sphere_sim.faults.bad_strategy import BadStrategy, failing_on_demand
 from sphere_sim.faults.limits import LimitCheck
 
 ROBOT = RobotParameters()
@@ -58,3 +59,11 @@ def test_live_change_reaches_the_wrapped_strategy(tmp_path) -> None:
         controller.change(changed)
         costs.append(controller.decide(0.0).plan.cost)
     assert costs[1] < 0.1 * costs[0]
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_wrapped_strategy_searches_beside_the_loop_if_it_does_without(tmp_path, name) -> None:
+    inner = make_strategy(replace(SETTINGS, strategy=name), ROBOT)
+    wrapped = failing_on_demand(inner, tmp_path / "mode")
+    assert isinstance(wrapped, SearchingStrategy) == isinstance(inner, SearchingStrategy)
+    assert isinstance(wrapped, SearchingStrategy) == (name == "time_optimal")

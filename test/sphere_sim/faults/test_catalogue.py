@@ -11,7 +11,7 @@ from sphere_sim.ros.faults.actions import action_of
 
 GROUPS = {
     "pose", "burst", "goal", "clock", "process", "solver", "cpu", "disk", "rival", "parameters",
-    "disturbance",
+    "disturbance", "worker",
 }
 
 IMPOSSIBLE = (
@@ -19,7 +19,8 @@ IMPOSSIBLE = (
     {"recorder_killed", "disk_full"}, {"simulator_killed", "push"}, {"simulator_killed", "tilt"},
     {"simulator_stopped", "push"}, {"simulator_stopped", "parameters_live"},
     {"controller_stopped", "cpu_starved"}, {"controller_stopped", "controller_killed"},
-    {"burst_clock", "clock_lost"},
+    {"burst_clock", "clock_lost"}, {"controller_killed", "worker_killed"},
+    {"worker_stopped", "cpu_starved"},
 )
 """Pairs of which the second fault needs the process that the first has ended or stopped, or undoes
 the first."""

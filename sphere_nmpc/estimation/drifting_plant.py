@@ -129,6 +129,7 @@ class DriftingPlantEstimator:
 
         `connected` says whether it starts where the last one ended.
         """
+        transition = transition.straightened()
         if self._momentum:
             self._compare(transition, connected)
         else:

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
+import math
+from bisect import bisect_left, bisect_right
 from collections import deque
 from dataclasses import replace
 
@@ -17,10 +19,8 @@ _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
 _SHORTEST = 1e-6
 """Knots closer than this [s] count as one."""
-_MANY = 48
-"""Number of pieces above which consecutive ones on a straight line are joined ..."""
-_STRAIGHT = 0.05
-"""... if no end between them is further than this from the line [rad/s]."""
+_MOST_ENDS = 8192
+"""Ends of pieces kept for the next call of `SentInputs.pieces`."""
 
 
 class SentInputs:
@@ -31,22 +31,22 @@ class SentInputs:
 
     def __init__(self) -> None:
         self._holds: deque[FirstOrderHold] = deque(maxlen=_KEPT)
+        self._end_times: list[float] = []
+        self._end_speeds: list[list[float]] = []
+        self._ends_from = self._ends_until = -math.inf
 
     def clear(self) -> None:
         """Discard all holds; the rotors count as at rest."""
         self._holds.clear()
+        self._forget_ends()
 
     def record(self, hold: FirstOrderHold) -> None:
         """Add a hold that takes effect at its first knot and replaces what was sent for later."""
         while self._holds and self._holds[-1].start >= hold.start:
             self._holds.pop()
+        if hold.start < self._ends_until:
+            self._forget_ends()
         self._holds.append(hold)
-
-    def copy(self) -> "SentInputs":
-        """Return a copy, which another thread may read."""
-        twin = SentInputs()
-        twin._holds.extend(self._holds)
-        return twin
 
     @property
     def newest(self) -> FirstOrderHold | None:
@@ -148,16 +148,37 @@ class SentInputs:
         speeds : ndarray, shape (K + 1, 2)
             Rotor speeds at their ends [rad/s].
         """
-        ends: dict[float, Vector] = {start: self.at(start)}
-        for hold, since, until in self._in_force(start, end):
-            for t in (since, *hold.knots_between(since, until)):
-                ends[t] = hold.at(t)
-        ends[end] = self.at(end)
-        times, speeds = np.array(list(ends)), np.array(list(ends.values()))
-        if times.size > _MANY:
-            kept = _corners(times, speeds)
-            times, speeds = times[kept], speeds[kept]
-        return np.diff(times), speeds
+        self._extend_ends(start, end)
+        inside = slice(bisect_right(self._end_times, start), bisect_left(self._end_times, end))
+        times = [start, *self._end_times[inside], end]
+        rows = self._end_speeds[inside]
+        speeds = [self.at(start).tolist(), *rows, self.at(end).tolist()]
+        return np.diff(np.array(times)), np.array(speeds)
+
+    def _extend_ends(self, start: float, end: float) -> None:
+        """Collect the ends of the straight pieces between two times.
+
+        Those known from earlier calls are kept: at a high control rate there are hundreds.
+        """
+        if start < self._ends_from or len(self._end_times) > _MOST_ENDS:
+            self._forget_ends()
+        if not self._end_times:
+            self._ends_from = self._ends_until = start
+        known = self._ends_until
+        if end <= known:
+            return
+        for hold, since, until in self._in_force(known, end):
+            # A knot at the end of the last call was not among those before it.
+            begins = hold.start >= known
+            after = since if begins else math.nextafter(since, -math.inf)
+            ends = [*([since] if begins else []), *hold.knots_between(after, until)]
+            self._end_times += ends
+            self._end_speeds += [hold.at(t).tolist() for t in ends]
+        self._ends_until = end
+
+    def _forget_ends(self) -> None:
+        self._end_times, self._end_speeds = [], []
+        self._ends_from = self._ends_until = -math.inf
 
     def moves_after(self, time: float) -> bool:
         """Return whether the hold in force has a speed other than zero at `time` [s] or later."""
@@ -192,14 +213,3 @@ class SentInputs:
                 end = since
         return found[::-1]
 
-
-def _corners(times: Vector, speeds: Vector) -> list[int]:
-    """Return the indices of the ends whose connecting line stays near all others."""
-    kept, last = [0], 0
-    for i in range(2, times.size):
-        share = (times[last + 1 : i] - times[last]) / (times[i] - times[last])
-        line = speeds[last] + share[:, None] * (speeds[i] - speeds[last])
-        if np.abs(speeds[last + 1 : i] - line).max() > _STRAIGHT:
-            last = i - 1
-            kept.append(last)
-    return [*kept, times.size - 1]

@@ -11,6 +11,10 @@ from sphere_nmpc.model.state import Vector
 
 _SHORTEST_PIECE = 1e-9
 """Shortest piece of the rotor speeds [s]."""
+_MANY = 48
+"""Number of ends of pieces above which consecutive pieces on a straight line are joined ..."""
+_STRAIGHT = 0.05
+"""... if no end between them is further than this from the line [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +51,14 @@ class Transition:
         slopes = np.diff(self.inputs, axis=0) / self.durations[:, None]
         return float(np.max(np.abs(slopes), initial=0.0))
 
+    def straightened(self) -> "Transition":
+        """Return the transition with fewer pieces, if it has many as at a high control rate."""
+        if self.inputs.shape[0] <= _MANY:
+            return self
+        times = np.concatenate(([0.0], np.cumsum(self.durations)))
+        kept = _corners(times, self.inputs)
+        return replace(self, durations=np.diff(times[kept]), inputs=self.inputs[kept])
+
     def driven(self, acceleration: float, lead: float) -> "Transition":
         """Return the transition with the speeds that drives of this limit [rad/s^2] attain.
 
@@ -77,3 +89,15 @@ class Transition:
         times = np.concatenate(([begin], given[inside], [end]))
         speeds = [np.interp(times, given, column) for column in self.inputs.T]
         return np.diff(times), np.column_stack(speeds)
+
+
+def _corners(times: Vector, speeds: Vector) -> list[int]:
+    """Return the indices of the ends whose connecting line stays near all others."""
+    kept, last = [0], 0
+    for i in range(2, times.size):
+        share = (times[last + 1 : i] - times[last]) / (times[i] - times[last])
+        line = speeds[last] + share[:, None] * (speeds[i] - speeds[last])
+        if np.abs(speeds[last + 1 : i] - line).max() > _STRAIGHT:
+            last = i - 1
+            kept.append(last)
+    return [*kept, times.size - 1]

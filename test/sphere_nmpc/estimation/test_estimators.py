@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from delayed_worker import DelayedWorker
 
 from sphere_nmpc.estimation import plant_estimator
 from sphere_nmpc.estimation.contract import Estimator, PlantEstimate
@@ -17,7 +18,6 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.settings import ControllerSettings
-from test.support.delayed_worker import DelayedWorker
 
 LUMPED = RobotParameters().lumped
 START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import integrate_with_drift
@@ -188,3 +189,39 @@ def test_prediction_without_drift_is_that_of_the_paper() -> None:
     state, after = sent.predict_with_drift(start, NO_DRIFT, 0.0, 1.0, P)
     np.testing.assert_array_equal(state, sent.predict(start, 0.0, 1.0, P))
     assert after is NO_DRIFT
+
+
+def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
+    rng = np.random.default_rng(5)
+    asked, fresh, now = SentInputs(), list[FirstOrderHold](), 0.0
+    for _ in range(300):
+        now += float(rng.choice([0.002, 0.01, 0.25]))
+        # Some holds have knots before the next one, some are as late as the last question.
+        times = now + np.cumsum(rng.uniform(1e-3, 0.02, 4)) - 1e-3
+        fresh.append(FirstOrderHold(times, rng.uniform(-100.0, 100.0, (4, 2))))
+        asked.record(fresh[-1])
+        if rng.random() < 0.3:
+            start, end = now - rng.uniform(0.0, 1.0), now + rng.choice([0.0, 1e-3])
+            expected = SentInputs()
+            for hold in fresh:
+                expected.record(hold)
+            for found, known in zip(
+                asked.pieces(start, end), expected.pieces(start, end), strict=True
+            ):
+                np.testing.assert_array_equal(found, known)
+
+
+def test_pieces_of_a_high_rate_are_joined_where_they_lie_on_a_line() -> None:
+    sent = SentInputs()
+    for k in range(500):
+        time = 2e-3 * k
+        speeds = [50.0 - 100.0 * abs(time - 0.5), 10.0]
+        sent.record(ramp(time, speeds, speeds, 2e-3))
+    raw = Transition(START, START, *sent.pieces(0.0, 0.998))
+    joined = raw.straightened()
+    assert joined.durations.size < 10 < raw.durations.size
+    assert joined.duration == pytest.approx(raw.duration)
+    times = np.cumsum(raw.durations)
+    at = np.interp(times, np.concatenate(([0.0], np.cumsum(joined.durations))),
+                   joined.inputs[:, 0])
+    assert np.max(np.abs(at - raw.inputs[1:, 0])) <= 0.05

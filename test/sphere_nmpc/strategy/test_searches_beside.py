@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from delayed_worker import DelayedWorker
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
@@ -20,7 +21,6 @@ from sphere_sim.evaluation.metrics import settling_index, state_errors
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
-from test.support.delayed_worker import DelayedWorker
 
 ROBOT = RobotParameters()
 DRAWN = draw_scenarios(4, 77)

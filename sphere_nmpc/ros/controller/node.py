@@ -125,6 +125,7 @@ class ControllerNode(RunnableNode):
         if now is not None:
             self._plan(self._schedule.final_request(now))
         self._sender.send_final_ramp()
+        self._stored_goal.close()
         if self._worker is not None:
             self._worker.close()
 

@@ -175,7 +175,8 @@ class ControllerReports:
         self._last_status = (time, decision.mode)
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
-        if len(plan.states):
+        # Making the path takes as long as a plan.
+        if len(plan.states) and self._path.get_subscription_count() > 0:
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
 
     def _log_failure(self, decision: Decision) -> None:

@@ -3,6 +3,7 @@
 """The goal in force, stored on disk for the next run of a controller."""
 
 import os
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from rclpy.node import Node
@@ -16,6 +17,8 @@ from sphere_nmpc.ros.controller.control_clock import ControlClock
 
 class StoredGoal:
     """File with the goal in force; the goal of the last run is restored from it once.
+
+    It is written by a thread of its own, since a disk may take longer than a control period.
 
     Parameters
     ----------
@@ -33,6 +36,8 @@ class StoredGoal:
         self._memory: GoalMemory | None = GoalMemory(goal_file(node), keep)
         self._clock = clock
         self._fault_log = fault_log
+        self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stored_goal")
+        self._written: Future[None] | None = None
         self.is_settled = False
         """Whether the stored goal has been restored or is superseded by a new one."""
 
@@ -53,12 +58,24 @@ class StoredGoal:
         self.is_settled = True
 
     def save(self, goal: Vector | None) -> None:
-        """Store the goal in force, shape (6,), or that there is none."""
+        """Begin to store the goal in force, shape (6,), or that there is none."""
+        self._report_failure()
         if self._memory is None or not self.is_settled or self._clock.now() is None:
             return
-        try:
-            self._memory.save(goal, self._clock.stamp(), self._clock.simulated)
-        except OSError as error:
+        self._written = self._writer.submit(
+            self._memory.save, goal, self._clock.stamp(), self._clock.simulated
+        )
+
+    def close(self) -> None:
+        """Wait until the last goal is stored."""
+        self._writer.shutdown()
+        self._report_failure()
+
+    def _report_failure(self) -> None:
+        if self._written is None or not self._written.done():
+            return
+        error, self._written = self._written.exception(), None
+        if error is not None:
             self._memory = None
             self._fault_log.report(
                 "goal not kept", f"{error}; a restart will begin without a goal"

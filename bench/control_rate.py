@@ -7,6 +7,7 @@
 The simulator publishes as many poses as the controller solves plans. Every few seconds another
 drawn goal keeps the sphere moving. Latency is the time from the publication of the pose of a
 sampling instant to that of its command. With ``hogs`` another process keeps a processor busy.
+The last two columns are the processor time of each node, with its worker, for a sampling instant.
 """
 
 import argparse
@@ -27,23 +28,32 @@ _COLUMNS = {
     "strategy": "s", "rate_hz": ".0f", "hogs": "d", "achieved_hz": ".1f", "period_p50_ms": ".2f",
     "period_p99_ms": ".2f", "latency_p50_ms": ".2f", "latency_p99_ms": ".2f",
     "solve_p50_ms": ".3f", "solve_p99_ms": ".3f", "tick_p50_ms": ".3f", "missed": "d",
-    "missed_percent": ".2f", "pace": ".3f",
+    "missed_percent": ".3f", "pace": ".3f", "controller_ms": ".3f", "simulator_ms": ".3f",
 }
 
 
-def measure(strategy: str, rate: float, hogged: int, duration: float) -> dict[str, Any]:
+def measure(
+    strategy: str, rate: float, hogged: int, duration: float, priority: int
+) -> dict[str, Any]:
     """Run both nodes for a while and return the figures."""
     goals = itertools.cycle(scenario.goal for scenario in draw_scenarios(50, 3))
-    simulator: dict[str, object] = {"pose_rate": rate}
+    simulator: dict[str, object] = {"pose_rate": rate, "thread_priority": priority}
     controller: dict[str, object] = {
         "strategy": strategy, "control_rate": rate, "command_rate": 100.0,
+        "thread_priority": priority,
     }
     with running(simulator, controller, keep_poses=False) as observer, hogs(hogged):
         observer.begin()
+        before = observer.processor_time()
         _drive(observer, goals, duration)
+        spent = {
+            # Processor time for each sampling instant.
+            f"{name}_ms": 1e3 * (time - before[name]) / (duration * rate)
+            for name, time in observer.processor_time().items()
+        }
         return {
             "strategy": strategy, "rate_hz": rate, "hogs": hogged, "duration_s": duration,
-            **figures(observer.record, rate),
+            "thread_priority": priority, **figures(observer.record, rate), **spent,
         }
 
 
@@ -101,6 +111,7 @@ def main() -> int:
     parser.add_argument("--strategies", nargs="+", default=["paper", "time_optimal"])
     parser.add_argument("--hogs", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--duration", type=float, default=60.0, help="simulated time of each [s]")
+    parser.add_argument("--priority", type=int, default=1, help="of both nodes, 0 is ordinary")
     parser.add_argument("--json", type=Path, help="file for the results")
     options = parser.parse_args()
     about, rows = machine(), []
@@ -109,7 +120,7 @@ def main() -> int:
     for hogged, strategy, rate in itertools.product(
         options.hogs, options.strategies, options.rates
     ):
-        row = measure(strategy, rate, hogged, options.duration)
+        row = measure(strategy, rate, hogged, options.duration, options.priority)
         row["load_average"] = machine()["load_average"]
         rows.append(row)
         cells = (format(row[name], how) for name, how in _COLUMNS.items())

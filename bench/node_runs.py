@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import psutil
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -39,6 +40,8 @@ from sphere_sim.ros.session.serving import serve_until
 
 PATIENCE = 60.0
 """How long nodes on a busy machine may take to be ready [s]."""
+_SPIN = 0.01
+"""Wall time between two looks at what was received [s]."""
 _RADIUS = 0.3
 _PRIORITY: dict[str, object] = {"thread_priority": 1}
 """Parameters of the measured nodes, where the system allows it."""
@@ -72,13 +75,19 @@ class Observer:
         self._executor.add_node(self._node)
         self._sender = GoalSender(self._node, self.spin)
         self._pause = self._node.create_client(SetBool, "simulator/pause")
-        node = self._node
-        # rclpy's annotations lack callbacks that take the message's times too.
-        take_pose: Any = self._take_pose
-        take_command: Any = self._take_command
-        node.create_subscription(PoseStamped, "pose", take_pose, 1000, raw=True)
-        node.create_subscription(JointTrajectory, "rotor_trajectory", take_command, 1000, raw=True)
-        node.create_subscription(DiagnosticStatus, "controller/status", self._take_status, 1000)
+        self._node.create_subscription(
+            DiagnosticStatus, "controller/status", self._take_status, 1000
+        )
+        # These are read without the executor, which takes longer for a message than the nodes do,
+        # and so belong to a node of their own.
+        self._reader = rclpy.create_node("reader")
+        self._frequent: list[tuple[Any, Callable[[bytes, dict[str, int]], None]]] = [
+            (self._reader.create_subscription(kind, topic, _ignore, 1000, raw=True), take)
+            for kind, topic, take in (
+                (PoseStamped, "pose", self._take_pose),
+                (JointTrajectory, "rotor_trajectory", self._take_command),
+            )
+        ]
 
     def begin(self) -> None:
         """Wait for both nodes and start time."""
@@ -99,13 +108,22 @@ class Observer:
         self._sender.send(goal, _RADIUS, PATIENCE)
         return sent
 
+    def processor_time(self) -> dict[str, float]:
+        """Return the processor time of each node with its child processes so far [s]."""
+        return {name: _processor_time(pid) for name, pid in self._processes.pids.items()}
+
     def until(self, condition: Callable[[], Any], patience: float) -> bool:
         """Serve the node until `condition` holds; return False after `patience` [s, wall]."""
         return serve_until(self.spin, condition, patience)
 
     def spin(self) -> None:
         """Serve the node for a moment, and check that all processes run."""
-        self._executor.spin_once(timeout_sec=0.05)
+        self._executor.spin_once(timeout_sec=_SPIN)
+        for subscription, take in self._frequent:
+            handle, kind = subscription.handle, subscription.msg_type
+            with handle:
+                while (taken := handle.take_message(kind, True)) is not None:
+                    take(*taken)
         self._processes.check()
 
     def _require(self, condition: Callable[[], Any], what: str) -> None:
@@ -173,6 +191,16 @@ def write_json(options: argparse.Namespace, result: dict[str, object]) -> None:
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def _ignore(_: bytes) -> None:
+    """Stand for the callback of a subscription that is read without an executor."""
+
+
+def _processor_time(pid: int) -> float:
+    process = psutil.Process(pid)
+    times = [part.cpu_times() for part in (process, *process.children(recursive=True))]
+    return float(sum(time.user + time.system for time in times))
 
 
 def _stamp(raw: bytes) -> float:

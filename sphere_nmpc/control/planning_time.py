@@ -54,12 +54,16 @@ class PlanningTime:
     def read(self, now: float, wall: float) -> None:
         """Record that control time is `now` [s] when the steady clock shows `wall` [s].
 
-        A standstill and a jump back restart the measurement.
+        A standstill and a jump back restart the measurement; after a standstill it begins when
+        control time has advanced. Where the process was held up, a pose may be handled before the
+        message of the clock: from that pose on, time would advance by as much within milliseconds.
         """
         last, wall_last = self._last
-        if now == last and wall - wall_last < _STANDSTILL:
+        if now == last:
+            if wall - wall_last >= _STANDSTILL:
+                self._readings.clear()
             return
-        if now <= last:
+        if now < last:
             self._readings.clear()
         self._last = (now, wall)
         readings = self._readings

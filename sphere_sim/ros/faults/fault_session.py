@@ -37,6 +37,8 @@ RATE = 20.0
 """Rate of poses, clock and commands [Hz], low enough for the proxy on a busy machine."""
 _PRIORITY = 1
 """Real-time priority of controller, simulator and proxy, where the system allows it."""
+_SPIN = 5e-3
+"""Longest wait of the executor for a message [s]."""
 _REPEAT = 3.0
 """Wall time after which an unconfirmed goal or an unanswered request is sent again [s]."""
 _RESPONSE_TIMEOUT = 30.0
@@ -168,10 +170,14 @@ class FaultSession:
         _schedule_in_real_time()
 
     def spin(self, duration: float = 0.02) -> None:
-        """Serve the campaign's own node for `duration` [s, wall time]."""
+        """Serve the campaign's own node for `duration` [s, wall time].
+
+        The timeout is always the same: with another one rclpy's executor begins with the first
+        subscription again, and as long as that has messages no other one is served.
+        """
         end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=_SPIN)
 
     def wait(self, condition: Callable[[], Any], timeout: float, what: str) -> None:
         """Serve the node until a condition holds.

@@ -36,6 +36,8 @@ _RECEIVED = ("/clock", "/pose", "/controller/active_goal")
 its own while it is paused."""
 _MATCHED = ("/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands", "/controller/status")
 """Topics to whose publishers the recorder must be matched before time starts."""
+_SPIN = 5e-3
+"""Longest wait of the executor for a message [s]."""
 _RESPONSE_TIMEOUT = 5.0
 """Longest wait for the response of a service [s]."""
 
@@ -131,10 +133,14 @@ class DemoSession:
         self._call(self._pause, SetBool.Request(data=True))
 
     def spin(self, duration: float = 0.05) -> None:
-        """Serve the node for `duration` [s, wall time], then call `check`."""
+        """Serve the node for `duration` [s, wall time], then call `check`.
+
+        With another timeout each time rclpy would serve only the first subscription that has
+        messages.
+        """
         end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=_SPIN)
         self._check()
 
     def close(self) -> None:

@@ -48,9 +48,22 @@ def test_pause_and_a_jump_back_are_no_pace() -> None:
         planning.read(5.0, wall)
     assert planning.pace is None
     planning.read(5.1, 101.62)
+    assert planning.pace is None, "how long before the reading time went on is unknown"
+    planning.read(5.2, 101.64)
     assert planning.pace == pytest.approx(5.0)
     planning.read(0.0, 101.7)
     assert planning.pace is None
+
+
+def test_pace_is_not_overestimated_where_a_pose_is_handled_before_the_clock() -> None:
+    """A process held up for 0.4 s reads the clock as it was, and then 0.8 s later at once."""
+    planning = after(2.0, 2.0)
+    held_up, now = 102.4, 4.8
+    planning.read(4.0, 102.0)
+    planning.read(4.0, held_up)
+    for wall in np.arange(0.0, 0.1, 0.02):
+        planning.read(now + 2.0 * wall, held_up + 0.001 + wall)
+        assert planning.pace in (None, pytest.approx(2.0))
 
 
 def test_second_reading_of_the_same_instant_counts_for_nothing() -> None:

@@ -8,11 +8,11 @@ a signal only requests the loop to end between two callbacks, and further signal
 """
 
 import contextlib
-import gc
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 
@@ -23,6 +23,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.garbage import GarbageCollection
 from sphere_nmpc.ros.loopback import network_reach
 from sphere_nmpc.ros.scheduling import refused_message, schedule
 from sphere_nmpc.ros.startup import one_line, start_ros
@@ -105,10 +106,6 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
             # RuntimeError of its own, as for a participant that cannot be made.
             rclpy.logging.get_logger("sphere_nmpc").fatal(one_line(error))
             return error.exit_code if isinstance(error, SphereNmpcError) else 1
-        # Objects that exist as long as the process are excluded from garbage collection: a full
-        # collection takes tens of milliseconds, longer than a sample at a high control rate.
-        gc.collect()
-        gc.freeze()
         if node.uses_events_executor:
             sys.setswitchinterval(_SWITCH_INTERVAL)
         executor = _make_executor(node.uses_events_executor)
@@ -119,12 +116,14 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
         node.get_logger().info(network_reach())
         try:
             priority = 0
-            while not stop.requested:
-                if node.thread_priority != priority:
-                    priority = node.thread_priority
-                    if not schedule(priority):
-                        node.get_logger().warning(refused_message(priority))
-                node.work(executor)
+            with GarbageCollection(time.monotonic()) as garbage:
+                while not stop.requested:
+                    if node.thread_priority != priority:
+                        priority = node.thread_priority
+                        if not schedule(priority):
+                            node.get_logger().warning(refused_message(priority))
+                    node.work(executor)
+                    garbage.collect_if_due(time.monotonic())
         finally:
             # Nothing may interrupt the final messages: launch's second SIGINT arrives about now.
             for number in _STOPPING:

@@ -75,7 +75,7 @@ class FaultMonitor:
         for kind, topic, take in (
             (JointTrajectory, "rotor_trajectory", self._take_trajectory),
             (Float64MultiArray, "rotor_commands", self._take_command),
-            (JointState, "joint_states", self._take_joints),
+            (JointState, "joint_states_raw", self._take_joints),
             (DiagnosticArray, "/diagnostics", self._take_diagnostics),
             (DiagnosticStatus, "controller/status", self._take_status),
             (Log, "/rosout", self._take_log),

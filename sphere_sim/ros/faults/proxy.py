@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proxy between simulator and controller that disturbs poses, clock and commands.
 
-subscribes  pose_raw, /clock_raw, rotor_trajectory, rotor_commands
-publishes   pose, /clock, rotor_trajectory_raw, rotor_commands_raw
+subscribes  pose_raw, joint_states_raw, /clock_raw, rotor_trajectory, rotor_commands
+publishes   pose, joint_states, /clock, rotor_trajectory_raw, rotor_commands_raw
 """
 
 from collections.abc import Callable
@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
@@ -24,7 +25,7 @@ from sphere_sim.faults.pose_stream import PoseSample, PoseStream
 REMAPPED = {
     "simulator": {
         "pose": "pose_raw", "/clock": "/clock_raw", "rotor_trajectory": "rotor_trajectory_raw",
-        "rotor_commands": "rotor_commands_raw",
+        "rotor_commands": "rotor_commands_raw", "joint_states": "joint_states_raw",
     }
 }
 """Remappings of the nodes with which their messages pass through the proxy."""
@@ -54,18 +55,20 @@ class FaultProxy:
         self.stream = PoseStream(rng)
         """Disturbances of the poses."""
         self.lost: set[str] = set()
-        """What is not forwarded at present: poses, clock, commands."""
+        """What is not forwarded at present: poses (and joint states), clock, commands."""
         self.newest: PoseStamped | None = None
         """The newest pose, undisturbed."""
         self.shift = 0
         """Offset that is added to all stamps [ns], and subtracted from those of trajectories."""
         self._now = 0
         self._pose = node.create_publisher(PoseStamped, "pose", _DEPTH)
+        self._joints = node.create_publisher(JointState, "joint_states", _DEPTH)
         self._clock = node.create_publisher(Clock, "/clock", _DEPTH)
         self._trajectory = node.create_publisher(JointTrajectory, "rotor_trajectory_raw", 10)
         self._speeds = node.create_publisher(Float64MultiArray, "rotor_commands_raw", 10)
         self._subscriptions = [
             node.create_subscription(PoseStamped, "pose_raw", self._take_pose, _NEWEST),
+            node.create_subscription(JointState, "joint_states_raw", self._take_joints, _NEWEST),
             node.create_subscription(Clock, "/clock_raw", self._take_clock, _NEWEST),
             node.create_subscription(
                 JointTrajectory, "rotor_trajectory", self._take_trajectory, 10
@@ -101,6 +104,11 @@ class FaultProxy:
     def shifted(self, stamp: int) -> Time:
         """Return the stamp that the controller receives for one of the simulator [ns]."""
         return stamp_to_ros(max(0, stamp + self.shift))
+
+    def _take_joints(self, message: Any) -> None:
+        if "poses" not in self.lost:
+            message.header.stamp = self.shifted(stamp_from_ros(message.header.stamp))
+            self._joints.publish(message)
 
     def _take_clock(self, message: Any) -> None:
         if "clock" not in self.lost:

@@ -8,6 +8,7 @@ does the same to each frame; ``python bench/lossy_link.py`` is that bridge.
 
 import argparse
 import contextlib
+import dataclasses
 import heapq
 import itertools
 import os
@@ -26,6 +27,8 @@ ADDRESSES = ("10.77.0.1", "10.77.0.2")
 _ALL_FRAMES = 0x0003
 _SOL_PACKET, _VNET_HEADER, _OUTGOING = 263, 15, 4
 _LARGEST = 1 << 17
+_BURST_EVERY = 10.0
+"""Time between the starts of two bursts of loss [s]."""
 _READY = 5.0
 """Longest wait until the bridge has opened both ends, and until these are in operation [s]."""
 
@@ -44,11 +47,14 @@ class Quality:
         Delay, drawn from delay - jitter to delay + jitter, so that packets overtake [s].
     loss : float
         Share of packets that are lost.
+    burst : float, optional
+        Time in every 10 s for which everything is lost [s].
     """
 
     delay: float
     jitter: float
     loss: float
+    burst: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,7 @@ def _join(end: tuple[str, str], other: tuple[str, str]) -> None:
 
 
 def _has_netem(quality: Quality, host: str, end: str) -> bool:
-    if shutil.which("tc") is None:
+    if quality.burst > 0.0 or shutil.which("tc") is None:
         return False
     numbers = ["delay", f"{1e3 * quality.delay:g}ms", f"{1e3 * quality.jitter:g}ms",
                "loss", f"{100.0 * quality.loss:g}%"]
@@ -135,7 +141,7 @@ def _has_netem(quality: Quality, host: str, end: str) -> bool:
 
 @contextlib.contextmanager
 def _bridge(quality: Quality, namespace: str) -> Iterator[None]:
-    numbers = [f"{value:g}" for value in (quality.delay, quality.jitter, quality.loss)]
+    numbers = [f"{value:g}" for value in dataclasses.astuple(quality)]
     program = [sys.executable, __file__, "to_end_a", "to_end_b", *numbers]
     process = subprocess.Popen(
         ["ip", "netns", "exec", namespace, *program], stdout=subprocess.PIPE, text=True
@@ -169,7 +175,8 @@ def _run_bridge(ends: tuple[str, str], quality: Quality) -> None:
             if address[2] == _OUTGOING:
                 continue
             received += 1
-            if random.random() < quality.loss:
+            in_burst = time.monotonic() % _BURST_EVERY < quality.burst
+            if in_burst or random.random() < quality.loss:
                 lost += 1
                 continue
             delay = quality.delay + quality.jitter * random.uniform(-1.0, 1.0)
@@ -198,9 +205,12 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("delay", type=float, help="[s]")
     parser.add_argument("jitter", type=float, help="[s]")
     parser.add_argument("loss", type=float, help="share")
+    parser.add_argument("burst", type=float, help="[s]")
     return parser.parse_args()
 
 
 if __name__ == "__main__":
     given = _parse()
-    _run_bridge(tuple(given.ends), Quality(given.delay, given.jitter, given.loss))
+    _run_bridge(
+        tuple(given.ends), Quality(given.delay, given.jitter, given.loss, given.burst)
+    )

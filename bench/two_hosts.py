@@ -9,6 +9,7 @@ The hosts are network namespaces, see `lossy_link`. Shared memory, which would b
 switched off. With ``--starts`` all processes are started anew each time, and the time is measured
 until they have discovered each other, and until the sphere moves to a first goal: by then poses,
 goal and commands have passed.
+``--loss none`` is the same without a link: both nodes on this host.
 """
 
 import argparse
@@ -44,7 +45,7 @@ REACH = 1.5
 """Largest |x| and |y| of a goal [m]."""
 _PATIENCE = 90.0
 """How long the nodes may take to find each other, and to confirm a goal [s]."""
-_REPEAT = 3.0
+_REPEAT = 0.5
 """Wall time after which an unconfirmed goal is sent again [s]."""
 _DOMAIN = "65"
 _MOTION = 1e-3
@@ -56,6 +57,8 @@ _PEERS = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ";".
 _SERVER = {"ROS_DISCOVERY_SERVER": f"{ADDRESSES[0]}:{_SERVER_PORT}"}
 DISCOVERY: dict[str, dict[str, str]] = {"peers": _PEERS, "server": _SERVER, "multicast": {}}
 """Variables of each means of discovery; the server runs on the simulator's host."""
+_OF_THE_LINK = ("pose_loss", "command_loss", "commitment_window_s")
+"""Values of the status at the end that tell what the controller has seen of the link."""
 
 
 def main() -> int:
@@ -67,7 +70,9 @@ def main() -> int:
     results = []
     try:
         for loss in given.loss:
-            quality = Quality(1e-3 * given.delay, 1e-3 * given.jitter, 1e-2 * loss)
+            quality = None if loss is None else Quality(
+                1e-3 * given.delay, 1e-3 * given.jitter, 1e-2 * loss, given.burst
+            )
             results.append({"loss_percent": loss, **_over(quality, given)})
             print(results[-1], flush=True)
     except (LinkError, PermissionError) as error:
@@ -83,8 +88,10 @@ def main() -> int:
 
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--loss", type=float, nargs="+", default=[0.0, 1.0, 5.0, 20.0],
-                        help="packets lost in either direction [%%]")
+    parser.add_argument("--loss", type=_loss, nargs="+", default=[0.0, 1.0, 5.0, 20.0],
+                        help="packets lost in either direction [%%]; none is without a link")
+    parser.add_argument("--burst", type=float, default=0.0,
+                        help="time in every 10 s for which all packets are lost [s]")
     parser.add_argument("--delay", type=float, default=20.0, help="in either direction [ms]")
     parser.add_argument("--jitter", type=float, default=10.0, help="around it, either way [ms]")
     parser.add_argument("--goals", type=int, default=6, help="one after the other, for each loss")
@@ -98,10 +105,18 @@ def _parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _over(quality: Quality, given: argparse.Namespace) -> dict[str, object]:
-    """Run this program again on the first of the two hosts, with the name of the second."""
-    with lossy_link(quality) as link:
-        here, there = link.hosts
+def _loss(text: str) -> float | None:
+    """Return the loss in per cent; None without a link."""
+    return None if text == "none" else float(text)
+
+
+def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, object]:
+    """Run this program again on the first of the two hosts, with the name of the second.
+
+    Without a link that is the first one, too.
+    """
+    with lossy_link(quality or Quality(0.0, 0.0, 0.0)) as link:
+        here, there = link.hosts if quality else 2 * link.hosts[:1]
         environment = {
             **{k: v for k, v in os.environ.items()
                if not k.startswith(("ROS_A", "ROS_S", "ROS_DISC", "ROS_L", "FAST"))},
@@ -124,7 +139,8 @@ def _over(quality: Quality, given: argparse.Namespace) -> dict[str, object]:
 
         with _server(here) if given.discovery == "server" else contextlib.nullcontext():
             measured = _starts(run, given.starts) if given.starts else run()
-        return {"by": link.means, "discovery": given.discovery, **measured}
+        means = link.means if quality else "no link"
+        return {"by": means, "discovery": given.discovery, **measured}
 
 
 @contextlib.contextmanager
@@ -214,6 +230,7 @@ class _Goals:
             "pose_age_s_mean": round(statistics.fmean(self._ages), 3),
             "late_poses": int(self._status["late_poses"]),
             "missed_ticks": int(self._status["missed_ticks"]),
+            **{key: float(self._status[key]) for key in _OF_THE_LINK},
         }
 
     def start(self, began: float) -> dict[str, object]:

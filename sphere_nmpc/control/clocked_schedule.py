@@ -37,6 +37,8 @@ class ClockedSchedule:
         self._starting = True
         self._late = 0.0
         self._pose_ahead: TimedPose | None = None
+        self.window = 0.0
+        """Commitment window: delay of commands that plans are made ahead for [s]."""
 
     @property
     def timer_period(self) -> float:
@@ -84,7 +86,7 @@ class ClockedSchedule:
             self._planning.read(now, wall)
         instant = self._grid.instant(now)
         self._late = now - instant
-        request = self._request(instant, now, self._planning.lead)
+        request = self._request(instant, now, self._planning.lead + self.window)
         return Actions(refused=refused, observe=pose, plan=request)
 
     def start(

@@ -9,6 +9,7 @@ import numpy as np
 from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.rotor_feedback import RotorFeedback
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate, Estimator
 from sphere_nmpc.estimation.factory import make_estimator
@@ -56,6 +57,10 @@ class Controller:
         self._searching: SearchingStrategy | None = None
         self._strategy = strategy or self._make_strategy()
         self._commands = Commands(robot)
+        self.rotor_feedback = RotorFeedback(
+            self._commands.sent, robot.max_rotor_acceleration
+        )
+        """What measured rotor speeds tell about the commands on their way."""
         self._estimator = make_estimator(
             settings, robot.lumped, self._commands.sent, worker,
             acceleration=robot.max_rotor_acceleration,
@@ -143,11 +148,16 @@ class Controller:
         self.late_poses += int(not accepted)
         return accepted
 
+    def observe_rotors(self, time: float, speeds: Vector) -> None:
+        """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s]."""
+        self.rotor_feedback.observe(time, speeds, self._estimator.plant.lag)
+
     def forget(self) -> None:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""
         self._estimator.forget()
         self._arrival.reset()
         self._commands.sent.clear()
+        self.rotor_feedback.reset()
         self._reset_strategy()
 
     def speeds_at(self, time: float) -> Vector:
@@ -200,6 +210,7 @@ class Controller:
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
         commands.sent.record(hold)
+        self.rotor_feedback.sent(hold)
         return hold
 
     def _decide(self, time: float, time_budget: float) -> Decision:
@@ -217,6 +228,7 @@ class Controller:
                 self._estimator.forget()
             self._reset_strategy()
             self._arrival.reset()
+            self.rotor_feedback.resume()
             mode = Mode.NO_FRESH_POSE
             return Decision(
                 mode, self._ramp_to_rest(time, mode), None, pose_age=age,

@@ -31,6 +31,8 @@ class LockstepSchedule:
     is_real_time = False
     timer_period = None
     """No timer is needed."""
+    window = 0.0
+    """Without effect: time waits for commands."""
     missed = 0
     """No instant is missed: time waits for it."""
 

@@ -83,6 +83,9 @@ class Schedule(Protocol):
     is_real_time: bool
     """Whether control time advances while a plan is made."""
 
+    window: float
+    """Commitment window: delay of commands for which plans are made further ahead [s]."""
+
     @property
     def timer_period(self) -> float | None:
         """Control time between two calls of `tick` [s]; None if no timer is needed."""

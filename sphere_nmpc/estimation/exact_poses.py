@@ -60,6 +60,7 @@ class ExactPoseEstimator:
         self._fit = self._learning(mean)
         self._newest: tuple[float, Vector] | None = None
         self._learnt_up_to: tuple[float, Vector] | None = None
+        self._awaiting: tuple[float, Vector] | None = None
         self._connected = False
 
     @property
@@ -121,7 +122,7 @@ class ExactPoseEstimator:
 
     def forget(self) -> None:
         """Discard the newest pose and the transition that has begun."""
-        self._newest = self._learnt_up_to = None
+        self._newest = self._learnt_up_to = self._awaiting = None
         self._connected = False
 
     def _learning(self, mean: Vector) -> InLineLearning | LearningBeside:
@@ -146,8 +147,13 @@ class ExactPoseEstimator:
 
     def _learn(self, time: float, pose: Vector) -> None:
         """Fit the parameters to the motion since the last pose used for it."""
+        time, pose = self._awaiting or (time, pose)
         last = self._learnt_up_to
         if last is not None and time - last[0] < _SHORTEST_TRANSITION:
+            return
+        # Rotor speeds measured until then may still be on their way.
+        self._awaiting = (time, pose) if self._sent.is_pending(time) else None
+        if self._awaiting is not None:
             return
         self._learnt_up_to = (time, pose)
         if last is None or time - last[0] > _LONGEST_TRANSITION:

@@ -21,6 +21,8 @@ _SHORTEST = 1e-6
 """Knots closer than this [s] count as one."""
 _MOST_ENDS = 8192
 """Ends of pieces kept for the next call of `SentInputs.pieces`."""
+_SILENCE = 0.5
+"""Time without measured speeds after which none are awaited [s]."""
 
 
 class SentInputs:
@@ -34,11 +36,14 @@ class SentInputs:
         self._end_times: list[float] = []
         self._end_speeds: list[list[float]] = []
         self._ends_from = self._ends_until = -math.inf
+        self.known_until = float("-inf")
+        """Time of the newest measured rotor speeds that confirmed or corrected the holds [s]."""
 
     def clear(self) -> None:
         """Discard all holds; the rotors count as at rest."""
         self._holds.clear()
         self._forget_ends()
+        self.known_until = float("-inf")
 
     def record(self, hold: FirstOrderHold) -> None:
         """Add a hold that takes effect at its first knot and replaces what was sent for later."""
@@ -47,6 +52,42 @@ class SentInputs:
         if hold.start < self._ends_until:
             self._forget_ends()
         self._holds.append(hold)
+
+    def withdraw(self, hold: FirstOrderHold) -> None:
+        """Remove a hold that did not take effect; the one before it lasts longer."""
+        for i in range(len(self._holds) - 1, -1, -1):
+            if self._holds[i] is hold:
+                del self._holds[i]
+                self._forget_ends()
+                return
+
+    def follow(
+        self, hold: FirstOrderHold, known: list[tuple[float, Vector]], acceleration: float
+    ) -> None:
+        """Add a hold that took effect late.
+
+        Parameters
+        ----------
+        hold : FirstOrderHold
+            The hold, which is not in force yet.
+        known : list of tuple of float and ndarray
+            Times [s] and the rotor speeds then [rad/s], shape (2,), first those at which the
+            hold before was left; then the rotors catch up.
+        acceleration : float
+            Limit of their acceleration [rad/s^2].
+        """
+        time, speeds = known[-1]
+        later = [kept for kept in self._holds if kept.start > time]
+        rest = hold.starting_at(time, speeds).limited(np.inf, acceleration)
+        times, before = zip(*known[:-1], strict=True)
+        self.record(FirstOrderHold(
+            np.concatenate((times, rest.times)), np.vstack((*before, rest.speeds))
+        ))
+        self._holds.extend(later)
+
+    def is_pending(self, time: float) -> bool:
+        """Return whether measured speeds will tell soon what the rotors did up to `time` [s]."""
+        return time - _SILENCE < self.known_until < time - _SHORTEST
 
     @property
     def newest(self) -> FirstOrderHold | None:

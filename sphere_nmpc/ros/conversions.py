@@ -163,6 +163,18 @@ def joint_states_from_ros(message: Any) -> tuple[Vector, Vector, Vector]:
     return angles, speeds, torques
 
 
+def rotor_speeds_from_ros(message: Any) -> Vector | None:
+    """Return the rotor speeds [rad/s], shape (2,), of a JointState with any further joints.
+
+    None if a rotor is missing or its speed is, or is not a finite number.
+    """
+    names, given = list(message.name), message.velocity
+    if len(given) != len(names) or any(name not in names for name in JOINT_NAMES):
+        return None
+    speeds = np.array([given[names.index(name)] for name in JOINT_NAMES])
+    return speeds if np.isfinite(speeds).all() else None
+
+
 def hold_to_trajectory(hold: FirstOrderHold, epoch: int = 0) -> JointTrajectory:
     """Return a first-order hold as velocity-only points, stamped with the time of its first knot.
 

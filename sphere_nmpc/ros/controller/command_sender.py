@@ -14,6 +14,8 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.serialised import speeds_message, trajectory_message
 
+_COPIES = 2
+"""Number of copies that are sent, one with each sample of `command_rate`."""
 _LONGEST_FINAL_RAMP = 1.0
 """Wall time that the final ramp may take [s]; launch kills a process after five."""
 
@@ -31,23 +33,31 @@ class CommandSender:
         Rate of ``rotor_commands`` [Hz].
     now : callable
         Returns control time [s], None while it is not known.
+    depth : int, optional
+        Holds that are kept for reliable subscribers. With one, a hold that was lost does not
+        delay a newer one until it has been sent again.
     """
 
     def __init__(
-        self, node: Node, command_rate: float, now: Callable[[], float | None]
+        self, node: Node, command_rate: float, now: Callable[[], float | None], depth: int = 1
     ) -> None:
         self._period = 1.0 / command_rate
         self._now = now
         self._hold: FirstOrderHold | None = None
         self._silent = True
         self._trajectory: bytes | None = None
-        self._trajectories = node.create_publisher(JointTrajectory, "rotor_trajectory", 10)
+        self._copies = 0
+        self._trajectories = node.create_publisher(JointTrajectory, "rotor_trajectory", depth)
         self._speeds = node.create_publisher(Float64MultiArray, "rotor_commands", 10)
         self._timer = node.create_timer(self._period, self._sample)
 
-    def send(self, hold: FirstOrderHold, epoch: int) -> None:
-        """Send a hold, control times [s] since `epoch` [ns]; it replaces what was sent before."""
+    def send(self, hold: FirstOrderHold, epoch: int, is_repeated: bool = False) -> None:
+        """Send a hold, control times [s] since `epoch` [ns]; it replaces what was sent before.
+
+        `is_repeated` says whether to send copies soon after it, as the first one may be lost.
+        """
         self._hold = hold
+        self._copies = _COPIES if is_repeated else 0
         self._silent = False
         self._trajectory = trajectory_message(hold, epoch)
         self.repeat()
@@ -70,6 +80,7 @@ class CommandSender:
         moment = hold.end if now is None else now
         limit = moment + _LONGEST_FINAL_RAMP
         while moment < min(hold.end, limit):
+            self.repeat()  # One of them may be lost.
             self._publish(hold.at(moment))
             time.sleep(self._period)
             moment += self._period
@@ -77,6 +88,9 @@ class CommandSender:
         self._speeds.wait_for_all_acked(Duration(seconds=0.5))
 
     def _sample(self) -> None:
+        if self._copies > 0:
+            self._copies -= 1
+            self.repeat()
         hold, now = self._hold, self._now()
         if hold is None or now is None or self._silent:
             return

@@ -7,6 +7,7 @@ import time
 
 from rclpy.node import Node
 
+from sphere_nmpc.control.pose_link import PoseLink
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.graph_faults import (
     NO_POSE,
@@ -40,6 +41,8 @@ class ControllerMonitor:
         """Control time at the last check [s]; nan before the first message on /clock."""
         self.stands_still = False
         """Whether control time was the same at the check before."""
+        self.pose_link = PoseLink()
+        """Delay and loss of the poses."""
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
         self._pose_received = False
@@ -49,9 +52,10 @@ class ControllerMonitor:
         """The present faults, the most severe first."""
         return self._graph.faults
 
-    def pose_received(self, age: float) -> None:
-        """Record a pose whose stamp is `age` [s] behind the node's clock, nan if unknown."""
+    def pose_received(self, time: float, age: float) -> None:
+        """Record a pose of control time `time` [s], `age` behind the clock; nan if unknown."""
         self._pose_received, self._pose_age = True, age
+        self.pose_link.received(time, age)
 
     def pose_refused(self, ahead: float, pose_timeout: float) -> None:
         """Log a pose that is refused as its stamp is `ahead` [s] of the node's clock.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller node: rolls the sphere to a goal position and orientation.
 
-subscribes  pose, goal_pose
+subscribes  pose, goal_pose, joint_states while commands are late or lost
 publishes   rotor_trajectory, rotor_commands, ~/active_goal, ~/at_goal, ~/predicted_path,
             ~/status, /diagnostics
 services    ~/enable
@@ -33,6 +33,7 @@ from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
+from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.conversions import framed_pose_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
@@ -50,6 +51,8 @@ _GOALS_EVERY = 2.0
 """Shortest wall time between two log lines about goals [s], which may arrive at any rate."""
 _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
+_SELDOM = 0.05
+"""Control period above which a command that may be lost is sent again before the next one [s]."""
 _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
@@ -93,11 +96,17 @@ class ControllerNode(RunnableNode):
         self._stored_goal = StoredGoal(
             self, settings.goal_memory, self._control_clock, self._fault_log
         )
-        self._sender = CommandSender(self, settings.command_rate, self._control_clock.now)
+        self._sender = CommandSender(
+            self, settings.command_rate, self._control_clock.now,
+            depth=1 if self._schedule.is_real_time else 10,
+        )
         self._reports = ControllerReports(
             self, self.controller, self._schedule, self._fault_log, robot.settings, settings,
             self._monitor,
         )
+        self._rotor_receiver = RotorReceiver(
+            self, self.controller, self._control_clock, self._use_window
+        ) if self._schedule.is_real_time else None
         self._subscribe()
         self._timer: Timer | None = None
         self._set_timer()
@@ -160,6 +169,8 @@ class ControllerNode(RunnableNode):
         now, simulated = self._control_clock.now(), self._control_clock.simulated
         self._monitor.check(now, simulated, self._settings.pose_timeout)
         self._reports.update()
+        if self._rotor_receiver is not None:
+            self._rotor_receiver.update()
         self._goal_log.flush()
         restored = self._stored_goal.restore()
         if restored is not None:
@@ -206,7 +217,9 @@ class ControllerNode(RunnableNode):
         starts = schedule.command_time(request, time.perf_counter() - began)
         hold = schedule.command(request, self.controller.commit(decision, starts))
         if hold is not None:
-            self._sender.send(hold, epoch)
+            seldom = schedule.is_real_time and self._settings.control_period > _SELDOM
+            repeated = seldom and self.controller.rotor_feedback.shows_link
+            self._sender.send(hold, epoch, repeated)
         duration = time.perf_counter() - began
         schedule.completed(duration, decision.solved)
         self._reports.tick(decision, request.instant, duration, epoch)
@@ -217,7 +230,7 @@ class ControllerNode(RunnableNode):
     def _use_found(self) -> None:
         """Plan immediately when a search has ended, rather than at the next sampling instant."""
         now = self._control_clock.now()
-        if now is not None and self.controller.is_due(now):
+        if now is not None and self.controller.is_due(now + self._schedule.window):
             self._begin_grid(self._schedule.restart(now, time.monotonic()))
         if not self.controller.searches:
             self._found_timer.cancel()
@@ -227,7 +240,7 @@ class ControllerNode(RunnableNode):
         try:
             stamp = header_stamp(message)
             measured = self._control_clock.time_of(stamp)
-            self._monitor.pose_received(self._schedule.pose_age(measured, now))
+            self._monitor.pose_received(measured, self._schedule.pose_age(measured, now))
             pose = TimedPose(stamp, measured, pose_of_message(message))
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
@@ -236,6 +249,9 @@ class ControllerNode(RunnableNode):
         self._carry_out(actions)
         if actions.observe is not None:
             self._start()
+
+    def _use_window(self, window: float) -> None:
+        self._schedule.window = window
 
     def _receive_goal(self, message: PoseStamped) -> None:
         try:

@@ -174,6 +174,8 @@ class ControllerReports:
             return
         self._last_status = (time, decision.mode)
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
+        link = self._monitor.pose_link
+        self._values |= {"pose_delay_s": link.delay, "pose_loss": link.loss}
         self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
@@ -61,8 +62,15 @@ class CommandReceiver:
         self._epoch = epoch
         self.received = 0
         """Number of messages received, accepted or not."""
+        # In lockstep time waits for each command. Otherwise one that was lost must not hold back
+        # newer ones until it has been sent again, which takes up to three seconds.
+        newest = QoSProfile(
+            depth=10,
+            reliability=ReliabilityPolicy.RELIABLE if zero_is_time
+            else ReliabilityPolicy.BEST_EFFORT,
+        )
         self._trajectories = node.create_subscription(
-            JointTrajectory, "rotor_trajectory", self._receive_trajectory, 10, raw=True
+            JointTrajectory, "rotor_trajectory", self._receive_trajectory, newest, raw=True
         )
         self._speeds = node.create_subscription(
             Float64MultiArray, "rotor_commands", self._receive_speeds, 10, raw=True

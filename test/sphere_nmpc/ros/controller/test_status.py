@@ -47,6 +47,18 @@ def test_exact_poses_give_constants_with_deviations_noise_and_lag() -> None:
     assert values["learnt_c1_deviation"] == pytest.approx(0.1 * ROBOT.lumped.input_gain)
 
 
+def test_delay_and_loss_of_commands_are_reported() -> None:
+    chosen = ControllerSettings()
+    controller = Controller(chosen, ROBOT)
+    feedback = controller.rotor_feedback
+    feedback.window, feedback.delay, feedback.loss = 0.05, 0.04, 0.1
+    values = ControllerStatus(controller, ROBOT, chosen).values(
+        controller.decide(0.0), 0.0, 0.0, 0
+    )
+    names = ("commitment_window_s", "command_delay_s", "command_loss")
+    assert [values[name] for name in names] == [0.05, 0.04, 0.1]
+
+
 def test_noisy_poses_give_constants_and_lag_alone() -> None:
     values = plant_values(pose_position_noise=0.01)
     assert list(values) == [*CONSTANTS, "learnt_lag_s"]

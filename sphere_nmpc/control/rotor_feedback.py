@@ -1,0 +1,178 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured rotor speeds: which of the commands the rotors follow, and since when."""
+
+from collections import deque
+
+import numpy as np
+
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
+
+_DISTINCT = 0.5
+"""Difference of two commands above which measured speeds tell which one is followed [rad/s]."""
+_CLEAR = 0.5
+"""Distance to the command that is followed over that to the other one, below which it is clear."""
+_FULL = 0.98
+"""Share of the acceleration limit above which rotors behind a command catch up with it; below it
+the drives are weaker than assumed."""
+_KEPT = 256
+"""Newest commands that may still take effect: half a second of them at the highest rate."""
+_LONGEST_WINDOW = 0.3
+"""Largest commitment window [s]: later commands count as lost."""
+_NEGLIGIBLE = 0.025
+"""Delay of a command up to which no window is needed [s]: a clock of 50 Hz alone makes 20 ms."""
+_SHRINKING = 0.99
+"""Window over that before it, after a command that took effect in time."""
+_FORGETTING = 0.95
+"""Weight of what is known about losses after one more command."""
+_IN_TIME = 10
+"""Commands in time, one after another, after which measured speeds tell nothing more."""
+_LOSSY = 0.01
+"""Share of lost commands up to which the link counts as without losses."""
+
+
+class RotorFeedback:
+    """Comparison of measured rotor speeds with the commands that were sent.
+
+    A command that measured speeds do not show to be followed is withdrawn from the history of the
+    speeds sent; where it takes effect later it is entered again from then on. So a command that is
+    late or lost on its way is taken neither for another plant nor for momentum. From the delays
+    follows the commitment window: how far ahead a new plan may first differ from the one in force.
+
+    Times are control times [s].
+
+    Parameters
+    ----------
+    sent : SentInputs
+        History of the commands, which is corrected.
+    acceleration : float
+        Limit of the rotors' acceleration, by which they catch up with a late command [rad/s^2].
+    """
+
+    def __init__(self, sent: SentInputs, acceleration: float) -> None:
+        self._sent = sent
+        self._acceleration = acceleration
+        self.window = 0.0
+        """Delay that commands may have without being late [s]; 0 without a link."""
+        self.loss = 0.0
+        """Share of the newest commands that did not take effect before the next one."""
+        self.delay = float("nan")
+        """Delay of the newest late command from sending to its effect [s]; nan without any."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all commands, as after a jump of the clock; what is known of delays is kept."""
+        self._followed: FirstOrderHold | None = None
+        self._waiting: deque[tuple[FirstOrderHold, bool]] = deque(maxlen=_KEPT)
+        self._measured: tuple[float, Vector] = (float("-inf"), np.zeros(INPUT_SIZE))
+        self._between: list[tuple[float, Vector]] = []
+        self.resume()
+
+    def resume(self) -> None:
+        """Ask for measured speeds again, as the link may be another one."""
+        self._in_time = 0
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether measured speeds are of use: not where all commands take effect in time."""
+        return self._in_time < _IN_TIME or self.shows_link
+
+    @property
+    def shows_link(self) -> bool:
+        """Whether commands have been late or lost lately."""
+        return self.window > 0.0 or self.loss > _LOSSY
+
+    def sent(self, hold: FirstOrderHold) -> None:
+        """Take a hold that is sent now, its first knot."""
+        self._waiting.append((hold, False))
+
+    def observe(self, time: float, speeds: Vector, lag: float = 0.0) -> None:
+        """Take rotor speeds [rad/s], shape (2,), measured at `time` [s].
+
+        `lag` is the delay of the rotors behind the speeds that their drives follow [s].
+        """
+        time -= lag
+        since, before = self._measured
+        if time <= since:
+            return
+        self._measured = (time, speeds)
+        self._sent.known_until = time
+        due = [i for i, (hold, _) in enumerate(self._waiting) if hold.start <= time]
+        if not due:
+            return
+        old = self._speeds_before(time)
+        new = [self._waiting[i][0].at(time) for i in due]
+        if _distance(new[-1], old) <= _DISTINCT:
+            return
+        errors = [_distance(speeds, each) for each in new]
+        # Of commands that agree, the newest.
+        best = min(reversed(due), key=lambda i: errors[i])
+        if _distance(speeds, old) < _CLEAR * errors[best]:
+            self._overdue(due)
+            return
+        is_late = self._waiting[best][1] or bool(self._between)
+        if errors[best] > _DISTINCT:
+            self._between.append((time, speeds))
+            if not is_late:
+                return  # The next measurement tells whether the rotors are late or weak.
+            steepest = _distance(speeds, before) / (time - since)
+            is_late = self._waiting[best][1] or steepest > _FULL * self._acceleration
+        self._took_effect(best, is_late, time, speeds)
+
+    def _speeds_before(self, time: float) -> Vector:
+        """Return the speeds [rad/s], shape (2,), at `time` [s] without the waiting commands."""
+        return np.zeros(INPUT_SIZE) if self._followed is None else self._followed.at(time)
+
+    def _took_effect(self, index: int, is_late: bool, time: float, speeds: Vector) -> None:
+        """Record that a command is followed by `time` [s], when the rotors had these speeds."""
+        passed = [self._waiting.popleft() for _ in range(index + 1)]
+        hold = passed[-1][0]
+        for _, is_lost in passed[:-1]:
+            if is_lost:
+                self._count(lost=True)
+        self._count(lost=False)
+        if is_late:
+            self._in_time = 0
+            for withdrawn, _ in passed:
+                self._sent.withdraw(withdrawn)
+            measured = [*self._between, (time, speeds)][: len(self._between) or 1]
+            began = self._began(hold, *measured[0])
+            known = [(began, self._speeds_before(began)), *measured]
+            self._sent.follow(hold, known, self._acceleration)
+            self.delay = began - hold.start
+            if self.delay > _NEGLIGIBLE:
+                self.window = max(self.window, min(self.delay, _LONGEST_WINDOW))
+        else:
+            self._in_time += 1
+            self.window *= _SHRINKING
+            if self.window < _NEGLIGIBLE:
+                self.window = 0.0
+        self._followed = hold
+        self._between = []
+
+    def _began(self, hold: FirstOrderHold, time: float, speeds: Vector) -> float:
+        """Return when the rotors left the command before, from measured speeds [rad/s].
+
+        They then accelerate as fast as they can.
+        """
+        took = _distance(speeds, self._speeds_before(time)) / self._acceleration
+        return max(hold.start, min(time - took, np.nextafter(time, -np.inf)))
+
+    def _overdue(self, due: list[int]) -> None:
+        """Withdraw commands that are not followed though they should be."""
+        self._in_time = 0
+        self._between = []
+        for i in due:
+            hold, is_late = self._waiting[i]
+            if not is_late:
+                self._sent.withdraw(hold)
+                self._waiting[i] = (hold, True)
+
+    def _count(self, lost: bool) -> None:
+        self.loss = _FORGETTING * self.loss + (1.0 - _FORGETTING) * lost
+
+
+def _distance(one: Vector, other: Vector) -> float:
+    return float(np.max(np.abs(one - other)))

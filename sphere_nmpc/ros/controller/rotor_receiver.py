@@ -1,0 +1,72 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscription of the measured rotor speeds, only while they are of use."""
+
+from collections.abc import Callable
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.ros.controller.control_clock import ControlClock
+from sphere_nmpc.ros.conversions import rotor_speeds_from_ros, stamp_from_ros
+from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+
+_NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+_OTHER_CLOCK = 1.0
+"""Age, or time ahead of the clock, beyond which a message is of another clock [s]."""
+
+
+class RotorReceiver:
+    """Subscriber of ``joint_states`` while the controller's `RotorFeedback` is in need of them.
+
+    Without a link all commands soon turn out to take effect in time; the subscription then ends,
+    as at a high rate its messages would take time from the control loop.
+
+    Parameters
+    ----------
+    node : Node
+        Node of the subscription.
+    controller : Controller
+        Is given the measured speeds.
+    clock : ControlClock
+        Conversion from stamps to control times.
+    on_window : callable
+        Called with the commitment window [s] when it may have changed.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        controller: Controller,
+        clock: ControlClock,
+        on_window: Callable[[float], object],
+    ) -> None:
+        self._node = node
+        self._controller = controller
+        self._clock = clock
+        self._on_window = on_window
+        self._subscription: Subscription | None = None
+        self.update()
+
+    def update(self) -> None:
+        """Subscribe, or end the subscription, as needed; call it at intervals."""
+        needed = self._controller.rotor_feedback.is_needed
+        if needed and self._subscription is None:
+            self._subscription = self._node.create_subscription(
+                JointState, "joint_states", self._receive, _NEWEST, event_callbacks=NO_EVENTS
+            )
+        elif not needed and self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _receive(self, message: JointState) -> None:
+        now, speeds = self._clock.now(), rotor_speeds_from_ros(message)
+        if now is None or speeds is None:
+            return
+        time = self._clock.time_of(stamp_from_ros(message.header.stamp))
+        if abs(time - now) < _OTHER_CLOCK:
+            self._controller.observe_rotors(time, speeds)
+            self._on_window(self._controller.rotor_feedback.window)

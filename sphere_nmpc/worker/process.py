@@ -3,6 +3,7 @@
 """Worker in a process of its own, so that its work never holds the interpreter of the loop."""
 
 import os
+import pickle
 import subprocess
 import sys
 import time
@@ -15,7 +16,10 @@ from typing import Any
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
 _MOST_PENDING = 8
-"""Tasks that may be pending: what they need fits into the socket, so that sending never blocks."""
+"""Tasks that may be pending."""
+_MOST_BYTES = 150_000
+"""Their bytes: what a socket of Linux takes in any case, so that sending never blocks; a
+transition has some 60 000 at 1 kHz."""
 _PATIENCE = 3.0
 """Wall time [s] without a result after which a worker that has a task is replaced: a search takes
 a tenth of it at most."""
@@ -43,6 +47,7 @@ class WorkerProcess:
     def __init__(self, on_fault: Callable[[str], object]) -> None:
         self._on_fault = on_fault
         self._pending: deque[Reply[Any]] = deque()
+        self._sizes: deque[int] = deque()
         self._connection: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._start()
@@ -63,18 +68,21 @@ class WorkerProcess:
         reply: Reply[Result] = Reply()
         self._restart()
         connection = self._connection
-        if connection is None or len(self._pending) >= _MOST_PENDING:
+        content = pickle.dumps(task)
+        full = len(self._pending) >= _MOST_PENDING
+        if connection is None or full or sum(self._sizes) + len(content) > _MOST_BYTES:
             reply.error = "the worker has ended" if connection is None else "the worker is busy"
             return reply
         if not self._pending:
             self._heard = time.monotonic()
         try:
-            connection.send(task)
+            connection.send_bytes(content)
         except _CONNECTION_ERRORS as error:
             self._replace(str(error))
             reply.error = "the worker has ended"
             return reply
         self._pending.append(reply)
+        self._sizes.append(len(content))
         return reply
 
     def poll(self) -> None:
@@ -86,7 +94,7 @@ class WorkerProcess:
             while self._pending and connection.poll(0.0):
                 result, error = connection.recv()
                 self._heard, self._patience = time.monotonic(), _PATIENCE
-                reply = self._pending.popleft()
+                reply, _ = self._pending.popleft(), self._sizes.popleft()
                 reply.result, reply.error, reply.ready = result, error, not error
                 if error:
                     self._on_fault(error)
@@ -153,3 +161,4 @@ class WorkerProcess:
     def _fail(self, why: str) -> None:
         while self._pending:
             self._pending.popleft().error = why
+        self._sizes.clear()

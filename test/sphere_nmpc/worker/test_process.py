@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from operator import methodcaller
@@ -152,3 +153,24 @@ def test_process_ends_with_an_owner_that_is_killed() -> None:
     owner.kill()
     owner.communicate()
     until(lambda: not is_running(pid))
+
+
+def test_large_tasks_are_refused_rather_than_wait_for_a_process_that_stands_still(
+    worker: WorkerProcess,
+) -> None:
+    assert complete(worker, worker.submit(methodcaller("get", "nothing"))) is None
+    os.kill(worker.pid, signal.SIGSTOP)
+    replies: list[Reply[object]] = []
+
+    def submit() -> None:
+        replies.extend(worker.submit(methodcaller("get", "x" * 60_000)) for _ in range(8))
+
+    # Sending would wait for ever.
+    sending = threading.Thread(target=submit, daemon=True)
+    sending.start()
+    sending.join(PATIENCE)
+    assert not sending.is_alive()
+    assert [reply.error for reply in replies] == [""] * 2 + ["the worker is busy"] * 6
+    os.kill(worker.pid, signal.SIGCONT)
+    for reply in replies[:2]:
+        assert complete(worker, reply) is None

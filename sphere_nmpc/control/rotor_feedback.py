@@ -129,21 +129,23 @@ class RotorFeedback:
         """Record that a command is followed by `time` [s], when the rotors had these speeds."""
         passed = [self._waiting.popleft() for _ in range(index + 1)]
         hold = passed[-1][0]
+        delay = 0.0
         for _, is_lost in passed[:-1]:
             if is_lost:
+                self._in_time = 0
                 self._count(lost=True)
         self._count(lost=False)
         if is_late:
-            self._in_time = 0
             for withdrawn, _ in passed:
                 self._sent.withdraw(withdrawn)
             measured = [*self._between, (time, speeds)][: len(self._between) or 1]
             began = self._began(hold, *measured[0])
             known = [(began, self._speeds_before(began)), *measured]
             self._sent.follow(hold, known, self._acceleration)
-            self.delay = began - hold.start
-            if self.delay > _NEGLIGIBLE:
-                self.window = max(self.window, min(self.delay, _LONGEST_WINDOW))
+            self.delay = delay = began - hold.start
+        if delay > _NEGLIGIBLE:
+            self._in_time = 0
+            self.window = max(self.window, min(delay, _LONGEST_WINDOW))
         else:
             self._in_time += 1
             self.window *= _SHRINKING
@@ -162,7 +164,6 @@ class RotorFeedback:
 
     def _overdue(self, due: list[int]) -> None:
         """Withdraw commands that are not followed though they should be."""
-        self._in_time = 0
         self._between = []
         for i in due:
             hold, is_late = self._waiting[i]

@@ -36,6 +36,8 @@ def test_nothing_is_committed_ahead_without_a_link() -> None:
     times_to(random_goals(3, seed=1), loop)
     assert loop.schedule.window == 0.0
     assert loop.controller.rotor_feedback.loss == 0.0
+    times_to(random_goals(7, seed=2), loop)
+    assert not loop.controller.rotor_feedback.is_needed
 
 
 @pytest.mark.parametrize("simulated", [True, False])

@@ -56,7 +56,8 @@ class Fault:
         Whether the goal is lost by it and has to be sent again, as a supervisor would.
     continuous : bool
         Whether each command has to start from the speeds that were in force; not where another
-        controller takes over or one is restarted, and the drives alone limit the slew.
+        controller takes over, one is restarted or commands are lost, and the drives alone limit
+        the slew.
     upright : bool
         Whether the goal has to be upright: with momentum no other can be held for certain.
     quick : bool
@@ -104,7 +105,9 @@ def _stop(node: str, **more: Any) -> Fault:
 
 
 def _burst(name: str, *lost: str, **more: Any) -> Fault:
-    return Fault(f"burst_{name}", "burst", "loss", {"of": lost}, 2.0, **more)
+    # A controller knows by measurement only which of its commands were lost.
+    known = "commands" not in lost
+    return Fault(f"burst_{name}", "burst", "loss", {"of": lost}, 2.0, continuous=known, **more)
 
 
 def _two_poses(name: str, **options: Any) -> Fault:
@@ -133,6 +136,7 @@ _ALL = (
     _pose("norm", "scaled", options={"by": 2.0}, named_by=_REFUSED, blind=True),
     _pose("frame", "framed", options={"frame": "map"}, named_by=_REFUSED, blind=True),
     _burst("poses", "poses", named_by=_BLIND, blind=True),
+    # Without `named_by`: where the plan did not change meanwhile, nothing was lost.
     _burst("commands", "commands"),
     # Not blind: the command to rest is lost, too.
     _burst("both", "poses", "commands", named_by=_BLIND, quick=True),

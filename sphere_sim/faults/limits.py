@@ -58,11 +58,19 @@ class LimitCheck:
 
     def trajectory(self, hold: FirstOrderHold) -> None:
         """Check a commanded hold by itself and against the one that it replaces."""
+        self.sent(hold)
+        self.delivered(hold)
+
+    def sent(self, hold: FirstOrderHold) -> None:
+        """Check a commanded hold by itself."""
         self._check_speed("rotor_trajectory", hold.speeds)
         if hold.times.size > 1:
             changes = np.abs(np.diff(hold.speeds, axis=0))
             durations = np.diff(hold.times)[:, None] + _RESOLUTION
             self._check_slew("rotor_trajectory", float(np.max(changes / durations)))
+
+    def delivered(self, hold: FirstOrderHold) -> None:
+        """Check a hold that reaches the drives against the one that it replaces there."""
         before, self._hold = self._hold, hold
         if before is None or hold.start < before.start or not self.continuous:
             return

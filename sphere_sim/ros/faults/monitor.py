@@ -3,6 +3,7 @@
 """Monitor of all topics, independent of the nodes under test."""
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,8 @@ class FaultMonitor:
         self._pose_time, self._joint_time = ContinuousTime(), ContinuousTime()
         self._counters: dict[str, float] = {}
         for kind, topic, take in (
-            (JointTrajectory, "rotor_trajectory", self._take_trajectory),
+            (JointTrajectory, "rotor_trajectory", self._take_sent),
+            (JointTrajectory, "rotor_trajectory_raw", self._take_delivered),
             (Float64MultiArray, "rotor_commands", self._take_command),
             (JointState, "joint_states_raw", self._take_joints),
             (DiagnosticArray, "/diagnostics", self._take_diagnostics),
@@ -103,11 +105,15 @@ class FaultMonitor:
         except InvalidStateError as error:
             self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
 
-    def _take_trajectory(self, message: Any) -> None:
+    def _take_sent(self, message: Any) -> None:
         try:
-            self.limits.trajectory(hold_from_trajectory(message, 0))
+            self.limits.sent(hold_from_trajectory(message, 0))
         except InvalidInputError as error:
             self.limits.broken.append(f"rotor_trajectory is wrong: {error}")
+
+    def _take_delivered(self, message: Any) -> None:
+        with suppress(InvalidInputError):  # reported when it was sent
+            self.limits.delivered(hold_from_trajectory(message, 0))
 
     def _take_command(self, message: Any) -> None:
         self.limits.command(np.array(message.data, dtype=float))

@@ -14,7 +14,7 @@ from sphere_sim.ros.faults.goal_actions import random_goal
 
 
 class SecondPoses(Action):
-    """Poses of another place or another sphere, half a period after those of the sphere.
+    """Poses of another place or another sphere, at a random time after each of the sphere.
 
     Parameters
     ----------
@@ -31,19 +31,22 @@ class SecondPoses(Action):
         self._other = pose_to_ros(random_goal(session.rng), 0, RADIUS)
         self._seen: PoseStamped | None = None
         self._due: float | None = None
+        self._after = 0.0
         self._publisher = session.node.create_publisher(PoseStamped, "pose", 10)
 
     def keep_on(self, session: FaultSession) -> None:
-        """Publish a pose if half a period has passed since the newest one of the sphere."""
+        """Publish a pose when it is due: between the newest one of the sphere and the next."""
         newest, settings = session.proxy.newest, session.settings
         if newest is not self._seen:
-            self._seen, self._due = newest, time.monotonic() + 0.5 / settings.rate / settings.pace
+            # Sometimes just before a sampling instant, at which the newest pose counts.
+            self._after = session.rng.uniform() / settings.rate
+            self._seen, self._due = newest, time.monotonic() + self._after / settings.pace
         if newest is None or self._due is None or time.monotonic() < self._due:
             return
         self._due = None
         second = copy.deepcopy(newest if self._offset else self._other)
         second.header.frame_id = newest.header.frame_id
-        stamp = stamp_from_ros(newest.header.stamp) + round(0.5 * NANOSECONDS / settings.rate)
+        stamp = stamp_from_ros(newest.header.stamp) + round(NANOSECONDS * self._after)
         second.header.stamp = session.proxy.shifted(stamp)
         second.pose.position.x += self._offset
         self._publisher.publish(second)

@@ -106,3 +106,12 @@ def test_measured_speeds_may_change_by_the_error_of_a_servo_more() -> None:
     exact.joints(0, np.zeros(2))
     exact.joints(stamp, np.array([0.0, change + 0.06]))
     assert exact.broken
+
+
+def test_command_that_was_lost_is_not_in_force(check) -> None:
+    check.trajectory(hold((0.0, 0.0, 0.0), (1.0, 50.0, 0.0)))
+    check.sent(hold((0.5, 25.0, 0.0), (1.0, 0.0, 0.0)))
+    check.trajectory(hold((0.75, 37.5, 0.0), (1.0, 50.0, 0.0)))
+    assert not check.broken
+    check.sent(hold((0.8, 40.0, 0.0), (0.81, 0.0, 0.0)))
+    assert "rad/s^2" in check.broken[0]

@@ -98,6 +98,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--starts", type=int, default=0,
                         help="measure this many starts for each loss, instead of goals")
     parser.add_argument("--discovery", choices=DISCOVERY, default="peers")
+    parser.add_argument("--profiles", type=Path, help="XML profiles of Fast DDS of all nodes")
     parser.add_argument("--seed", type=int, default=0, help="of the goals")
     parser.add_argument("--strategy", default="time_optimal")
     parser.add_argument("--json", type=Path)
@@ -124,6 +125,8 @@ def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, objec
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             **DISCOVERY[given.discovery],
         }
+        if given.profiles:
+            environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(given.profiles.resolve())
         own = ["--goals", str(given.goals), "--starts", str(given.starts),
                "--seed", str(given.seed), "--strategy", given.strategy, "--inside", there]
 

@@ -8,9 +8,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
+from ros_graph import PATIENCE
 
 from sphere_nmpc.ros.graph_faults import network_fault
 from sphere_nmpc.ros.loopback import (
@@ -21,10 +23,10 @@ from sphere_nmpc.ros.loopback import (
     use_loopback_only,
 )
 from sphere_nmpc.ros.network import network_addresses, wait_for_network
-from test.support.ros_graph import PATIENCE
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux interfaces")
 PEERS = {"ROS_STATIC_PEERS": "10.0.0.7"}
+PROFILES = Path(__file__).parents[3] / "config" / "lossy_network.xml"
 RUN = (sys.executable, "-c", "import sys; from sphere_sim.cli.main import main; sys.exit(main())")
 
 
@@ -105,6 +107,16 @@ def test_addresses_are_those_of_interfaces_in_operation() -> None:
 )
 def test_fault_is_that_no_announced_address_is_left(announced, present, fault) -> None:
     assert bool(network_fault(announced, present)) == fault
+
+
+def test_profiles_for_lossy_networks_are_understood_by_fast_dds() -> None:
+    environment = {**os.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILES)}
+    done = subprocess.run(
+        [*RUN, "goal", "1", "0", "--timeout", "0"], env=environment, capture_output=True,
+        text=True, timeout=PATIENCE, check=False,
+    )
+    assert "no controller was ready" in done.stderr
+    assert not done.stdout, "errors in profiles are printed there"
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ machine, is read by way of its object instead, with the same result.
 """
 
 import struct
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from sphere_nmpc.ros.conversions import (
     WORLD_FRAME,
     framed_pose_from_ros,
     hold_from_trajectory,
-    joint_states_from_ros,
+    rotor_speeds_from_ros,
     stamp_from_ros,
     stamp_of,
 )
@@ -176,23 +177,24 @@ def joint_states_message(angles: Vector, speeds: Vector, torques: Vector, stamp:
     return clock_message(stamp) + _JOINTS + values
 
 
-def joint_states_of_message(message: Any) -> tuple[Vector, Vector, Vector, int]:
-    """Return rotor angles [rad], speeds [rad/s], torques [N m] and stamp [ns] of a JointState.
+def rotor_speeds_and_stamp(message: Any) -> tuple[Vector | None, int]:
+    """Return rotor speeds [rad/s], shape (2,), and stamp [ns] of a JointState.
 
-    It is given serialised or as object.
+    It is given serialised or as object. The speeds are None as those of
+    `sphere_nmpc.ros.conversions.rotor_speeds_from_ros` are.
 
     Raises
     ------
     InvalidInputError
-        See `sphere_nmpc.ros.conversions.joint_states_from_ros`; also if it cannot be read.
+        If it cannot be read.
     """
     if _has_joints(message) and len(message) >= _VALUES + _STATES.size:
         numbers = _STATES.unpack_from(message, _VALUES)
         if numbers[0::3] == (len(JOINT_NAMES),) * 3:
-            angles, speeds, torques = (np.array(numbers[i : i + 2]) for i in (1, 4, 7))
-            return angles, speeds, torques, _stamp(message)
+            speeds = numbers[4:6]
+            return np.array(speeds) if all(map(isfinite, speeds)) else None, _stamp(message)
     read = _object(message, JointState)
-    return *joint_states_from_ros(read), stamp_from_ros(read.header.stamp)
+    return rotor_speeds_from_ros(read), stamp_from_ros(read.header.stamp)
 
 
 def _is_plain(message: Any) -> bool:

@@ -19,6 +19,9 @@ from sphere_nmpc.ros.graph_faults import (
 )
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
 
+_COMPARE_EVERY = 1.0
+"""Wall time between two comparisons of all profiles [s]; each takes longer than a tick."""
+
 
 class ControllerMonitor:
     """Monitor of the silence of clock and poses, which logs the faults around a controller.
@@ -45,6 +48,8 @@ class ControllerMonitor:
         """Delay and loss of the poses."""
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
+        self._incompatible: list[GraphFault] = []
+        self._compared_at = -math.inf
         self._pose_received = False
 
     @property
@@ -104,7 +109,8 @@ class ControllerMonitor:
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
         )
-        incompatible = graph.incompatible()
-        if any(fault.kind.endswith(f" {self._pose_topic}") for fault in incompatible):
+        if wall >= self._compared_at + _COMPARE_EVERY:
+            self._compared_at, self._incompatible = wall, graph.incompatible()
+        if any(fault.kind.endswith(f" {self._pose_topic}") for fault in self._incompatible):
             found = [fault for fault in found if fault.kind != NO_POSE]
-        graph.update(incompatible + found)
+        graph.update(self._incompatible + found)

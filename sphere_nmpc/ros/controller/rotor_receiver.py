@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.ros.controller.control_clock import ControlClock
-from sphere_nmpc.ros.conversions import rotor_speeds_from_ros, stamp_from_ros
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.serialised import rotor_speeds_and_stamp
 
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _OTHER_CLOCK = 1.0
@@ -56,17 +56,18 @@ class RotorReceiver:
         needed = self._controller.rotor_feedback.is_needed
         if needed and self._subscription is None:
             self._subscription = self._node.create_subscription(
-                JointState, "joint_states", self._receive, _NEWEST, event_callbacks=NO_EVENTS
+                JointState, "joint_states", self._receive, _NEWEST, event_callbacks=NO_EVENTS,
+                raw=True,
             )
         elif not needed and self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
 
-    def _receive(self, message: JointState) -> None:
-        now, speeds = self._clock.now(), rotor_speeds_from_ros(message)
+    def _receive(self, message: bytes) -> None:
+        now, (speeds, stamp) = self._clock.now(), rotor_speeds_and_stamp(message)
         if now is None or speeds is None:
             return
-        time = self._clock.time_of(stamp_from_ros(message.header.stamp))
+        time = self._clock.time_of(stamp)
         if abs(time - now) < _OTHER_CLOCK:
             self._controller.observe_rotors(time, speeds)
             self._on_window(self._controller.rotor_feedback.window)

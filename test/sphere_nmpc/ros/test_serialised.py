@@ -91,9 +91,22 @@ def test_joint_states_are_those_of_rclpy_both_ways(values, stamp) -> None:
     written = serialised.joint_states_message(*values, stamp)
     assert deserialize_message(written, JointState) == message
     for given_as in (written, serialize_message(message), message):
-        *read, when = serialised.joint_states_of_message(given_as)
+        speeds, when = serialised.rotor_speeds_and_stamp(given_as)
         assert when == stamp
-        np.testing.assert_array_equal(read, values)
+        np.testing.assert_array_equal(speeds, values[1])
+
+
+@pytest.mark.parametrize("names", [[*cv.JOINT_NAMES, "wheel"], ["wheel", *cv.JOINT_NAMES[::-1]]])
+def test_speeds_of_joint_states_with_other_joints_are_read(names) -> None:
+    message = JointState(name=names, velocity=[1.0, 2.0, 3.0])
+    message.header.frame_id = "base_link"
+    speeds, _ = serialised.rotor_speeds_and_stamp(serialize_message(message))
+    np.testing.assert_array_equal(speeds, cv.rotor_speeds_from_ros(message))
+
+
+def test_speeds_of_joint_states_that_are_not_finite_are_none() -> None:
+    raw = serialised.joint_states_message(np.zeros(2), np.array([1.0, np.nan]), np.zeros(2), 5)
+    assert serialised.rotor_speeds_and_stamp(raw) == (None, 5)
 
 
 def point(after: int = 0, **fields) -> JointTrajectoryPoint:
@@ -178,7 +191,7 @@ def test_bytes_that_are_no_message_are_refused(cut) -> None:
         (serialised.trajectory_message(hold), lambda raw: serialised.hold_and_stamp(raw, 0)),
         (
             serialised.joint_states_message(*np.zeros((3, 2)), 0),
-            serialised.joint_states_of_message,
+            serialised.rotor_speeds_and_stamp,
         ),
         (serialised.speeds_message(np.zeros(2))[:-4], serialised.speeds_of_message),
     ):

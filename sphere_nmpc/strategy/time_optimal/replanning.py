@@ -144,10 +144,9 @@ def _improved(
     if arrival.duration < tuning.fixed_time or work == 0 or between_knots or short or over:
         return plan
     search = DistantSearch(planner, situation, new_plan=False, start=arrival)
-    found = search.improve(max(work, plan.unspent_effort), deadline)
-    unspent = max(0, plan.unspent_effort - search.work)
+    found = search.improve(work, deadline)
     if found is None or found is arrival:
-        return replace(plan, unspent_effort=unspent, fruitless=plan.fruitless + 1)
-    plan = replace(plan, unspent_effort=unspent, fruitless=0)
+        return replace(plan, fruitless=plan.fruitless + 1)
+    plan = replace(plan, fruitless=0)
     precise = planner.solve(situation, found.goal, found.duration, found.hold, new_plan=False)
     return replace(plan, arrival=precise) if precise.error <= tuning.arrival_error else plan

@@ -78,7 +78,7 @@ class SearchTask:
         found = search.improve(self.effort, end)
         if found is None:
             return SearchResult(found_none=True)
-        return SearchResult(precise_arrival(planner, situation, found))
+        return SearchResult(_precise(planner, situation, found))
 
     def _earlier(
         self, planner: ArrivalPlanner, known: FirstOrderHold, end: float
@@ -111,9 +111,23 @@ class SearchResult:
     found_none: bool = False
 
 
-def precise_arrival(
-    planner: ArrivalPlanner, situation: Situation, found: Arrival
-) -> Arrival | None:
+def search_task(
+    planner: ArrivalPlanner,
+    situation: Situation,
+    origin: float,
+    effort: int,
+    longest: float,
+    strict: bool = False,
+    known: FirstOrderHold | None = None,
+) -> SearchTask:
+    """Return the search that a planner would do, with its next seed; see `SearchTask`."""
+    return SearchTask(
+        planner.robot, planner.period, planner.general_tuning, situation, origin,
+        planner.next_seed(), effort, longest, strict, known,
+    )
+
+
+def _precise(planner: ArrivalPlanner, situation: Situation, found: Arrival) -> Arrival | None:
     """Return what a search has found, solved precisely, with a delay if need be.
 
     None if it does not reach the goal with any delay that is tried.

@@ -15,7 +15,11 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.solver.roll_out import roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
-from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, SearchTask
+from sphere_nmpc.strategy.time_optimal.search_task import (
+    SearchResult,
+    SearchTask,
+    search_task,
+)
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.worker.contract import Reply, Worker
 
@@ -115,10 +119,8 @@ class SearchesBeside:
         Parameters as for `SearchTask`; `from_rest` as for `Outcome`.
         """
         origin = situation.time if known is None else planner.grid.origin(situation.time)
-        task = SearchTask(
-            planner.robot, planner.period, planner.general_tuning, situation, origin,
-            planner.next_seed(), effort, self._tuning.longest_search, strict, known,
-        )
+        longest = self._tuning.longest_search
+        task = search_task(planner, situation, origin, effort, longest, strict, known)
         reply = self._worker.submit(task)
         self._under_way = None
         if reply.pending or reply.ready:

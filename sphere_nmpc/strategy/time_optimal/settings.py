@@ -221,9 +221,6 @@ class TimeOptimalSettings:
 
     # Searches from rest and slip
 
-    search_share: float = 0.5
-    """Share [of the sample period] for which a search from rest may continue over several samples
-    of a high control rate."""
     search_ahead: float = 0.1
     """Time [s] from the request of a search beside the control loop to the start of its plan,
     where the sphere moves; doubled after a search that took longer ..."""

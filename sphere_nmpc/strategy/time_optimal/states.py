@@ -10,27 +10,7 @@ from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, STATE_SIZE, Vector
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
-from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
-
-
-@dataclass(frozen=True, eq=False)
-class StartedSearch:
-    """A search that is continued at the next sample.
-
-    Attributes
-    ----------
-    search : DistantSearch
-        With the best arrival found so far.
-    planner : ArrivalPlanner
-        Planner with the drive limits of the search.
-    begun_at : float
-        Control time at which it began [s].
-    """
-
-    search: DistantSearch
-    planner: ArrivalPlanner
-    begun_at: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +19,6 @@ class Searching:
 
     Attributes
     ----------
-    started : StartedSearch or None
-        Search to be continued; None to begin a new one.
     strict : bool
         Whether the last search ended with an arrival that does not reach the goal when it is
         solved precisely; the next one is then strict, as it would find the same again.
@@ -48,7 +26,6 @@ class Searching:
         Whether the last search ended without an arrival.
     """
 
-    started: StartedSearch | None = None
     strict: bool = False
     found_none: bool = False
 
@@ -65,8 +42,6 @@ class Following:
         Control time of the sample at which it was solved [s].
     planner : ArrivalPlanner
         Planner with the drive limits of the plan.
-    unspent_effort : int
-        Part of the planning effort that the first search had no time for; later samples use it.
     fruitless : int
         Number of searches for an earlier arrival since the last one that found it.
     """
@@ -74,7 +49,6 @@ class Following:
     arrival: Arrival
     planned_at: float
     planner: ArrivalPlanner
-    unspent_effort: int
     fruitless: int = 0
 
     def time_left(self, now: float) -> float:

@@ -41,9 +41,9 @@ from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
 from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
 from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
-from sphere_nmpc.strategy.time_optimal.new_plan import PlanSearch
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.replanning import replan
+from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, search_task
 from sphere_nmpc.strategy.time_optimal.searches_beside import (
     Outcome,
     Purpose,
@@ -125,7 +125,6 @@ class TimeOptimalStrategy:
         self._acceleration = limit
         self._full = self._planner(limit)
         self._slippery = self._planner(self._tuning.slip_acceleration * limit)
-        self._plan_search = PlanSearch(self._full, self._slippery)
         self._goals.reset()
         self._held_goal.reset()
         self._rest_at_goal.reset()
@@ -145,7 +144,6 @@ class TimeOptimalStrategy:
         if abs(limit - self._acceleration) <= self._tuning.same_acceleration * limit:
             return
         followed, self._acceleration, self._full = self._full, limit, self._planner(limit)
-        self._plan_search = PlanSearch(self._full, self._slippery)
         state = self._state
         if isinstance(state, Following) and state.planner is followed:
             self._state = dataclasses.replace(state, planner=self._full)
@@ -212,7 +210,26 @@ class TimeOptimalStrategy:
         self._rest_at_goal.reset()
         if self._beside is not None and self._beside.available:
             return self._found_beside(state, situation, at_rest, dead_band, deadline)
-        return self._plan_search.search(state, situation, at_rest, deadline, settings)
+        planner, now = self._planner_for(situation), situation.time
+        task = search_task(
+            planner, situation, self._grid.origin(now), settings.planning_effort,
+            deadline - time.perf_counter(), state.strict,
+        )
+        return self._planned(task(), state, planner, now)
+
+    def _planner_for(self, situation: Situation) -> ArrivalPlanner:
+        """Return the planner with the limit of acceleration that the floor allows."""
+        slippery = situation.noise > self._tuning.slip_noise
+        return self._slippery if slippery else self._full
+
+    def _planned(
+        self, result: SearchResult, state: Searching, planner: ArrivalPlanner, begins: float
+    ) -> Searching | Following:
+        """Return the state after a search for a plan that begins at `begins` [s]."""
+        if result.arrival is None:
+            strict = state.strict or not result.found_none
+            return Searching(strict=strict, found_none=result.found_none)
+        return Following(result.arrival, begins, planner)
 
     def _followed(
         self, state: Following, situation: Situation, dead_band: float, deadline: float
@@ -232,7 +249,7 @@ class TimeOptimalStrategy:
                 if arrival is None:
                     state = dataclasses.replace(state, fruitless=state.fruitless + 1)
                 else:
-                    earlier = Following(arrival, begins, outcome.planner, 0)
+                    earlier = Following(arrival, begins, outcome.planner)
                     found = replan(earlier, situation, dead_band, deadline, settings, improve)
                     if found is not None:
                         return found
@@ -272,17 +289,14 @@ class TimeOptimalStrategy:
         if beside.purpose is Purpose.NEW:
             outcome = beside.take(situation.time, settings.control_period)
         if outcome is not None and self._is_for(outcome, situation.goal):
-            result = outcome.result
-            if result.arrival is None:
-                return Searching(
-                    strict=state.strict or not result.found_none, found_none=result.found_none
-                )
-            if outcome.from_rest and at_rest:
-                self._grid.begin_again(situation.time)
-                return Following(result.arrival, situation.time, outcome.planner, 0)
-            begins = outcome.situation.time
+            at_once = outcome.from_rest and at_rest
+            begins = situation.time if at_once else outcome.situation.time
+            found = self._planned(outcome.result, state, outcome.planner, begins)
+            if isinstance(found, Searching):
+                return found
             self._grid.begin_again(begins)
-            found = Following(result.arrival, begins, outcome.planner, 0)
+            if at_once:
+                return found
             followed = replan(
                 found, situation, dead_band, deadline, settings, lambda plan, _: plan
             )
@@ -294,7 +308,7 @@ class TimeOptimalStrategy:
                 begins = situation.time + beside.ahead
                 start = later(situation, ramp, begins, self._tuning.precise_step)
             beside.begin(
-                Purpose.NEW, self._plan_search.planner(situation), start,
+                Purpose.NEW, self._planner_for(situation), start,
                 settings.planning_effort, from_rest=at_rest, strict=state.strict,
             )
         return state
@@ -339,13 +353,13 @@ class TimeOptimalStrategy:
                 part.reset()
             self._grid.begin_again(begins)
             self._goal = outcome.situation.goal
-            self._state = Following(arrival, begins, outcome.planner, 0)
+            self._state = Following(arrival, begins, outcome.planner)
         elif beside.purpose is not Purpose.REDIRECT:
             hold = state.arrival.hold.delayed(state.planned_at)
             begins = situation.time + beside.ahead
             start = later(situation, hold, begins, self._tuning.precise_step)
             beside.begin(
-                Purpose.REDIRECT, self._plan_search.planner(situation),
+                Purpose.REDIRECT, self._planner_for(situation),
                 dataclasses.replace(start, goal=wanted), self._settings.planning_effort,
             )
         assert self._goal is not None

@@ -98,7 +98,7 @@ def test_plan_ends_at_rest_at_the_goal_and_keeps_every_limit(kind: str) -> None:
 def test_prediction_on_the_way_is_that_of_the_model(kind: str) -> None:
     now = situation(DRIFTS[kind])
     arrival = arrival_at(now)
-    following = Following(arrival, 0.0, planner(), 0)
+    following = Following(arrival, 0.0, planner())
     knots = len(arrival.hold.times) // 2 + 1
     time = float(arrival.hold.times[knots - 1])
     part = FirstOrderHold(arrival.hold.times[:knots], arrival.hold.speeds[:knots])

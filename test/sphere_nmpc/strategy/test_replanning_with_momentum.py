@@ -45,7 +45,7 @@ def pushed(seed: int, size: float) -> tuple[Following, Situation]:
     assert found is not None
     arrival = planner.solve(first, found.goal, 1.02 * found.duration, found.hold, new_plan=True)
     assert arrival.error <= TUNING.arrival_error
-    plan = Following(arrival, 0.0, planner, 0)
+    plan = Following(arrival, 0.0, planner)
     state, _ = plan.prediction(PUSHED_AT)
     turn = rng.uniform(-np.pi, np.pi)
     impulse = size * np.array([np.cos(turn), np.sin(turn)])

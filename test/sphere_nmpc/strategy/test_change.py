@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from delayed_worker import DelayedWorker
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION
@@ -14,6 +15,8 @@ from sphere_nmpc.strategy.contract import Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.registry import make_strategy
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.search_task import SearchTask
+from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 ROBOT = RobotParameters()
@@ -78,21 +81,20 @@ def test_changed_planning_effort_is_spent_from_the_next_sample_on(
     assert spent[1] == 5 * spent[0]
 
 
-def test_search_in_progress_goes_on_after_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_in_progress_goes_on_after_a_change() -> None:
     settings = ControllerSettings(control_rate=100.0)
     strategy = make_strategy(settings, ROBOT)
-    searches = []
-    improve = ArrivalSearch.improve
-
-    def stopped_early(search: ArrivalSearch, work: int, deadline: float = np.inf) -> object:
-        searches.append(search)
-        return improve(search, min(work, 1000), deadline)
-
-    monkeypatch.setattr(ArrivalSearch, "improve", stopped_early)
+    assert isinstance(strategy, TimeOptimalStrategy)
+    worker = DelayedWorker(lambda: now, 0.01)
+    strategy.search_beside(worker)
+    now = 0.0
     assert strategy.plan(FIRST).status is PlanStatus.RAMP_TO_REST
     strategy.change(replace(settings, planning_effort=100_000))
-    strategy.plan(replace(FIRST, time=0.01))
-    assert searches[0] is searches[1]
+    now = 0.01
+    assert strategy.plan(replace(FIRST, time=now)).status is PlanStatus.SOLVED
+    searches = [task for task in worker.tasks if isinstance(task, SearchTask)]
+    assert [task.known for task in searches[:1]] == [None]
+    assert all(task.known is not None for task in searches[1:]), "for an earlier arrival"
 
 
 def test_changed_input_weight_holds_for_corrections_at_the_goal() -> None:

@@ -22,7 +22,7 @@ from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
-from sphere_nmpc.ros.lifetime import RunnableNode, run, spin_for
+from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
@@ -180,12 +180,7 @@ class SimulatorNode(RunnableNode):
         self._published_at = time.monotonic()
 
     def _spin(self, executor: Executor, wait: float) -> None:
-        if _SHORTEST_SPIN < wait < _REPEAT_EVERY:
-            spin_for(executor, wait)
-            self._spun_at = time.monotonic()
-            return
-        if wait >= _REPEAT_EVERY:
-            # Time stands still: a command or a service may let it go on at once.
+        if wait > _SHORTEST_SPIN:
             executor.spin_once(timeout_sec=wait)
             received = -1  # further messages may be waiting
         elif time.monotonic() > self._spun_at + _SPIN_EVERY:

@@ -22,7 +22,12 @@ _KEPT = 256
 _LONGEST_WINDOW = 0.3
 """Largest commitment window [s]: later commands count as lost."""
 _NEGLIGIBLE = 0.025
-"""Delay of a command up to which no window is needed [s]: a clock of 50 Hz alone makes 20 ms."""
+"""Delay of a command up to which it counts as in time [s], or if that is longer ..."""
+_SPACINGS = 1.25
+"""... this many times the spacing of the measurements: a clock that is a topic has the same
+spacing, and commands are late by that alone."""
+_GAPS = 8
+"""Newest measurements from which the spacing is taken."""
 _SHRINKING = 0.99
 """Window over that before it, after a command that took effect in time."""
 _FORGETTING = 0.95
@@ -68,6 +73,7 @@ class RotorFeedback:
         self._waiting: deque[tuple[FirstOrderHold, bool]] = deque(maxlen=_KEPT)
         self._measured: tuple[float, Vector] = (float("-inf"), np.zeros(INPUT_SIZE))
         self._between: list[tuple[float, Vector]] = []
+        self._gaps: deque[float] = deque(maxlen=_GAPS)
         self.resume()
 
     def resume(self) -> None:
@@ -98,6 +104,8 @@ class RotorFeedback:
         if time <= since:
             return
         self._measured = (time, speeds)
+        if np.isfinite(since):
+            self._gaps.append(time - since)
         self._sent.known_until = time
         due = [i for i, (hold, _) in enumerate(self._waiting) if hold.start <= time]
         if not due:
@@ -110,7 +118,7 @@ class RotorFeedback:
         # Of commands that agree, the newest.
         best = min(reversed(due), key=lambda i: errors[i])
         if _distance(speeds, old) < _CLEAR * errors[best]:
-            self._overdue(due)
+            self._overdue(due, time)
             return
         is_late = self._waiting[best][1] or bool(self._between)
         if errors[best] > _DISTINCT:
@@ -129,21 +137,23 @@ class RotorFeedback:
         """Record that a command is followed by `time` [s], when the rotors had these speeds."""
         passed = [self._waiting.popleft() for _ in range(index + 1)]
         hold = passed[-1][0]
-        delay = 0.0
+        delay, was_withdrawn = 0.0, passed[-1][1]
         for _, is_lost in passed[:-1]:
             if is_lost:
                 self._in_time = 0
                 self._count(lost=True)
         self._count(lost=False)
         if is_late:
-            for withdrawn, _ in passed:
-                self._sent.withdraw(withdrawn)
             measured = [*self._between, (time, speeds)][: len(self._between) or 1]
             began = self._began(hold, *measured[0])
-            known = [(began, self._speeds_before(began)), *measured]
-            self._sent.follow(hold, known, self._acceleration)
-            self.delay = delay = began - hold.start
-        if delay > _NEGLIGIBLE:
+            delay = began - hold.start
+            if was_withdrawn or delay > self._negligible:
+                for withdrawn, _ in passed:
+                    self._sent.withdraw(withdrawn)
+                known = [(began, self._speeds_before(began)), *measured]
+                self._sent.follow(hold, known, self._acceleration)
+                self.delay = delay
+        if delay > self._negligible:
             self._in_time = 0
             self.window = max(self.window, min(delay, _LONGEST_WINDOW))
         else:
@@ -162,12 +172,17 @@ class RotorFeedback:
         took = _distance(speeds, self._speeds_before(time)) / self._acceleration
         return max(hold.start, min(time - took, np.nextafter(time, -np.inf)))
 
-    def _overdue(self, due: list[int]) -> None:
-        """Withdraw commands that are not followed though they should be."""
+    @property
+    def _negligible(self) -> float:
+        """Delay up to which a command counts as in time [s]."""
+        return max(_NEGLIGIBLE, _SPACINGS * min(self._gaps, default=0.0))
+
+    def _overdue(self, due: list[int], time: float) -> None:
+        """Withdraw commands that are not followed at `time` [s] though they should be."""
         self._between = []
         for i in due:
             hold, is_late = self._waiting[i]
-            if not is_late:
+            if not is_late and time - hold.start > self._negligible:
                 self._sent.withdraw(hold)
                 self._waiting[i] = (hold, True)
 

@@ -147,12 +147,13 @@ class ExactPoseEstimator:
 
     def _learn(self, time: float, pose: Vector) -> None:
         """Fit the parameters to the motion since the last pose used for it."""
+        now = time
         time, pose = self._awaiting or (time, pose)
         last = self._learnt_up_to
         if last is not None and time - last[0] < _SHORTEST_TRANSITION:
             return
         # Rotor speeds measured until then may still be on their way.
-        self._awaiting = (time, pose) if self._sent.is_pending(time) else None
+        self._awaiting = (time, pose) if self._sent.is_pending(time, now) else None
         if self._awaiting is not None:
             return
         self._learnt_up_to = (time, pose)

@@ -85,9 +85,12 @@ class SentInputs:
         ))
         self._holds.extend(later)
 
-    def is_pending(self, time: float) -> bool:
-        """Return whether measured speeds will tell soon what the rotors did up to `time` [s]."""
-        return time - _SILENCE < self.known_until < time - _SHORTEST
+    def is_pending(self, time: float, now: float) -> bool:
+        """Return whether measured speeds will tell soon what the rotors did up to `time` [s].
+
+        Not if none were received for a while at `now` [s].
+        """
+        return now - _SILENCE < self.known_until < time - _SHORTEST
 
     @property
     def newest(self) -> FirstOrderHold | None:

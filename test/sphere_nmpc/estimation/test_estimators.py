@@ -257,3 +257,11 @@ def test_result_that_arrives_after_a_changed_drive_lag_does_not_undo_it(
     found.change(replace(EXACT, drive_lag=0.03))
     clock.time = 1.0
     assert found.plant.lag == pytest.approx(0.03)
+
+
+def test_learning_goes_on_where_measured_rotor_speeds_end(sent: SentInputs) -> None:
+    """As they do after the controller has ended its subscription: none are awaited for long."""
+    found = make_estimator(EXACT, LUMPED, sent)
+    sent.known_until = 0.3
+    track(found, sent)
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)

@@ -150,7 +150,12 @@ class Controller:
 
     def observe_rotors(self, time: float, speeds: Vector) -> None:
         """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s]."""
-        self.rotor_feedback.observe(time, speeds, self._estimator.plant.lag)
+        try:
+            self.rotor_feedback.observe(time, speeds, self._estimator.plant.lag)
+        except Exception as error:
+            # As in `decide`; without measured speeds commands count as followed as they were sent.
+            self._record(error)
+            self.rotor_feedback.reset()
 
     def forget(self) -> None:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""

@@ -101,6 +101,10 @@ class WorkerProcess:
         except _CONNECTION_ERRORS:
             self._replace("it has ended")
             return
+        except Exception as error:
+            # Whatever cannot be read must not reach the control loop.
+            self._replace(f"given a result that cannot be read: {error}")
+            return
         silent = time.monotonic() - self._heard
         if self._pending and silent > self._patience:
             self._replace(f"given no result for {silent:.1f} s, expected {self._patience:g} s")
@@ -122,13 +126,19 @@ class WorkerProcess:
         """Start a process; it ends when the other end of its connection is closed."""
         self._started = self._heard = time.monotonic()
         self._patience = _FIRST_PATIENCE
-        here, there = Pipe()
-        # What is found here has to be found there, also where the path was changed meanwhile.
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        # What is found here has to be found there, and nothing else: the folder that a module is
+        # started in comes first.
+        path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)
+        try:
+            here, there = Pipe()
+        except OSError as error:
+            self._on_fault(f"worker not started: {error}")
+            return
         command = [sys.executable, "-m", "sphere_nmpc.worker.serve", str(there.fileno())]
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, pass_fds=[there.fileno()], env=environment
+                command, stdin=subprocess.DEVNULL, pass_fds=[there.fileno()], cwd=os.sep,
+                env={**os.environ, "PYTHONPATH": path},
             )
             self._connection = here
         except OSError as error:

@@ -39,8 +39,9 @@ def serve(connection: Connection) -> None:
 
 def main(argv: list[str]) -> int:
     """Serve the connection whose file descriptor is the only argument."""
-    # The control loop decides when this process ends, not a Ctrl-C for both.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # It ends with its owner, which may still need it after a signal to both.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     # A control loop with a real-time priority passes it on to the processes that it starts.
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

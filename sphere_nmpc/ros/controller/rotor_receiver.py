@@ -10,6 +10,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.serialised import rotor_speeds_and_stamp
@@ -64,7 +65,11 @@ class RotorReceiver:
             self._subscription = None
 
     def _receive(self, message: bytes) -> None:
-        now, (speeds, stamp) = self._clock.now(), rotor_speeds_and_stamp(message)
+        now = self._clock.now()
+        try:
+            speeds, stamp = rotor_speeds_and_stamp(message)
+        except InvalidInputError:
+            return
         if now is None or speeds is None:
             return
         time = self._clock.time_of(stamp)

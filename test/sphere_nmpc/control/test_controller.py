@@ -249,6 +249,16 @@ def test_strategy_that_raises_leaves_the_hold_in_force_which_ends_at_rest(
     assert controller.failures == 5
 
 
+def test_measured_rotor_speeds_that_cannot_be_used_are_an_error_that_is_counted(
+    controller: Controller,
+) -> None:
+    track(controller)
+    speeds = controller.speeds_at(PERIOD)
+    controller.observe_rotors(PERIOD, np.array([1.0, 2.0, 3.0]))
+    assert controller.failures == 1 and "ValueError" in controller.last_failure
+    np.testing.assert_array_equal(controller.speeds_at(PERIOD), speeds)
+
+
 def test_strategy_that_fails_at_the_first_sample_leaves_the_rotors_at_rest(
     controller: Controller, strategy: Scripted
 ) -> None:

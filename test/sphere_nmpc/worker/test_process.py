@@ -121,6 +121,22 @@ def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: Worker
     assert complete(worker, replies[7]) == bytes(16_000)
 
 
+def test_result_that_cannot_be_read_replaces_the_process(
+    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
+    assert complete(worker, worker.submit(len)) == 0
+
+    def fail() -> object:
+        raise ValueError("nothing like it")
+
+    monkeypatch.setattr(worker._connection, "recv", fail)
+    reply = worker.submit(len)
+    until(lambda: bool(worker.poll() or reply.error))
+    assert "cannot be read: nothing like it" in faults[-1]
+    assert complete(worker, worker.submit(len)) == 0
+
+
 def test_where_no_process_can_be_started_tasks_are_refused(
     faults: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,7 +3,6 @@
 """Worker in a process of its own, so that its work never holds the interpreter of the loop."""
 
 import os
-import pickle
 import subprocess
 import sys
 import time
@@ -11,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from sphere_nmpc.worker.contract import Reply, Result, Task
@@ -68,7 +68,7 @@ class WorkerProcess:
         reply: Reply[Result] = Reply()
         self._restart()
         connection = self._connection
-        content = pickle.dumps(task)
+        content = bytes(ForkingPickler.dumps(task))
         full = len(self._pending) >= _MOST_PENDING
         if connection is None or full or sum(self._sizes) + len(content) > _MOST_BYTES:
             reply.error = "the worker has ended" if connection is None else "the worker is busy"

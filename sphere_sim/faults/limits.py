@@ -16,6 +16,9 @@ _RESOLUTION = 2e-9
 _KEPT = 20
 """Number of violations that are kept as text."""
 
+_LATE = 0.01
+"""Delay of a command beyond which the drives have to catch up with it [s]."""
+
 
 class LimitCheck:
     """Check of trajectories, rotor commands and joint states.
@@ -54,6 +57,7 @@ class LimitCheck:
     def restart(self) -> None:
         """Discard the previous command and speeds, as when simulated time restarts."""
         self._hold: FirstOrderHold | None = None
+        self._left: FirstOrderHold | None = None
         self._measured: tuple[int, Vector] | None = None
 
     def trajectory(self, hold: FirstOrderHold) -> None:
@@ -69,12 +73,20 @@ class LimitCheck:
             durations = np.diff(hold.times)[:, None] + _RESOLUTION
             self._check_slew("rotor_trajectory", float(np.max(changes / durations)))
 
-    def delivered(self, hold: FirstOrderHold) -> None:
-        """Check a hold that reaches the drives against the one that it replaces there."""
-        before, self._hold = self._hold, hold
+    def delivered(self, hold: FirstOrderHold, now: float = -np.inf) -> None:
+        """Check a hold that reaches the drives at `now` [s] against the one that it replaces.
+
+        After a hold that was late the rotors are still between the one that they left and that.
+        """
+        (before, left), self._hold = (self._hold, self._left), hold
+        self._left = before if now > hold.start + _LATE else None
         if before is None or hold.start < before.start or not self.continuous:
             return
-        jump = float(np.max(np.abs(hold.speeds[0] - before.at(hold.start))))
+        in_force = [before.at(hold.start)]
+        if left is not None:
+            in_force.append(left.at(hold.start))
+        within = np.clip(hold.speeds[0], np.min(in_force, axis=0), np.max(in_force, axis=0))
+        jump = float(np.max(np.abs(hold.speeds[0] - within)))
         if jump > CONTINUITY + self._max_acceleration * _RESOLUTION:
             self._report(
                 f"rotor_trajectory starts {jump:.4g} rad/s away from the one in force at "

@@ -135,8 +135,12 @@ class ControllerNode(RunnableNode):
             self._plan(self._schedule.final_request(now))
         self._sender.send_final_ramp()
         self._stored_goal.close()
+
+    def destroy_node(self) -> None:
+        """Destroy the node, and end the worker process."""
         if self._worker is not None:
             self._worker.close()
+        super().destroy_node()
 
     def _subscribe(self) -> None:
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before

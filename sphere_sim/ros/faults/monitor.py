@@ -113,7 +113,7 @@ class FaultMonitor:
 
     def _take_delivered(self, message: Any) -> None:
         with suppress(InvalidInputError):  # reported when it was sent
-            self.limits.delivered(hold_from_trajectory(message, 0))
+            self.limits.delivered(hold_from_trajectory(message, 0), self.time)
 
     def _take_command(self, message: Any) -> None:
         self.limits.command(np.array(message.data, dtype=float))

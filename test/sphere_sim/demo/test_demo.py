@@ -178,7 +178,7 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
         assert process.stdout is not None
         shown = wait_for_progress(process, 0.5)
         nodes = psutil.Process(process.pid).children(recursive=True)
-        assert len(nodes) == 3
+        assert len(nodes) == 4, "three nodes, and the controller's worker"
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and "interrupted" in errors
@@ -194,7 +194,7 @@ def test_nodes_end_with_a_demo_that_is_killed(tmp_path) -> None:
     ) as process:
         wait_for_progress(process, 0.0)
         nodes = psutil.Process(process.pid).children(recursive=True)
-        assert len(nodes) == 3
+        assert len(nodes) == 4, "three nodes, and the controller's worker"
         process.kill()
     _, alive = psutil.wait_procs(nodes, timeout=PATIENCE)
     assert not alive

@@ -115,3 +115,16 @@ def test_command_that_was_lost_is_not_in_force(check) -> None:
     assert not check.broken
     check.sent(hold((0.8, 40.0, 0.0), (0.81, 0.0, 0.0)))
     assert "rad/s^2" in check.broken[0]
+
+
+@pytest.mark.parametrize(("first", "violations"), [(24.0, 0), (50.0, 0), (52.0, 1), (18.0, 1)])
+def test_command_after_a_late_one_starts_while_the_drives_catch_up(
+    check, first: float, violations: int
+) -> None:
+    check.delivered(hold((0.0, 20.0, 0.0), (1.0, 20.0, 0.0)))
+    check.delivered(hold((0.5, 20.0, 0.0), (0.6, 60.0, 0.0)), now=0.57)
+    check.delivered(hold((0.575, first, 0.0), (1.0, first, 0.0)))
+    assert len(check.broken) == violations
+    if not violations:
+        check.delivered(hold((0.6, first + 1.0, 0.0), (1.0, first, 0.0)))
+        assert len(check.broken) == 1, "the one before was in time"

@@ -96,7 +96,7 @@ def test_demo_shows_the_run_and_then_accepts_goals_from_the_page(
         page_named = r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])"
         address = terminal.wait_for(page_named, 90.0).group()
         children = psutil.Process(terminal.process.pid).children(recursive=True)
-        assert len(children) == 4
+        assert len(children) == 5, "four nodes, and the controller's worker"
         terminal.wait_for("the nodes run on", 120.0)
         assert (tmp_path / "out" / "summary.json").exists()
         with Browser(BROWSER, home) as page:

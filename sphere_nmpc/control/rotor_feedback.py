@@ -17,6 +17,9 @@ _CLEAR = 0.5
 _FULL = 0.98
 """Share of the acceleration limit above which rotors behind a command catch up with it; below it
 the drives are weaker than assumed."""
+_SERVO_LAG = 5e-3
+"""Lag of rotors up to which they count as having caught up with a command [s]: the simulated
+drives lag by 3.3 ms, and the estimate of it comes later than the first commands."""
 _KEPT = 256
 """Newest commands that may still take effect: half a second of them at the highest rate."""
 _LONGEST_WINDOW = 0.3
@@ -150,7 +153,12 @@ class RotorFeedback:
             if was_withdrawn or delay > self._negligible:
                 for withdrawn, _ in passed:
                     self._sent.withdraw(withdrawn)
-                known = [(began, self._speeds_before(began)), *measured]
+                *between, (last, then) = measured
+                behind = _distance(then, hold.at(last))
+                if behind < _SERVO_LAG * self._acceleration:
+                    # Servos stay behind on a steep ramp, though they follow it.
+                    then = hold.at(last)
+                known = [(began, self._speeds_before(began)), *between, (last, then)]
                 self._sent.follow(hold, known, self._acceleration)
                 self.delay = delay
         if delay > self._negligible:

@@ -155,6 +155,16 @@ def test_command_that_is_late_by_less_than_the_spacing_of_measurements_is_in_tim
     assert robot.feedback.window == 0.0
 
 
+def test_late_command_that_servos_follow_with_a_lag_is_in_force_as_it_was_sent() -> None:
+    robot = Robot()
+    robot.send(1.0, 0.0, LIMIT)
+    robot.measure(1.1)
+    robot.arrive()
+    for time in (1.2, 1.3):
+        robot.feedback.observe(time, robot.speeds(time - 3.3e-3), 0.0)
+    assert robot.believed(1.25, 1.5) == pytest.approx([250.0, 500.0], abs=EXACT)
+
+
 def test_measured_speeds_are_needed_until_commands_were_in_time_for_long() -> None:
     robot = Robot()
     for i in range(10):

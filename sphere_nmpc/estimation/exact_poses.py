@@ -151,6 +151,7 @@ class ExactPoseEstimator:
         time, pose = self._awaiting or (time, pose)
         last = self._learnt_up_to
         if last is not None and time - last[0] < _SHORTEST_TRANSITION:
+            self._sent.collect(time)
             return
         # Rotor speeds measured until then may still be on their way.
         self._awaiting = (time, pose) if self._sent.is_pending(time, now) else None

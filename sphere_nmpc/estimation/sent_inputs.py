@@ -3,6 +3,7 @@
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
 import math
+from array import array
 from bisect import bisect_left, bisect_right
 from collections import deque
 from dataclasses import replace
@@ -33,8 +34,7 @@ class SentInputs:
 
     def __init__(self) -> None:
         self._holds: deque[FirstOrderHold] = deque(maxlen=_KEPT)
-        self._end_times: list[float] = []
-        self._end_speeds: list[list[float]] = []
+        self._end_times, self._end_speeds = array("d"), array("d")
         self._ends_from = self._ends_until = -math.inf
         self.known_until = float("-inf")
         """Time of the newest measured rotor speeds that confirmed or corrected the holds [s]."""
@@ -193,11 +193,16 @@ class SentInputs:
             Rotor speeds at their ends [rad/s].
         """
         self._extend_ends(start, end)
-        inside = slice(bisect_right(self._end_times, start), bisect_left(self._end_times, end))
-        times = [start, *self._end_times[inside], end]
-        rows = self._end_speeds[inside]
-        speeds = [self.at(start).tolist(), *rows, self.at(end).tolist()]
-        return np.diff(np.array(times)), np.array(speeds)
+        first, last = bisect_right(self._end_times, start), bisect_left(self._end_times, end)
+        times = np.concatenate(([start], self._end_times[first:last], [end]))
+        rows = np.array(self._end_speeds[INPUT_SIZE * first : INPUT_SIZE * last])
+        speeds = np.vstack((self.at(start), rows.reshape(-1, INPUT_SIZE), self.at(end)))
+        return np.diff(times), speeds
+
+    def collect(self, time: float) -> None:
+        """Prepare the next call of `pieces` with the holds up to `time` [s], in less time each."""
+        if self._end_times:
+            self._extend_ends(self._ends_from, time)
 
     def _extend_ends(self, start: float, end: float) -> None:
         """Collect the ends of the straight pieces between two times.
@@ -216,12 +221,13 @@ class SentInputs:
             begins = hold.start >= known
             after = since if begins else math.nextafter(since, -math.inf)
             ends = [*([since] if begins else []), *hold.knots_between(after, until)]
-            self._end_times += ends
-            self._end_speeds += [hold.at(t).tolist() for t in ends]
+            for t in ends:
+                self._end_times.append(t)
+                self._end_speeds.extend(hold.at(t).tolist())
         self._ends_until = end
 
     def _forget_ends(self) -> None:
-        self._end_times, self._end_speeds = [], []
+        self._end_times, self._end_speeds = array("d"), array("d")
         self._ends_from = self._ends_until = -math.inf
 
     def moves_after(self, time: float) -> bool:

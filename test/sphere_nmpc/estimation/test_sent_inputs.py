@@ -200,6 +200,8 @@ def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
         times = now + np.cumsum(rng.uniform(1e-3, 0.02, 4)) - 1e-3
         fresh.append(FirstOrderHold(times, rng.uniform(-100.0, 100.0, (4, 2))))
         asked.record(fresh[-1])
+        if rng.random() < 0.5:
+            asked.collect(now - rng.uniform(0.0, 0.1))
         if rng.random() < 0.3:
             start, end = now - rng.uniform(0.0, 1.0), now + rng.choice([0.0, 1e-3])
             expected = SentInputs()

@@ -114,9 +114,9 @@ class RotorFeedback:
         if not due:
             return
         old = self._speeds_before(time)
-        new = [self._waiting[i][0].at(time) for i in due]
-        if _distance(new[-1], old) <= _DISTINCT:
+        if _distance(self._waiting[due[-1]][0].at(time), old) <= _DISTINCT:
             return
+        new = [self._waiting[i][0].at(time) for i in due]
         errors = [_distance(speeds, each) for each in new]
         # Of commands that agree, the newest.
         best = min(reversed(due), key=lambda i: errors[i])

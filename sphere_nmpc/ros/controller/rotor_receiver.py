@@ -3,6 +3,8 @@
 """Subscription of the measured rotor speeds, only while they are of use."""
 
 from collections.abc import Callable
+from math import inf
+from time import monotonic
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -16,6 +18,8 @@ from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.serialised import rotor_speeds_and_stamp
 
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+_SPACING = 8e-3
+"""Wall time between two messages that are read [s]: delays of a link are longer than this."""
 _OTHER_CLOCK = 1.0
 """Age, or time ahead of the clock, beyond which a message is of another clock [s]."""
 
@@ -50,6 +54,7 @@ class RotorReceiver:
         self._clock = clock
         self._on_window = on_window
         self._subscription: Subscription | None = None
+        self._read_at = -inf
         self.update()
 
     def update(self) -> None:
@@ -65,6 +70,9 @@ class RotorReceiver:
             self._subscription = None
 
     def _receive(self, message: bytes) -> None:
+        wall = monotonic()
+        if wall < self._read_at + _SPACING:
+            return
         now = self._clock.now()
         try:
             speeds, stamp = rotor_speeds_and_stamp(message)
@@ -74,5 +82,6 @@ class RotorReceiver:
             return
         time = self._clock.time_of(stamp)
         if abs(time - now) < _OTHER_CLOCK:
+            self._read_at = wall
             self._controller.observe_rotors(time, speeds)
             self._on_window(self._controller.rotor_feedback.window)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learning of the plant's parameters, in line or by a worker beside the control loop."""
 
+from dataclasses import replace
+
 from sphere_nmpc.estimation.drifting_plant import DriftingPlant
 from sphere_nmpc.estimation.learning_task import Begin, Observe, Restart
 from sphere_nmpc.estimation.transition import Transition
@@ -54,8 +56,7 @@ class LearningBeside:
         self._worker = worker
         self._result = begin.estimator().result
         self._replies: list[Reply[DriftingPlant | None]] = []
-        self._begun = False
-        self._submit_begin()
+        self._begun = self._submit(begin)
 
     @property
     def result(self) -> DriftingPlant:
@@ -67,23 +68,19 @@ class LearningBeside:
         """Submit a transition; False where the worker does not take it."""
         self._collect()
         if not self._begun:
-            self._submit_begin()
+            self._begun = self._submit(self._begin)
             connected = False
         return self._begun and self._submit(Observe(transition, time, connected))
 
     def restart(self, lag: float) -> None:
         """Keep the constants, and take another lag [s] as prior."""
         self._collect()
-        mean = self._result.parameters.with_lag_prior(lag).mean
-        begin = Begin(self._begin.nominal, mean, self._begin.momentum, self._begin.acceleration)
+        begin = replace(self._begin, mean=self._result.parameters.with_lag_prior(lag).mean)
         # What is known until the worker has answered; it keeps noise and drift as well.
         self._result = begin.estimator().result
         self._begin, self._replies = begin, []
         if self._begun:
             self._begun = self._submit(Restart(lag))
-
-    def _submit_begin(self) -> None:
-        self._begun = self._submit(self._begin)
 
     def _submit(self, task: Task[DriftingPlant | None]) -> bool:
         reply = self._worker.submit(task)
@@ -99,9 +96,5 @@ class LearningBeside:
             if reply.result is not None:
                 self._result = reply.result
             elif reply.ready and self._begun:
-                parameters = self._result.parameters
-                begin = self._begin
-                self._begin = Begin(
-                    begin.nominal, parameters.mean, begin.momentum, begin.acceleration
-                )
+                self._begin = replace(self._begin, mean=self._result.parameters.mean)
                 self._begun = False

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.output.atomic_write import write_atomically
 
 
 class OutcomesUnreadableError(SphereNmpcError):
@@ -135,9 +136,7 @@ def write_json(path: Path, outcomes: Iterable[Outcome], campaign: Mapping[str, A
         "trials": [outcome.as_json() for outcome in outcomes],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(f"{path.name}.new")
-    new.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    new.replace(path)
+    write_atomically(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def read_outcomes(path: Path, campaign: Mapping[str, Any]) -> list[Outcome]:

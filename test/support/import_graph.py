@@ -28,7 +28,8 @@ FLOORS = {
         ("viewer", "report"),
         ("study", "benchmark", "recording"),
         ("evaluation", "scenario"),
-        ("world", "faults", "output"),
+        ("world", "faults"),
+        ("output",),
     ),
     "sphere_nmpc": (
         ("ros",),

@@ -25,6 +25,10 @@ from sphere_nmpc.worker.contract import Reply, Worker
 
 _GROWTH = 2.0
 """Factor on the time ahead after a search that was not complete in time."""
+_SAME_TIME = 1e-6
+"""Rounding of control times [s]."""
+_LEAST_TICK = 0.02
+"""Delay [s] by which a plan may begin later at the highest control rates, too."""
 
 
 class Purpose(Enum):
@@ -161,12 +165,6 @@ class SearchesBeside:
             search.purpose, result, search.task.situation, search.planner, search.from_rest,
             is_late,
         )
-
-
-_SAME_TIME = 1e-6
-"""Rounding of control times [s]."""
-_LEAST_TICK = 0.02
-"""Delay [s] by which a plan may begin later at the highest control rates, too."""
 
 
 def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:

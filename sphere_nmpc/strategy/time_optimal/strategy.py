@@ -209,7 +209,9 @@ class TimeOptimalStrategy:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
         if self._beside is not None and self._beside.available:
-            return self._found_beside(state, situation, at_rest, dead_band, deadline)
+            return self._found_beside(
+                state, situation, self._beside, at_rest, dead_band, deadline
+            )
         planner, now = self._planner_for(situation), situation.time
         task = search_task(
             planner, situation, self._grid.origin(now), settings.planning_effort,
@@ -278,14 +280,13 @@ class TimeOptimalStrategy:
         self,
         state: Searching,
         situation: Situation,
+        beside: SearchesBeside,
         at_rest: bool,
         dead_band: float,
         deadline: float,
     ) -> Searching | Following:
         """Return the plan that a search beside the loop has found, or go on searching."""
-        beside, settings = self._beside, self._settings
-        assert beside is not None
-        outcome = None
+        settings, outcome = self._settings, None
         if beside.purpose is Purpose.NEW:
             outcome = beside.take(situation.time, settings.control_period)
         if outcome is not None and self._is_for(outcome, situation.goal):

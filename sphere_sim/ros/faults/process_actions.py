@@ -27,8 +27,8 @@ _LEFT_ON_DISK = 1000
 """Space that is left before the disk is full [bytes]."""
 
 
-class Kill(Action):
-    """SIGKILL to a node, which is started again at the end.
+class NodeAction(Action):
+    """Something that is done to one node.
 
     Parameters
     ----------
@@ -38,6 +38,10 @@ class Kill(Action):
 
     def __init__(self, node: str) -> None:
         self._node = node
+
+
+class Kill(NodeAction):
+    """SIGKILL to a node, which is started again at the end; parameters as for `NodeAction`."""
 
     def begin(self, session: FaultSession) -> None:
         """Kill it; a recorder once it has written, as it may lose its last second."""
@@ -55,17 +59,8 @@ class Kill(Action):
         session.start(self._node)
 
 
-class Stop(Action):
-    """SIGSTOP to a node, and SIGCONT at the end.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node.
-    """
-
-    def __init__(self, node: str) -> None:
-        self._node = node
+class Stop(NodeAction):
+    """SIGSTOP to a node, and SIGCONT at the end; parameters as for `NodeAction`."""
 
     def begin(self, session: FaultSession) -> None:
         """Stop it."""

@@ -120,6 +120,9 @@ class SolveStatus(Enum):
     CAPPED = "iteration cap"
     BUDGET = "time budget"
     NOT_FINITE = "not finite"
+    """Cost or gradient at the best iterate are not finite."""
+    STALLED = "no step lowers the cost"
+    """The damping has exceeded its bound: at round-off, or where every trial is not finite."""
 
 
 @dataclass(frozen=True)

@@ -216,14 +216,16 @@ static double predicted_decrease(const problem *p, const workspace *w)
     return -(linear + 0.5 * square);
 }
 
+/* Largest component of P(v - g) - v; NaN where a component of the gradient is not finite, which the
+ * projection onto the bounds could hide. */
 static double projected_gradient(const workspace *w, int64_t size)
 {
     double largest = 0.0;
     for (int64_t i = 0; i < size; i++) {
-        const double v = w->v[i];
-        const double move = fabs(clip(v - w->gradient[i], w->lower[i], w->upper[i]) - v);
-        /* Written so that a NaN is returned. */
-        largest = move <= largest ? largest : move;
+        const double v = w->v[i], gradient = w->gradient[i];
+        if (!isfinite(gradient))
+            return NAN;
+        largest = fmax(largest, fabs(clip(v - gradient, w->lower[i], w->upper[i]) - v));
     }
     return largest;
 }

@@ -20,6 +20,7 @@ STATUSES = (
     SolveStatus.CAPPED,
     SolveStatus.BUDGET,
     SolveStatus.NOT_FINITE,
+    SolveStatus.STALLED,
 )
 """Statuses by the number that the compiled solver writes."""
 

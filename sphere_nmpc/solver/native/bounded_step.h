@@ -89,12 +89,12 @@ static int dense_step(workspace *w, double damping, int64_t size)
 
 /* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 7 x 7 system
  * (Woodbury's formula). */
-static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end,
+static int sparse_step(const problem *p, workspace *w, double damping, const double *states,
                        double seventh_error, int64_t size)
 {
     double small[END * END], error[END], *z = w->solved;
     for (int l = 0; l < 6; l++)
-        error[l] = x_end[l] - p->goal[l];
+        error[l] = state_residual(p, states, p->intervals, l);
     error[6] = seventh_error;
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
@@ -174,7 +174,7 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     for (int pass = 0; pass < BOUND_PASSES && any; pass++) {
         int crossed = 0;
         if (!(is_dense(p) ? dense_step(w, damping, size)
-                          : sparse_step(p, w, damping, states + 6 * p->intervals,
+                          : sparse_step(p, w, damping, states,
                                         seventh_residual(p, states, momenta), size)))
             return 0;
         any = 0;

@@ -55,7 +55,7 @@ def strategy() -> PaperStrategy:
 def test_settings_default_to_the_numbers_of_section_4() -> None:
     numbers = (SETTINGS.horizon, SETTINGS.period, SETTINGS.terminal_weight)
     assert numbers == (4, 0.5, 1e8)
-    assert SETTINGS.input_weight == 0.5
+    assert SETTINGS.alpha == 0.5
     assert SETTINGS.control_period == 0.5
 
 

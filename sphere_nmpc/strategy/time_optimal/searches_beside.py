@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.roll_out import roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
@@ -65,6 +66,23 @@ class Outcome:
     planner: ArrivalPlanner
     from_rest: bool
     is_late: bool
+
+    def begins_in(self, situation: Situation) -> bool:
+        """Return whether the plan begins in this situation, whatever the time.
+
+        A sphere at rest may have been moved since, and what is estimated of it may have changed.
+        """
+        return all(
+            np.array_equal(planned, now)
+            for planned, now in zip(
+                _where(self.situation), _where(situation), strict=True
+            )
+        )
+
+
+def _where(situation: Situation) -> tuple[Vector, ...]:
+    drift = situation.drift.as_array()
+    return situation.state, situation.input_in_force, situation.constants.as_array(), drift
 
 
 @dataclass(frozen=True, eq=False)

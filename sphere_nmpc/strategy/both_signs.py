@@ -53,7 +53,8 @@ class SignedSolutions:
     def solution(self) -> HoldSolution:
         """The solution to follow."""
         found = self.solutions[self.followed]
-        assert found is not None
+        if found is None:
+            raise ValueError(f"followed: given sign {self.followed}, which was not solved for")
         return found
 
     def inputs_for(self, sign: int) -> Vector:

@@ -172,13 +172,13 @@ class SearchesBeside:
         search = self._under_way
         if search is None or not self.is_due(now):
             return None
-        self._under_way = None
+        self._under_way, result = None, search.reply.result
+        if result is None:
+            return None
         late = now - search.task.situation.time
         is_late = not search.from_rest and late > max(tick, _LEAST_TICK) + _SAME_TIME
         if is_late:
             self.ahead = min(_GROWTH * self.ahead, self._tuning.search_farthest_ahead)
-        result = search.reply.result
-        assert result is not None
         return Outcome(
             search.purpose, result, search.task.situation, search.planner, search.from_rest,
             is_late,

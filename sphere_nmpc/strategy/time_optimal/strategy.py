@@ -330,9 +330,8 @@ class TimeOptimalStrategy:
         not possible everything begins anew.
         """
         state, wanted = self._state, situation.goal
-        if self._goal is None:
-            self._goal = wanted
-        if np.array_equal(wanted, self._goal):
+        goal = self._goal = wanted if self._goal is None else self._goal
+        if np.array_equal(wanted, goal):
             if beside.purpose is Purpose.REDIRECT:
                 beside.cancel()
             return situation
@@ -343,20 +342,20 @@ class TimeOptimalStrategy:
         simple = situation.drift.is_zero and far < self._tuning.farthest
         if simple and isinstance(state, Searching) and beside.purpose is Purpose.NEW:
             # Goals that arrive faster than a search takes would otherwise prevent any plan.
-            return dataclasses.replace(situation, goal=self._goal)
-        failed = outcome is not None and outcome.result.arrival is None
+            return dataclasses.replace(situation, goal=goal)
+        arrival = None if outcome is None else outcome.result.arrival
+        failed = outcome is not None and arrival is None
         if not isinstance(state, Following) or not simple or failed or not beside.available:
             self.reset()
             self._grid.begin(situation.time)
             self._goal = wanted
             return situation
-        if outcome is not None and not outcome.is_late:
-            arrival, begins = outcome.result.arrival, outcome.situation.time
-            assert arrival is not None
+        if outcome is not None and arrival is not None and not outcome.is_late:
+            begins = outcome.situation.time
             for part in (self._goals, self._held_goal, self._rest_at_goal):
                 part.reset()
             self._grid.begin_again(begins)
-            self._goal = outcome.situation.goal
+            goal = self._goal = outcome.situation.goal
             self._state = Following(arrival, begins, outcome.planner)
         elif beside.purpose is not Purpose.REDIRECT:
             hold = state.arrival.hold.delayed(state.planned_at)
@@ -366,8 +365,7 @@ class TimeOptimalStrategy:
                 Purpose.REDIRECT, self._planner_for(situation),
                 dataclasses.replace(start, goal=wanted), self._settings.planning_effort,
             )
-        assert self._goal is not None
-        return dataclasses.replace(situation, goal=self._goal)
+        return dataclasses.replace(situation, goal=goal)
 
     def _resting_band(self, dead_band: float, situation: Situation) -> float:
         """Return the error below which a sphere at rest stays: with momentum it is corrected."""

@@ -228,7 +228,7 @@ def test_output_of_a_compiler_that_takes_too_long_is_in_the_error(monkeypatch, t
         raise subprocess.TimeoutExpired(command, 120.0, stderr=b"still \xff optimising\n")
 
     monkeypatch.setattr(compiler, "_run", late)
-    with pytest.raises(compiler.CompilerError, match="mycc fails: still . optimising"):
+    with pytest.raises(compiler.CompilerError, match=r"mycc fails: still . optimising"):
         compiler.compile_library([["mycc"]], {"solver.c": ""}, tmp_path)
 
 

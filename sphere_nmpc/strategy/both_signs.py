@@ -50,7 +50,8 @@ class SignedSolutions:
     def solution(self) -> HoldSolution:
         """The solution to follow."""
         found = self.solutions[self.followed]
-        assert found is not None
+        if found is None:
+            raise ValueError(f"followed: given sign {self.followed}, which was not solved for")
         return found
 
     @property

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Decrease of the Lyapunov function of a strategy along a run."""
+"""Decrease of the value function, or of the time left, along a run."""
 
 import itertools
 import math
@@ -17,7 +17,7 @@ _ROUNDING = 1e-9
 def stability_of(
     decisions: list[Decision], goal: Vector, conditions: StudyConditions
 ) -> dict[str, Value]:
-    """Count the steps that violate the decrease of the strategy's Lyapunov function.
+    """Count the steps that violate the decrease which a strategy's argument needs.
 
     The strategy ``paper`` has the value function of Theorem 3, which should decrease by the stage
     cost (Eq. 42) outside the neighbourhood D. ``time_optimal`` has the remaining time to the

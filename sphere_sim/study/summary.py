@@ -122,7 +122,7 @@ def headline(summary: dict[str, Any]) -> str:
             f"worst {recovery['max']:.2f})"
         )
     if ratio["count"]:
-        parts.append(f"{ratio['median']:.2f} x best known time (p99 {ratio['p99']:.2f})")
+        parts.append(f"{ratio['median']:.2f} x best known (p99 {ratio['p99']:.2f})")
     if summary["final_error"]["count"]:
         parts.append(f"final error {summary['final_error']['median']:.1e}")
     if summary["crashed"]:

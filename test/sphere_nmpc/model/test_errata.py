@@ -264,7 +264,8 @@ def square(state: Vector, goal: Vector) -> float:
 
 def value(states: list[Vector], knots: Vector | list[Vector], goal: Vector) -> float:
     """Return the cost of Eq. (24) with the weights of Eq. (34)."""
-    stages = sum(square(x, goal) + ALPHA * float(u @ u) for x, u in zip(states[:-1], knots, strict=True))
+    pairs = zip(states[:-1], knots, strict=True)
+    stages = sum(square(x, goal) + ALPHA * float(u @ u) for x, u in pairs)
     return stages + BETA * square(states[-1], goal)
 
 

@@ -38,7 +38,8 @@ def reports(start: Vector, goal: Vector) -> list[StabilityReport]:
     """
     solver = HoldSolver(SolverSettings(max_iterations=_SETTINGS.max_iterations))
     plant, monitor = RollingPlant(_ROBOT, start), StabilityMonitor()
-    guess, speeds, found = np.zeros((_SETTINGS.horizon, INPUT_SIZE)), np.zeros(INPUT_SIZE), []
+    guess: Vector = np.zeros((_SETTINGS.horizon, INPUT_SIZE))
+    speeds, found = np.zeros(INPUT_SIZE), []
     for k in range(_STEPS):
         solution = solver.solve(_problem(plant.state, goal, speeds), guess)
         sample = Sample(

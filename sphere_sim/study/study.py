@@ -25,7 +25,7 @@ from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
 
 BestKnown = Callable[[Sequence[Motion]], Sequence[float]]
-"""Returns the best known time of each motion [s]."""
+"""Returns the settling time of the best known motion for each motion [s]."""
 
 Observer = Callable[[RunRecord], None]
 """Called with each run, those recorded earlier included."""
@@ -68,7 +68,7 @@ class Study:
         workers : Workers
             Where the runs are made.
         best_known : callable, optional
-            Returns the best known times.
+            Returns the settling times of the best known motions.
         observer : callable, optional
             Is called with each run.
 
@@ -146,7 +146,7 @@ class Study:
     def _best_known(
         self, search: BestKnown, motions: Mapping[str, Sequence[Motion]]
     ) -> dict[str, Sequence[float]]:
-        """Return the best known time of each run [s], by strategy."""
+        """Return the settling time of the best known motion of each run [s], by strategy."""
         times = list(search([motion for found in motions.values() for motion in found]))
         runs = len(self.scenarios)
         return {name: times[i * runs : (i + 1) * runs] for i, name in enumerate(motions)}

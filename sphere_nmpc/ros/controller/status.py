@@ -120,13 +120,12 @@ class ControllerStatus:
         return {
             "value_change": report.value_change,
             "value_change_allowed": report.allowed_change,
-            "beta_bound": report.beta_bound,
             "stability_steps": report.judged,
-            "stability_violations": report.decrease_violations,
+            "stability_violations": report.violations,
         }
 
     def _update_stability(self, decision: Decision, time: float) -> None:
-        """Update the monitor of Theorem 3, which holds for the paper's strategy only."""
+        """Update the monitor of Eq. (42), which concerns the paper's strategy only."""
         goal, settings, state = self._controller.goal, self._settings, decision.state
         if settings.strategy != "paper" or goal is None or state is None:
             return

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verb ``study``: its output and its exit codes."""
 
+import csv
 import math
 import os
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
 from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.best_known_cache import BestKnownTimes
 from sphere_sim.study.motion import Motion
 from sphere_sim.study.processes import Processes
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -157,9 +159,9 @@ def searched(tmp_path, monkeypatch) -> list[RobotParameters]:
     """Return a list of the robots whose best known times are searched, without a search."""
     robots: list[RobotParameters] = []
 
-    def search(motion: Motion, robot: RobotParameters, factor: float) -> float:
+    def search(motion: Motion, robot: RobotParameters, factor: float) -> BestKnownTimes:
         robots.append(robot)
-        return 1.0
+        return BestKnownTimes(duration=2.0, settling=1.5)
 
     HoldSolver()  # loads the compiled one before its folder is taken away
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
@@ -186,12 +188,25 @@ def test_best_known_times_are_those_of_the_robot_that_is_set(tmp_path, searched)
     assert searched == [RobotParameters(shell_mass=1.5, max_rotor_speed=60.0)]
 
 
+def test_settling_is_compared_with_the_settling_of_the_best_known_motion(
+    tmp_path, searched
+) -> None:
+    near = tmp_path / "near.csv"
+    near.write_text(f"{','.join(STATE_COLUMNS)}\n0.03,0.02,1,0.05,0.05,0,0,0,1,0,0,0\n")
+    options = ["--scenarios", str(near), "--duration", "5", "--jobs", "1"]
+    assert main([*options, "--out", str(tmp_path / "out")]) == 0
+    with (tmp_path / "out" / "runs.csv").open(encoding="utf-8", newline="") as file:
+        (found,) = csv.DictReader(file)
+    assert float(found["bound_s"]) == 1.5
+    assert float(found["ratio"]) == float(found["settle_time_s"]) / 1.5
+
+
 def test_effort_of_best_known_times_is_multiplied(tmp_path, monkeypatch) -> None:
     factors = []
 
     def search(motions, robot, workers, factor):
         factors.append(factor)
-        return [1.0] * len(motions)
+        return [BestKnownTimes(1.0, 1.0)] * len(motions)
 
     monkeypatch.setattr("sphere_sim.study.best_known.best_known_times", search)
     options = ["--draw", "1", "--duration", "0.5", "--strategy", "paper", "--jobs", "1"]

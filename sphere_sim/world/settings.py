@@ -114,7 +114,7 @@ class SimulatorSettings:
     sensor_rate: float = quantity(
         0.0,
         "Hz",
-        "Sampling rate of the pose sensor; 0 is at each published instant",
+        "Sampling rate of the pose sensor; 0 is at pose_rate",
         minimum=0.0,
         maximum=2000.0,
     )
@@ -181,5 +181,3 @@ class PushSettings:
 
     def __post_init__(self) -> None:
         validate(self)
-        if len(self.push_impulse) != 2:
-            raise InvalidParameterError("push_impulse", self.push_impulse, "two numbers")

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verb ``study``: its output and its exit codes."""
 
+import csv
 import math
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -75,6 +77,16 @@ def test_impossible_disturbance_is_refused(tmp_path, capsys, words) -> None:
         (["--draw", "2", "--set", "max_rotor_speed=nan"], "max_rotor_speed: given nan"),
         (["--draw", "2", "--set", "horizon=0"], "horizon: given 0"),
         (["--draw", "2", "--set", "nothing=0"], "nothing: given '0'"),
+        (["--draw", "2", "--set", "pose_rate=50"], "pose_rate: given '50', expected a setting"),
+        (["--draw", "2", "--set", "horizon=6", "horizon=8"], "horizon: given ['6', '8']"),
+        (
+            ["--draw", "2", "--plant", "rolling", "--set", "plant=rigid_body"],
+            "simulator.plant: given ['rolling', 'rigid_body'], expected one value",
+        ),
+        (
+            ["--draw", "2", "--strategy", "paper", "--set", "strategy=time_optimal"],
+            "controller.strategy: given ['paper', 'time_optimal'], expected one value",
+        ),
         (["--draw", "2", "--process-noise", "1e9"], "process_noise: given 1000000000.0"),
     ],
 )
@@ -100,6 +112,23 @@ def test_invalid_study_exits_2_and_leaves_no_folder(
 def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) -> None:
     assert main(["--draw", "1", "--out", str(tmp_path / "out"), *settings]) == 2
     assert "nothing: given '0'" in capsys.readouterr().err
+
+
+def test_strategy_that_is_set_is_the_one_that_runs(tmp_path) -> None:
+    out = tmp_path / "out"
+    assert main(["--draw", "1", *BRIEF, "--out", str(out), "--set", "strategy=paper"]) == 0
+    with (out / "runs.csv").open() as file:
+        assert {row["strategy"] for row in csv.DictReader(file)} == {"paper"}
+
+
+@pytest.mark.parametrize("kind", ["controller", "simulator", "robot", "rigid_body", "disturbances"])
+def test_help_says_where_the_settings_are_listed(capsys, kind) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"{kind}.NAME" in printed and "msg_docs/parameters.md lists the names" in printed
+    described = (Path(__file__).parents[3] / "msg_docs" / "parameters.md").read_text()
+    assert f"`{kind}.NAME`" in described
 
 
 @pytest.mark.parametrize(

@@ -70,9 +70,10 @@ class SimulatorSettings:
     sample_period: float = quantity(
         0.25,
         "s",
-        "Spacing of the sampling instants in lockstep; the control period of the controller",
+        "Time that ~/step advances; spacing of the sampling instants in lockstep, until a "
+        "controller tells its own on control_period",
         minimum=1e-3,
-        maximum=10.0,
+        maximum=1e3,
     )
     pose_rate: float = quantity(
         100.0, "Hz", "Rate of pose, odometry and joint states", minimum=1.0, maximum=2000.0

@@ -4,18 +4,22 @@
 
 publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
             ~/pushed
-subscribes  rotor_trajectory, rotor_commands, ~/push
+subscribes  rotor_trajectory, rotor_commands, control_period, ~/push
 services    ~/reset, ~/pause, ~/step, ~/push
 """
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
@@ -103,8 +107,12 @@ class SimulatorNode(RunnableNode):
         self._receiver = CommandReceiver(
             self, self.simulator, robot.settings.max_rotor_speed,
             self._settings.command_timeout, self._fault_log, self._settings.lockstep,
-            lambda stamp: self._simulated_clock.command_received(stamp, time.monotonic()),
-            lambda: self._epoch,
+            self._command_received, lambda: self._epoch,
+        )
+        self._period_told = False
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._period_subscription = self.create_subscription(
+            Float64, "control_period", self._receive_period, latched
         )
         self._command_services = [
             self.create_service(Trigger, "~/reset", self._reset),
@@ -193,6 +201,26 @@ class SimulatorNode(RunnableNode):
             received = self._receiver.received
             executor.spin_once(timeout_sec=0.0)
         self._spun_at = time.monotonic()
+
+    def _command_received(self, stamp: int) -> None:
+        awaited = self._simulated_clock.awaited is not None
+        if awaited and not self._period_told and self.count_publishers("control_period") > 0:
+            return  # the next instant is not known yet; the command is sent again with the pose
+        self._simulated_clock.command_received(stamp, time.monotonic())
+
+    def _receive_period(self, message: Float64) -> None:
+        """In lockstep, take over the controller's period: time stops at its instants."""
+        try:
+            period = replace(self._settings, sample_period=message.data).sample_period
+        except InvalidParameterError as error:
+            line = f"given {message.data!r}, expected {error.expected}"
+            self._fault_log.report("control_period refused", line)
+            return
+        if not self._settings.lockstep:
+            return
+        self._period_told = True
+        self._simulated_clock.set_sample_period(round(NANOSECONDS * period), time.monotonic())
+        self.get_logger().info(f"lockstep: every {period:g} s, as the controller samples")
 
     def _look_for_controller(self) -> None:
         if not self._controller_found:

@@ -57,8 +57,8 @@ Every node also has `use_sim_time`: set it to `true` for the controller to follo
 
 `sphere_nmpc study --set` has one prefix for each kind of setting: `controller.NAME`,
 `simulator.NAME`, and as in the nodes `robot.NAME` and `rigid_body.NAME`; slope, centre of mass and
-friction are `disturbances.NAME`. The prefix may be left out, and the order does not matter. Settings
-that only nodes read are refused: {_OF_NODES}.
+friction are `disturbances.NAME`. The prefix may be left out, and the order does not matter.
+Settings that only nodes read are refused: {_OF_NODES}.
 """
 
 _YAML_HEAD = """\

@@ -65,6 +65,12 @@ class StudyConditions:
     def __post_init__(self) -> None:
         validate(self)
 
+    def contradiction(self) -> str | None:
+        """Return in one line how limits contradict each other; None if they do not."""
+        if self.simulator.plant != "rigid_body":
+            return None
+        return self.rigid_body.contradiction(self.robot)
+
     def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
         """Return the conditions with other values of some settings.
 

@@ -8,6 +8,7 @@ subscribes  rotor_trajectory, rotor_commands, control_period, ~/push
 services    ~/reset, ~/pause, ~/step, ~/push
 """
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -25,15 +26,18 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
+from sphere_nmpc.ros.graph_faults import GraphFault
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
+from sphere_sim.ros.simulator.controller_limits import ControllerLimits
 from sphere_sim.ros.simulator.push_receiver import PushReceiver
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.limits import beyond
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
@@ -100,6 +104,11 @@ class SimulatorNode(RunnableNode):
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._monitor = GraphMonitor(self, self._fault_log)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
+        self._robot, self._body = robot.settings, body.settings
+        self._limits = ControllerLimits(
+            self,
+            lambda: self._monitor.known_publishers(self.resolve_topic_name("rotor_trajectory")),
+        )
         self._state_publisher = StatePublisher(
             self, robot.settings.shell_radius, prefix + BODY_FRAME,
             clocked=not settings.is_on_system_clock,
@@ -281,7 +290,8 @@ class SimulatorNode(RunnableNode):
 
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
-        self._monitor.update(self._monitor.incompatible() + others)
+        self._limits.update()
+        self._monitor.update(self._monitor.incompatible() + others + self._contradictions())
         clock, wanted = self._simulated_clock, self._settings.real_time_factor
         achieved = clock.achieved(self.simulator.now, time.monotonic())
         values = {
@@ -302,6 +312,21 @@ class SimulatorNode(RunnableNode):
         if not clock.lockstep and achieved < _SLOW * wanted:
             return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
+
+    def _contradictions(self) -> list[GraphFault]:
+        """Return the faults of limits that contradict each other, here and in the controller."""
+        faults, torque = [], math.inf
+        if self._settings.plant == "rigid_body":
+            own = self._body.contradiction(self._robot)
+            if own is not None:
+                faults.append(GraphFault("limits", own))
+            else:
+                torque = self._body.for_robot(self._robot).torque_limit
+        for controller, planned in self._limits.found.items():
+            line = beyond(self._robot, planned, controller, torque)
+            if line:
+                faults.append(GraphFault(f"limits of {controller}", line))
+        return faults
 
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
         counts = dict(self._fault_log.counts)

@@ -22,8 +22,8 @@ from sphere_sim.world.plant.momentum_balance import MomentumBalance
 from sphere_sim.world.plant.time_scale import step_scale
 
 MAX_STEP = 5e-3
-"""Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval of Table 1's robot at
-full speed below 1e-6."""
+"""Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
+1e-6 for the robot of Table 1."""
 
 _Numbers = tuple[float, ...]
 

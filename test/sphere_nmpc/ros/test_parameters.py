@@ -93,10 +93,11 @@ class Band:
 
 @pytest.mark.parametrize("band", [{"low": 5.0, "high": 6.0}, {"low": -3.0, "high": -2.0}])
 def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, band) -> None:
+    given = [Parameter("low", value=7.0), Parameter("high", value=8.0)]
     for turn in (1, -1):
         node = Node(
             f"band{turn + 1}",
-            parameter_overrides=[Parameter("low", value=7.0), Parameter("high", value=8.0)][::turn],
+            parameter_overrides=given[::turn],
             automatically_declare_parameters_from_overrides=True,
         )
         declared = DeclaredSettings(node, Band())

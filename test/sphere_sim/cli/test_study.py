@@ -121,7 +121,18 @@ def test_strategy_that_is_set_is_the_one_that_runs(tmp_path) -> None:
         assert {row["strategy"] for row in csv.DictReader(file)} == {"paper"}
 
 
-@pytest.mark.parametrize("kind", ["controller", "simulator", "robot", "rigid_body", "disturbances"])
+def test_limits_that_contradict_each_other_are_told_once_at_the_start(tmp_path, caplog) -> None:
+    pytest.importorskip("mujoco")
+    weak = ["--draw", "1", "--plant", "rigid_body", "--set", "torque_limit=1.6"]
+    both = ["--strategy", "paper", "plan_keeping"]
+    assert main([*weak, *both, "--out", str(tmp_path / "out"), *BRIEF]) == 0
+    (line,) = [text for text in caplog.messages if "torque_limit" in text]
+    assert "1.6 N m" in line and "3.2 N m" in line
+
+
+@pytest.mark.parametrize(
+    "kind", ["controller", "simulator", "robot", "rigid_body", "disturbances"]
+)
 def test_help_says_where_the_settings_are_listed(capsys, kind) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])

@@ -17,7 +17,8 @@ TABLE_1 = RobotParameters()
 
 
 def scaled(
-    radius: float, shell: float, rotor: float, speed: float, acceleration: float, axial: float = 0.0
+    radius: float, shell: float, rotor: float, speed: float, acceleration: float,
+    axial: float = 0.0,
 ) -> RobotParameters:
     """Return a robot with the inertias of Table 1 over mass and squared radius."""
     axial = axial or 0.008 / (0.7 * 0.3**2) * rotor * radius**2

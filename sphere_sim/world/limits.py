@@ -45,7 +45,8 @@ def beyond(
          f"for rigid_body.torque_limit = {torque_limit:g} N m"),
     )
     return "; ".join(
-        f"{name}: given {wanted:g} {unit} in {controller}, expected at most {given:g} {unit}, {why}"
+        f"{name}: given {wanted:g} {unit} in {controller}, expected at most {given:g} {unit}, "
+        f"{why}"
         for name, wanted, given, unit, why in figures
         if wanted > given * (1.0 + 1e-9)
     )

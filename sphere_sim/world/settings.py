@@ -73,7 +73,7 @@ class SimulatorSettings:
         "Time that ~/step advances; spacing of the sampling instants in lockstep, until a "
         "controller tells its own on control_period",
         minimum=1e-3,
-        maximum=1e3,
+        maximum=100.0,
     )
     pose_rate: float = quantity(
         100.0, "Hz", "Rate of pose, odometry and joint states", minimum=1.0, maximum=2000.0

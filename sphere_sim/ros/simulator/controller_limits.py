@@ -53,6 +53,6 @@ class ControllerLimits:
 
     def _take(self, name: str, values: Any) -> None:
         numbers = [parameter_value_to_python(value) for value in values]
-        if name in self._clients and len(numbers) == len(PLANNED_LIMITS):
-            if all(isinstance(number, float) for number in numbers):
-                self.found[name] = dict(zip(PLANNED_LIMITS, numbers, strict=True))
+        complete = [number for number in numbers if isinstance(number, float)]
+        if name in self._clients and len(complete) == len(PLANNED_LIMITS):
+            self.found[name] = dict(zip(PLANNED_LIMITS, complete, strict=True))

@@ -4,39 +4,19 @@
 
 import numpy as np
 import pytest
+from other_robots import ROBOTS
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 from sphere_sim.world.plant.time_scale import step_scale, time_scale
 
 TABLE_1 = RobotParameters()
-
-
-def scaled(
-    radius: float, shell: float, rotor: float, speed: float, acceleration: float,
-    axial: float = 0.0,
-) -> RobotParameters:
-    """Return a robot with the inertias of Table 1 over mass and squared radius."""
-    axial = axial or 0.008 / (0.7 * 0.3**2) * rotor * radius**2
-    return RobotParameters(
-        shell_mass=shell, shell_radius=radius, shell_inertia=shell * radius**2 / 1.5,
-        rotor_offset=0.5 * radius, counterweight_mass=rotor, rotor_mass=rotor,
-        rotor_axial_inertia=axial, rotor_transverse_inertia=0.5 * axial,
-        counterweight_axial_inertia=axial, counterweight_transverse_inertia=0.5 * axial,
-        max_rotor_speed=speed, max_rotor_acceleration=acceleration,
-    )
-
-
-ROBOTS = {
-    "3.65 cm": scaled(0.0365, 0.05, 0.02, 1000.0, 5000.0),
-    "10 cm": scaled(0.1, 0.4, 0.25, 500.0, 1000.0),
-    "Table 1": TABLE_1,
-    "1 m": scaled(1.0, 30.0, 20.0, 60.0, 50.0, 0.9),
-}
 PACE = 0.01
 """Step of the simulator between two samples of the command [s]."""
 
@@ -66,8 +46,6 @@ def deviation(first: list[Vector], second: list[Vector], radius: float) -> float
 @pytest.mark.parametrize("name", ROBOTS)
 def test_contact_plant_deviates_from_ideal_rolling_as_for_table_1(name) -> None:
     pytest.importorskip("mujoco")
-    from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
-
     robot = ROBOTS[name]
     # At half the speed: at full speed small robots take curves in which friction 0.8 lets them
     # slip.
@@ -91,8 +69,6 @@ def test_steps_of_the_rolling_plant_are_short_enough(monkeypatch, name) -> None:
 
 
 def test_drives_and_contact_of_table_1_are_those_that_were_measured() -> None:
-    from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-
     found = RigidBodySettings().for_robot(TABLE_1)
     assert found.drive_bandwidth == 300.0 and found.torque_limit == 3.2
     assert found.contact_time_constant == 0.004 and found.time_step == 0.002
@@ -109,8 +85,6 @@ def test_errors_of_the_parameters_do_not_change_the_steps() -> None:
 
 
 def test_values_that_are_given_are_meant_as_given() -> None:
-    from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-
     given = RigidBodySettings(
         drive_bandwidth=70.0, torque_limit=2.0, contact_time_constant=0.01, time_step=0.001
     )

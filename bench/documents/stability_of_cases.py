@@ -37,7 +37,7 @@ def reports(case: int) -> list[StabilityReport]:
                 goal=scenario.goal,
                 value=decision.plan.cost,
                 next_input=decision.plan.hold.speeds[1],
-                input_weight=settings.input_weight,
+                input_weight=settings.alpha,
                 terminal_weight=settings.terminal_weight,
                 max_speed=robot.max_rotor_speed,
             )

@@ -51,7 +51,7 @@ class Controller:
         strategy: Strategy | None = None,
         worker: Worker | None = None,
     ) -> None:
-        self._settings = settings
+        self._settings = settings = settings.of(robot)
         robot = self._robot = within_torque(robot)
         self._worker = worker
         self._searching: SearchingStrategy | None = None
@@ -116,7 +116,8 @@ class Controller:
         The plan is kept unless the strategy or the sample period changes, and so are the
         estimates that the change does not concern.
         """
-        before, self._settings = self._settings, settings
+        before, settings = self._settings, settings.of(self._robot)
+        self._settings = settings
         if (settings.strategy, settings.period) == (before.strategy, before.period):
             self._strategy.change(settings)
         else:

@@ -58,11 +58,11 @@ def _value_decrease(
         report = monitor.update(
             Sample(
                 time=k * settings.control_period,
-                state=decision.state,
-                goal=goal,
+                state=settings.units.scaled(decision.state),
+                goal=settings.units.scaled(goal),
                 value=decision.plan.cost,
                 next_input=decision.plan.hold.speeds[1],
-                input_weight=settings.input_weight,
+                input_weight=settings.alpha,
                 terminal_weight=settings.terminal_weight,
                 max_speed=conditions.robot.max_rotor_speed,
             )

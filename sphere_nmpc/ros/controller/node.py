@@ -75,8 +75,9 @@ class ControllerNode(RunnableNode):
             parameter_overrides=parameter_overrides,
             automatically_declare_parameters_from_overrides=True,
         )
-        declared = DeclaredSettings(self, ControllerSettings(), on_change=self._change)
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
+        own = ControllerSettings().of(robot.settings)
+        declared = DeclaredSettings(self, own, on_change=self._change)
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
         parts = (declared, robot, self._scheduling)
         warn_of_unknown(self, [name for part in parts for name in part.names])

@@ -132,8 +132,9 @@ class ControllerStatus:
             return
         self._stability = self._monitor.update(
             Sample(
-                time, state, goal, decision.plan.cost,
+                time, settings.units.scaled(state), settings.units.scaled(goal),
+                decision.plan.cost,
                 decision.plan.hold.at(time + settings.period),
-                settings.input_weight, settings.terminal_weight, self._robot.max_rotor_speed,
+                settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
             )
         )

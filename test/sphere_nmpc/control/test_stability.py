@@ -134,7 +134,7 @@ def test_value_function_of_case_1_falls_as_theorem_3_needs_though_the_error_does
     for k, (decision, state) in enumerate(zip(run.decisions, run.states, strict=False)):
         report = monitor.update(Sample(
             0.5 * k, state, scenario.goal, decision.plan.cost, decision.plan.hold.speeds[1],
-            settings.input_weight, settings.terminal_weight, robot.max_rotor_speed,
+            settings.alpha, settings.terminal_weight, robot.max_rotor_speed,
         ))
     # It enters D after 12.5 s, 25 samples; another solver may take another path there.
     assert 15 <= report.judged <= 31

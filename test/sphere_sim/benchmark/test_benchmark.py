@@ -15,6 +15,8 @@ import pytest
 pytest.importorskip("rich")
 pytest.importorskip("matplotlib")
 
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.reference.objective import cost
 from sphere_sim.benchmark import numpy_slsqp
 from sphere_sim.benchmark.benchmarked_solver import Answer
@@ -51,6 +53,18 @@ def settling_times(maker, cases, duration=15.0):
     for _ in run_closed_loops(solvers, records, scenarios, round(duration / 0.5), 1, 60.0):
         pass
     return records["one"].settle
+
+
+def test_solve_that_has_stalled_counts_as_failed():
+    solver, case = AlgorithmOne(), PAPER_CASES[1]
+    solver.start(case.goal)
+    assert solver.solve(case.start, np.zeros(2)).solved
+    # Neither tolerance can be met, so that the solve ends where no step lowers the cost.
+    solver._solver = HoldSolver(
+        SolverSettings(10_000, gradient_tolerance=0.0, decrease_tolerance=0.0)
+    )
+    solver.start(case.goal)
+    assert not solver.solve(case.start, np.zeros(2)).solved
 
 
 def test_all_solvers_minimise_the_same_cost():

@@ -4,6 +4,7 @@
 
 import contextlib
 import json
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from sphere_sim.study.single_run import prepare, run_scenario
 from sphere_sim.study.summary import summarise, with_bounds
 from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
+
+_log = logging.getLogger("sphere_nmpc")
 
 BestKnown = Callable[[Sequence[Motion]], Sequence[float]]
 """Returns the settling time of the best known motion for each motion [s]."""
@@ -82,6 +85,9 @@ class Study:
         SphereNmpcError
             If the folder cannot take the results, or the runs cannot be made.
         """
+        contradiction = self.conditions.contradiction()
+        if contradiction is not None:
+            _log.warning("sphere_nmpc study: %s", contradiction)
         names = self.strategies or (self.conditions.controller.strategy,)
         folders = {name: self.folder / name if len(names) > 1 else self.folder for name in names}
         if len(names) > 1:

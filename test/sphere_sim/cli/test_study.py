@@ -6,6 +6,7 @@ import csv
 import math
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -77,6 +78,16 @@ def test_impossible_disturbance_is_refused(tmp_path, capsys, words) -> None:
         (["--draw", "2", "--set", "max_rotor_speed=nan"], "max_rotor_speed: given nan"),
         (["--draw", "2", "--set", "horizon=0"], "horizon: given 0"),
         (["--draw", "2", "--set", "nothing=0"], "nothing: given '0'"),
+        (["--draw", "2", "--set", "pose_rate=50"], "pose_rate: given '50', expected a setting"),
+        (["--draw", "2", "--set", "horizon=6", "horizon=8"], "horizon: given ['6', '8']"),
+        (
+            ["--draw", "2", "--plant", "rolling", "--set", "plant=rigid_body"],
+            "simulator.plant: given ['rolling', 'rigid_body'], expected one value",
+        ),
+        (
+            ["--draw", "2", "--strategy", "paper", "--set", "strategy=time_optimal"],
+            "controller.strategy: given ['paper', 'time_optimal'], expected one value",
+        ),
         (["--draw", "2", "--process-noise", "1e9"], "process_noise: given 1000000000.0"),
     ],
 )
@@ -102,6 +113,34 @@ def test_invalid_study_exits_2_and_leaves_no_folder(
 def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) -> None:
     assert main(["--draw", "1", "--out", str(tmp_path / "out"), *settings]) == 2
     assert "nothing: given '0'" in capsys.readouterr().err
+
+
+def test_strategy_that_is_set_is_the_one_that_runs(tmp_path) -> None:
+    out = tmp_path / "out"
+    assert main(["--draw", "1", *BRIEF, "--out", str(out), "--set", "strategy=paper"]) == 0
+    with (out / "runs.csv").open() as file:
+        assert {row["strategy"] for row in csv.DictReader(file)} == {"paper"}
+
+
+def test_limits_that_contradict_each_other_are_told_once_at_the_start(tmp_path, caplog) -> None:
+    pytest.importorskip("mujoco")
+    weak = ["--draw", "1", "--plant", "rigid_body", "--set", "torque_limit=1.6"]
+    both = ["--strategy", "paper", "plan_keeping"]
+    assert main([*weak, *both, "--out", str(tmp_path / "out"), *BRIEF]) == 0
+    (line,) = [text for text in caplog.messages if "torque_limit" in text]
+    assert "1.6 N m" in line and "3.2 N m" in line
+
+
+@pytest.mark.parametrize(
+    "kind", ["controller", "simulator", "robot", "rigid_body", "disturbances"]
+)
+def test_help_says_where_the_settings_are_listed(capsys, kind) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"{kind}.NAME" in printed and "msg_docs/parameters.md lists the names" in printed
+    described = (Path(__file__).parents[3] / "msg_docs" / "parameters.md").read_text()
+    assert f"`{kind}.NAME`" in described
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,7 @@ def test_controller_has_the_units_of_the_robot_that_is_set() -> None:
     )
     assert slow.controller.control_period == 1.0
     assert slow.with_settings([("robot.max_rotor_speed", "100")]).controller.control_period < 1.0
-    simulator, controller = prepare(slow, SCENARIO)
+    _, controller = prepare(slow, SCENARIO)
     assert controller._settings == slow.controller
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -33,7 +33,7 @@ class StudyConditions:
     Attributes
     ----------
     controller : ControllerSettings
-        Settings of the controller, including its strategy.
+        Settings of the controller, including its strategy; they get the units of the robot.
     simulator : SimulatorSettings
         Settings of the simulator; start and seed come from the scenario.
     robot : RobotParameters
@@ -64,6 +64,7 @@ class StudyConditions:
 
     def __post_init__(self) -> None:
         validate(self)
+        object.__setattr__(self, "controller", self.controller.of(self.robot))
 
     def contradiction(self) -> str | None:
         """Return in one line how limits contradict each other; None if they do not."""
@@ -133,7 +134,7 @@ def _found(name: str, text: str) -> tuple[str, str]:
 
 
 def _defaults(group: str) -> dict[str, Any]:
-    return {field.name: field.default for field in dataclasses.fields(_GROUPS[group])}
+    return {name: getattr(_GROUPS[group], name) for name in quantities(_GROUPS[group])}
 
 
 def _parse(name: str, text: str, default: Any) -> Any:

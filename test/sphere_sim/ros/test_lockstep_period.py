@@ -36,6 +36,7 @@ def controller(graph, **settings) -> ControllerNode:
         ({}, {"strategy": "paper"}),
         ({}, {"strategy": "paper", "control_rate": 3.0}),
         ({}, {"strategy": "paper", "sample_period": 2.318765432}),
+        ({}, {"strategy": "paper", "robot.max_rotor_speed": 43.0}),
         ({"sample_period": 0.2}, {"strategy": "paper"}),
         ({"sample_period": 1.0}, {"strategy": "paper"}),
     ],

@@ -11,6 +11,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
+from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import OF_NODES, StudyConditions
@@ -210,6 +211,16 @@ def test_settings_that_depend_on_each_other_are_accepted_in_any_order() -> None:
         assert there.robot.rotor_offset == float(settings[1][1])
     with pytest.raises(InvalidParameterError, match="rotor_offset"):
         SHORT.with_settings(small[:1])
+
+
+def test_controller_has_the_units_of_the_robot_that_is_set() -> None:
+    slow = replace(SHORT, controller=ControllerSettings(strategy="paper")).with_settings(
+        [("robot.max_rotor_speed", "50"), ("robot.max_rotor_acceleration", "100")]
+    )
+    assert slow.controller.control_period == 1.0
+    assert slow.with_settings([("robot.max_rotor_speed", "100")]).controller.control_period < 1.0
+    _, controller = prepare(slow, SCENARIO)
+    assert controller._settings == slow.controller
 
 
 @pytest.mark.parametrize("again", ["horizon", "controller.horizon"])

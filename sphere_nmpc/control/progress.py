@@ -71,6 +71,7 @@ class Progress:
         self._stand: _Stand | None = None
         self._time = -math.inf
         self._rolling = 0.0
+        self._found = ""
 
     def update(
         self,
@@ -82,6 +83,8 @@ class Progress:
         settings: ControllerSettings,
     ) -> str:
         """Record a sampling instant; return what there is instead of progress, empty where it is.
+
+        Poses are compared once a sample period, whatever the control rate.
 
         Parameters
         ----------
@@ -98,14 +101,30 @@ class Progress:
         settings : ControllerSettings
             Sample period, tolerance of the goal, noise of the poses.
         """
-        plan, error = decision.plan, state_error(pose, goal)
+        elapsed = time - self._time
+        if 0.0 <= elapsed < 0.99 * settings.period:
+            return self._found
+        self._time = time
+        self._found = self._compare(elapsed, pose, goal, speeds, decision, settings)
+        return self._found
+
+    def _compare(
+        self,
+        elapsed: float,
+        pose: Vector,
+        goal: Vector,
+        speeds: Vector,
+        decision: Decision,
+        settings: ControllerSettings,
+    ) -> str:
+        """Return the result of `update`, `elapsed` [s] after the last one."""
+        time, plan, error = self._time, decision.plan, state_error(pose, goal)
         resting = plan.status is PlanStatus.HOLDING and not plan.given_up
         if resting or error < _tolerance(settings):
-            self.reset()
+            self._stand = None
             return ""
         longest = max(_PERIODS * settings.period, _SHORTEST)
         standing = _STANDING * self._gain * self._max_speed * longest + self._noise(settings)
-        elapsed, self._time = time - self._time, time
         stand = self._stand
         if stand is None or elapsed < 0.0 or self._progresses(stand, pose, error, standing):
             self._stand, self._rolling = _Stand(time, pose, error), 0.0

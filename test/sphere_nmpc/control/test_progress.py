@@ -99,6 +99,13 @@ def test_strategy_that_stands_still_is_told_within_some_periods(robot, period) -
     assert found.no_progress.endswith("the plan leaves it where it is (solved: converged)")
 
 
+def test_control_rate_does_not_matter() -> None:
+    settings = ControllerSettings(strategy="paper", control_rate=50.0)
+    run = closed_loop(Controller(settings, ROBOT, Standing()), settings, 6.0)
+    first = [d.mode for d in run.decisions].index(Mode.NO_PROGRESS) * settings.control_period
+    assert 5.0 <= first + 1e-9 < 5.0 + settings.period
+
+
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 def test_sphere_that_ignores_its_rotors_is_told(robot) -> None:
     settings = ControllerSettings(strategy="paper", momentum=False)

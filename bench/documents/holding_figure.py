@@ -5,8 +5,8 @@
     python bench/documents/holding_figure.py --out docs/momentum.svg
 
 Left: time at an upright goal from rotors at rest until one is at its limit. Right: the plant with
-contact at an upright goal, which it has rolled to, pushed at rest, and on a slope from rest until a
-rotor is at its limit.
+contact at an upright goal: pushed at rest after it has rolled there, and on a slope until a rotor
+is at its limit.
 """
 
 import argparse

@@ -18,7 +18,7 @@ class Standing:
     Parameters
     ----------
     speed : float, optional
-        Speed of both rotors after half a second [rad/s].
+        Speed of both rotors from 2.5 s on [rad/s].
     status : PlanStatus, optional
         Status of the plans.
     values
@@ -34,7 +34,7 @@ class Standing:
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan from the speeds in force on."""
-        times = situation.time + np.array([0.0, 0.5, 1.0])
+        times = situation.time + np.array([0.0, 2.5, 5.0])
         hold = FirstOrderHold(times, np.vstack((situation.input_in_force, self._speeds)))
         states = np.tile(situation.state, (times.size, 1))
         return Plan(self._status, hold, states, **self._values)

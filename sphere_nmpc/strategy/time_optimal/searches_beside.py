@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.roll_out import roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
@@ -66,6 +67,23 @@ class Outcome:
     from_rest: bool
     is_late: bool
 
+    def begins_in(self, situation: Situation) -> bool:
+        """Return whether the plan begins in this situation, whatever the time.
+
+        A sphere at rest may have been moved since, and what is estimated of it may have changed.
+        """
+        return all(
+            np.array_equal(planned, now)
+            for planned, now in zip(
+                _where(self.situation), _where(situation), strict=True
+            )
+        )
+
+
+def _where(situation: Situation) -> tuple[Vector, ...]:
+    drift = situation.drift.as_array()
+    return situation.state, situation.input_in_force, situation.constants.as_array(), drift
+
 
 @dataclass(frozen=True, eq=False)
 class _UnderWay:
@@ -114,17 +132,21 @@ class SearchesBeside:
         planner: ArrivalPlanner,
         situation: Situation,
         effort: int,
+        growth: float = 1.0,
         from_rest: bool = False,
         strict: bool = False,
         known: FirstOrderHold | None = None,
     ) -> None:
         """Begin a search for a plan from `situation`; one under way is forgotten.
 
-        Parameters as for `SearchTask`; `from_rest` as for `Outcome`.
+        Parameters as for `SearchTask`, effort and longest time times `growth`; `from_rest` as for
+        `Outcome`.
         """
         origin = situation.time if known is None else planner.grid.origin(situation.time)
-        longest = self._tuning.longest_search
-        task = search_task(planner, situation, origin, effort, longest, strict, known)
+        longest = growth * self._tuning.longest_search
+        task = search_task(
+            planner, situation, origin, round(growth * effort), longest, strict, known
+        )
         reply = self._worker.submit(task)
         self._under_way = None
         if reply.pending or reply.ready:
@@ -154,13 +176,13 @@ class SearchesBeside:
         search = self._under_way
         if search is None or not self.is_due(now):
             return None
-        self._under_way = None
+        self._under_way, result = None, search.reply.result
+        if result is None:
+            return None
         late = now - search.task.situation.time
         is_late = not search.from_rest and late > max(tick, _LEAST_TICK) + _SAME_TIME
         if is_late:
             self.ahead = min(_GROWTH * self.ahead, self._tuning.search_farthest_ahead)
-        result = search.reply.result
-        assert result is not None
         return Outcome(
             search.purpose, result, search.task.situation, search.planner, search.from_rest,
             is_late,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from robots import SIZES
 from standing import Standing
 
 from sphere_nmpc.control.controller import Controller
@@ -25,19 +26,7 @@ from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
-SMALL = RobotParameters(
-    shell_mass=0.05, shell_radius=0.0365, shell_inertia=4.4e-5, rotor_offset=0.015,
-    counterweight_mass=0.02, rotor_mass=0.02, rotor_axial_inertia=2e-6,
-    rotor_transverse_inertia=1e-6, counterweight_axial_inertia=2e-6,
-    counterweight_transverse_inertia=1e-6, max_rotor_speed=1000.0, max_rotor_acceleration=5000.0,
-)
-LARGE = RobotParameters(
-    shell_mass=30.0, shell_radius=1.0, shell_inertia=20.0, rotor_offset=0.5,
-    counterweight_mass=20.0, rotor_mass=20.0, rotor_axial_inertia=0.9,
-    rotor_transverse_inertia=0.45, counterweight_axial_inertia=0.9,
-    counterweight_transverse_inertia=0.45, max_rotor_speed=60.0, max_rotor_acceleration=50.0,
-)
-ROBOTS = {"3.65 cm": SMALL, "Table 1": ROBOT, "1 m": LARGE}
+ROBOTS = {"Table 1": ROBOT, **SIZES}
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((1.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 AT_REST = np.zeros(2)
@@ -108,9 +97,10 @@ def test_control_rate_does_not_matter() -> None:
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 def test_sphere_that_ignores_its_rotors_is_told(robot) -> None:
-    settings = ControllerSettings(strategy="paper", momentum=False)
+    settings = ControllerSettings(strategy="paper", momentum=False).of(robot)
     strategy = Standing(0.5 * robot.max_rotor_speed)
-    found = closed_loop(Controller(settings, robot, strategy), settings, 6.0, Blocked, robot)
+    duration = max(6.0, 8.0 * settings.period)
+    found = closed_loop(Controller(settings, robot, strategy), settings, duration, Blocked, robot)
     assert "is it blocked, do its rotors turn" in first_missing(found).no_progress
 
 

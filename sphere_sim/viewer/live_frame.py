@@ -23,14 +23,14 @@ _MIN_HEIGHT = 1e-3
 
 
 class LiveFrame:
-    """Frame that each message updates, with the alerts about missing messages."""
+    """Frame that each message updates, with the alerts of missing messages and the controller."""
 
     def __init__(self, now: float) -> None:
         self.frame = Frame()
         """Newest values, without alerts."""
         self._liveness = Liveness()
         self._stamp_changed_at = now
-        self._giving_up = ""
+        self._told: tuple[str, ...] = ()
 
     @property
     def paused(self) -> bool:
@@ -50,8 +50,7 @@ class LiveFrame:
         """
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
         self._liveness.controllers = controllers
-        alerts = self._liveness.alerts(now)
-        return replace(frame, alerts=(*alerts, self._giving_up) if self._giving_up else alerts)
+        return replace(frame, alerts=(*self._liveness.alerts(now), *self._told))
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         """Update the state.
@@ -95,7 +94,9 @@ class LiveFrame:
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""
-        self._giving_up = values.get("giving_up", "")
+        given_up, missing = values.get("giving_up", ""), values.get("no_progress", "")
+        missing = f"no progress: {missing}" if missing else ""
+        self._told = tuple(alert for alert in (given_up, missing) if alert)
         solve = solve_status(values)
         to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
         self.frame = replace(

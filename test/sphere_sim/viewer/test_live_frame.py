@@ -81,6 +81,8 @@ def test_status_gives_momentum_and_what_is_given_up_as_an_alert() -> None:
     assert live.take(0.1, 1).alerts == ("2 degrees of the goal",)
     live.add_status({"momentum_x": "0", "momentum_y": "0", "momentum_z": "0", "giving_up": ""})
     assert not live.frame.momentum.any() and live.take(0.1, 1).alerts == ()
+    live.add_status({"giving_up": "", "no_progress": "given a sphere that has stood"})
+    assert live.take(0.1, 1).alerts == ("no progress: given a sphere that has stood",)
     live.add_status({"mode": "at the goal"})  # of a controller that reports no momentum
     assert np.all(np.isnan(live.frame.momentum)) and live.take(0.1, 1).alerts == ()
 

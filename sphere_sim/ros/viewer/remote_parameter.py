@@ -4,6 +4,7 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -37,6 +38,7 @@ class RemoteParameter:
         self._on_refusal = on_refusal
         self._client = AsyncParameterClient(node, remote)
         self._polled = -_PERIOD
+        self._changes = 0
         self._descriptor = ParameterDescriptor(read_only=True)
         self.value: Any = None
         """Value; None while the node or the parameter is not available."""
@@ -61,16 +63,20 @@ class RemoteParameter:
         if not self._client.services_are_ready():
             self.value = None
             return
-        self._client.get_parameters([self._name], callback=self._take_value)
+        take_value = partial(self._take_value, self._changes)
+        self._client.get_parameters([self._name], callback=take_value)
         self._client.describe_parameters([self._name], callback=self._take_descriptor)
 
     def set(self, value: Any) -> None:
         """Request another value."""
         self.value, self._polled = value, time.monotonic()
+        self._changes += 1
         wanted = [Parameter(self._name, value=value)]
         self._client.set_parameters(wanted, callback=self._take_answer)
 
-    def _take_value(self, future: Any) -> None:
+    def _take_value(self, changes: int, future: Any) -> None:
+        if changes != self._changes:
+            return  # the value before the newest change
         values = getattr(future.result(), "values", None) or [None]
         self.value = None if values[0] is None else parameter_value_to_python(values[0])
 

@@ -6,6 +6,7 @@ import itertools
 import socket
 import urllib.request
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -17,7 +18,7 @@ from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.viewer.access import HOST
 from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.source import Pause, Push, Request, SetGoal
+from sphere_sim.viewer.source import Pause, Push, Request, SetGoal, SetSpeed, SetStrategy
 from sphere_sim.viewer.trail import Trail
 from sphere_sim.viewer.viewer import Viewer
 
@@ -122,6 +123,55 @@ def test_other_requests_are_passed_to_the_source(viewer, script) -> None:
     viewer._panel.put(Pause(True))
     viewer.tick()
     assert script.requests == [Pause(True)]
+
+
+def widget(viewer: Viewer, label: str):
+    handles = viewer._server.gui._gui_input_handle_from_uuid.values()
+    return next(handle for handle in handles if handle.label == label)
+
+
+def in_force(speed: float, strategy: str) -> Frame:
+    offered = Capabilities(speed=speed, strategies=("paper", "time_optimal"))
+    return replace(at(1.0, 2.0, strategy=strategy), capabilities=offered)
+
+
+@pytest.mark.parametrize(
+    ("label", "chosen", "request_"),
+    [("strategy", "paper", SetStrategy("paper")), ("speed", 0.5, SetSpeed(0.5)),
+     ("goal", "upside down, here", "upside down, here")],
+)
+def test_choice_on_the_page_is_neither_overwritten_nor_lost_nor_repeated(
+    viewer, label, chosen, request_
+) -> None:
+    panel, before = viewer._panel, in_force(2.0, "time_optimal")
+    panel.show(before)
+    assert panel.take() == [], "what the program shows is no request"
+    # As the server does on its own thread when the page sends the value.
+    widget(viewer, label)._impl.value = chosen
+    panel.show(replace(before, capabilities=replace(before.capabilities, paused=True)))
+    assert panel.take() == [request_] and panel.take() == []
+
+
+def test_refused_choice_is_replaced_by_what_is_in_force(viewer) -> None:
+    panel = viewer._panel
+    panel.show(in_force(2.0, "time_optimal"))
+    widget(viewer, "strategy")._impl.value = "paper"
+    widget(viewer, "speed")._impl.value = 0.5
+    assert len(panel.take()) == 2
+    panel.show(in_force(2.0, "time_optimal"))
+    assert widget(viewer, "strategy").value == "time_optimal"
+    assert widget(viewer, "speed").value == 2.0
+    assert panel.take() == []
+
+
+@pytest.mark.parametrize(
+    ("label", "invalid"), [("strategy", "none"), ("speed", np.nan), ("goal", "none")]
+)
+def test_invalid_choice_is_taken_back(viewer, label, invalid) -> None:
+    viewer._panel.show(in_force(2.0, "time_optimal"))
+    before = widget(viewer, label).value
+    widget(viewer, label)._impl.value = invalid
+    assert viewer._panel.take() == [] and widget(viewer, label).value == before
 
 
 def test_push_has_the_impulse_and_the_direction_of_its_fields(viewer, script) -> None:

@@ -29,8 +29,7 @@ GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
 @pytest.fixture
 def source(graph) -> TopicSource:
     node = Node("viewer")
-    graph._nodes.append(node)
-    graph._executor.add_node(node)
+    graph.add(node)
     return TopicSource(node)
 
 
@@ -59,8 +58,7 @@ def test_late_viewer_shows_pose_goal_and_rotor_speeds(graph, source) -> None:
     goals.publish(pose_to_ros(GOAL, 0, 0.3))
     graph.until(lambda: controller.controller.goal is not None)
     late = Node("late")
-    graph._nodes.append(late)
-    graph._executor.add_node(late)
+    graph.add(late)
     other = TopicSource(late)
     graph.until(lambda: newest(other).state is not None and newest(other).goal is not None)
     frame = newest(other)

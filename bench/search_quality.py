@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""First plans of `time_optimal` by effort and by wall time: duration over the best known time.
+"""First plans of `time_optimal` by effort and by wall time: duration over the best known one.
 
     python bench/search_quality.py --draw 100 --json out/search_quality.json   # some minutes
 
@@ -81,7 +81,8 @@ def main() -> None:
     scenarios = draw_scenarios(options.draw, options.seed, options.kind)
     motions = [Motion(scenario.start, scenario.goal) for scenario in scenarios]
     with Workers(options.jobs) as workers:
-        known = np.array(best_known_times(motions, _ROBOT, workers, options.bound_effort))
+        times = best_known_times(motions, _ROBOT, workers, options.bound_effort)
+    known = np.array([found.duration for found in times])
     first_plan(scenarios[0], 20_000)  # loads the solver
     limits = [(effort, np.inf) for effort in options.efforts]
     limits += [(_ENDLESS, 1e-3 * limit) for limit in options.wall_times]

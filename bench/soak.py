@@ -182,9 +182,8 @@ def _parse() -> argparse.Namespace:
 def _parameters(given: argparse.Namespace) -> dict[str, list[str]]:
     controller = ["use_sim_time:=true", f"strategy:={given.strategy}"]
     if given.mode == "lockstep":
-        period = 0.5 if given.strategy == "paper" else 0.25
         simulator = ["lockstep:=true", "real_time_factor:=0.0", "pose_rate:=20.0",
-                     f"sample_period:={period}", "lockstep_timeout:=30.0"]
+                     "lockstep_timeout:=30.0"]
         return {"simulator": simulator, "controller": [*controller, "lockstep:=true"]}
     rate = [f"control_rate:={given.rate}", f"command_rate:={given.rate}"]
     return {"simulator": [f"pose_rate:={given.rate}"], "controller": [*controller, *rate]}

@@ -34,7 +34,7 @@ from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
 RECORDED = (
-    "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands",
+    "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/predicted_path",
     "controller/status", "simulator/pushed",
 )

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the controller, and the table of strategies."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.units import TABLE_1_UNITS, RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
 
@@ -15,7 +17,7 @@ class StrategyEntry:
     Attributes
     ----------
     sample_period : float
-        Spacing of the knots of the input that suits it [s].
+        Spacing of the knots of the input that suits it [s; for the robot of Table 1].
     path : str
         Where its class is, as ``module:Class``; imported when the strategy is first made. The
         class takes the settings of the controller and the parameters of the robot, and has the
@@ -36,11 +38,23 @@ STRATEGIES: dict[str, StrategyEntry] = {
 """All strategies by name; an entry added here is a choice of the parameter ``strategy``."""
 
 _SHORTEST_PERIOD = 1e-2
+_INPUT_WEIGHT = 0.5
+"""The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
+_INTEGRATION_STEP = 0.1
+"""Longest step of the prediction [s; for the robot of Table 1]."""
 
 
 @dataclass(frozen=True)
 class ControllerSettings:
     """Parameters of the controller: problem, rates, estimation and limits.
+
+    Where 0 stands for the strategy's own value, that is the one of the paper in the units of the
+    robot (`units`); other values are in SI units and used as they are.
+
+    Attributes
+    ----------
+    units : RobotUnits
+        Units of the robot; those of Table 1's unless set by `of`.
 
     Raises
     ------
@@ -56,7 +70,7 @@ class ControllerSettings:
     )
     sample_period: float = quantity(
         0.0, "s",
-        "Spacing of the knots of the first-order hold (T); 0 is the strategy's own",
+        "Spacing of the knots of the first-order hold (T); 0 is the strategy's own for the robot",
         minimum=0.0, maximum=10.0,
     )
     control_rate: float = quantity(
@@ -72,7 +86,8 @@ class ControllerSettings:
         minimum=1.0, maximum=1e16, live=True,
     )
     input_weight: float = quantity(
-        0.5, "s^2/rad^2", "Weight of the squared rotor speeds (alpha)",
+        0.0, "s^2/rad^2",
+        "Weight of the squared rotor speeds (alpha); 0 is 0.5 for Table 1, by 1/u_max^2 otherwise",
         minimum=0.0, maximum=1e6, live=True,
     )
     max_iterations: int = quantity(
@@ -109,7 +124,9 @@ class ControllerSettings:
         minimum=0.0, maximum=0.05, live=True,
     )
     integration_step: float = quantity(
-        0.1, "s", "Longest step of the prediction's integrator", minimum=1e-3, maximum=0.5
+        0.0, "s",
+        "Longest step of the prediction's integrator; 0 is 0.1 s for Table 1, in the robot's time",
+        minimum=0.0, maximum=0.5,
     )
     pose_timeout: float = quantity(
         0.5, "s", "Age of the newest pose at which the rotors are ramped to rest",
@@ -130,6 +147,7 @@ class ControllerSettings:
     lockstep: bool = quantity(
         False, "-", "Solve when the pose of the sampling instant arrives, not when a timer fires"
     )
+    units: RobotUnits = TABLE_1_UNITS
 
     def __post_init__(self) -> None:
         validate(self)
@@ -138,10 +156,31 @@ class ControllerSettings:
                 "sample_period", self.sample_period, f"0 or at least {_SHORTEST_PERIOD:g} s"
             )
 
+    def of(self, robot: RobotParameters) -> "ControllerSettings":
+        """Return the settings with the units of a robot.
+
+        Raises
+        ------
+        InvalidParameterError
+            If the robot's torque limit is too low, see `RobotUnits.of`.
+        """
+        return replace(self, units=RobotUnits.of(robot))
+
     @property
     def period(self) -> float:
-        """Spacing of the knots [s]: as given, or the strategy's own."""
-        return self.sample_period or STRATEGIES[self.strategy].sample_period
+        """Spacing of the knots [s]: as given, or the strategy's own, to two digits."""
+        own = STRATEGIES[self.strategy].sample_period * self.units.time
+        return self.sample_period or float(f"{own:.2g}")
+
+    @property
+    def alpha(self) -> float:
+        """Weight of the squared rotor speeds [s^2/rad^2]: as given, or the paper's."""
+        return self.input_weight or _INPUT_WEIGHT / self.units.speed**2
+
+    @property
+    def longest_step(self) -> float:
+        """Longest step of the prediction [s]: as given, or in proportion to the robot's time."""
+        return self.integration_step or _INTEGRATION_STEP * self.units.time
 
     @property
     def control_period(self) -> float:

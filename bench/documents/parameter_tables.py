@@ -16,6 +16,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.study.conditions import OF_NODES
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
@@ -37,6 +38,8 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
 _ROOT = Path(__file__).parents[2]
 _EXIT_CODE = InvalidParameterError.exit_code
 
+_OF_NODES = ", ".join(f"`{kind}.{name}`" for kind in OF_NODES for name in OF_NODES[kind])
+
 _DOCUMENT = f"""\
 # Parameters
 
@@ -51,6 +54,11 @@ refuses); an unknown name gives one warning and is ignored.
 
 Every node also has `use_sim_time`: set it to `true` for the controller to follow the simulator's
 `/clock`, and leave it unset for the simulator, which publishes that clock.
+
+`sphere_nmpc study --set` has one prefix for each kind of setting: `controller.NAME`,
+`simulator.NAME`, and as in the nodes `robot.NAME` and `rigid_body.NAME`; slope, centre of mass and
+friction are `disturbances.NAME`. The prefix may be left out, and the order does not matter.
+Settings that only nodes read are refused: {_OF_NODES}.
 """
 
 _YAML_HEAD = """\

@@ -42,7 +42,7 @@ def make_urdf(robot: RobotParameters) -> str:
     some tools accept no inertia at the root; the shell and the counterweights are fixed
     to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes.
     """
-    limits = RigidBodySettings()
+    limits = RigidBodySettings().for_robot(robot)
     mechanism = build_mechanism(robot, limits.balanced)
     root = ElementTree.Element("robot", name="sphere")
     root.append(ElementTree.Comment(_NOTICE))

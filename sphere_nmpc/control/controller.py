@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from sphere_nmpc.estimation.factory import make_estimator
 from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import INPUT_SIZE, Vector, as_state
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy
@@ -51,7 +52,7 @@ class Controller:
         strategy: Strategy | None = None,
         worker: Worker | None = None,
     ) -> None:
-        self._settings = settings
+        self._settings = settings = settings.of(robot)
         robot = self._robot = within_torque(robot)
         self._worker = worker
         self._searching: SearchingStrategy | None = None
@@ -67,6 +68,8 @@ class Controller:
         )
         self._goal: Vector | None = None
         self._arrival = Arrival()
+        self._interrupted = False
+        """Whether no pose was fresh enough at the last sampling instant with a pose."""
         self.enabled = True
         """False ramps the rotors to rest and keeps them there."""
         self.late_poses = 0
@@ -116,7 +119,8 @@ class Controller:
         The plan is kept unless the strategy or the sample period changes, and so are the
         estimates that the change does not concern.
         """
-        before, self._settings = self._settings, settings
+        before, settings = self._settings, settings.of(self._robot)
+        self._settings = settings
         if (settings.strategy, settings.period) == (before.strategy, before.period):
             self._strategy.change(settings)
         else:
@@ -203,19 +207,30 @@ class Controller:
         The hold starts at `now` from the speeds in force, so that a late solve does not change
         the past; it keeps every limit and ends at rest.
         """
+        try:
+            return self._send(decision, decision.plan.hold, now)
+        except Exception as error:
+            # As in `decide`.
+            self._record(error)
+        try:
+            return self._send(decision, self._commands.in_force(now), now)
+        except Exception as error:
+            # Without a further command the hold in force is followed to its end.
+            self._record(error)
+            return None
+
+    def _send(
+        self, decision: Decision, hold: FirstOrderHold, now: float
+    ) -> FirstOrderHold | None:
+        """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
-        try:
-            hold = commands.joined(decision.plan.hold, start)
-        except Exception as error:
-            # As in `decide`; the hold in force has been joined without an error before.
-            self._record(error)
-            hold = commands.joined(commands.in_force(start), start)
+        hold = commands.joined(hold, start)
         planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
-        commands.sent.record(hold)
         self.rotor_feedback.sent(hold)
+        commands.sent.record(hold)
         return hold
 
     def _decide(self, time: float, time_budget: float) -> Decision:
@@ -231,14 +246,18 @@ class Controller:
             if age < 0.0:
                 # A pose from the future would make all valid ones outdated until then.
                 self._estimator.forget()
-            self._reset_strategy()
-            self._arrival.reset()
-            self.rotor_feedback.resume()
+            if not self._interrupted:
+                # Once: a strategy may take as long to reset as to set up.
+                self._interrupted = True
+                self._reset_strategy()
+                self._arrival.reset()
+                self.rotor_feedback.resume()
             mode = Mode.NO_FRESH_POSE
             return Decision(
                 mode, self._ramp_to_rest(time, mode), None, pose_age=age,
                 drift=self._estimator.drift,
             )
+        self._interrupted = False
         estimate, failure = self._estimate(time)
         if estimate is not None:
             state = estimate.state
@@ -290,7 +309,7 @@ class Controller:
         """Return the rest of the hold in force."""
         message = self._record(error)
         self._reset_strategy()
-        hold = self._commands.in_force(time)
+        hold = self._hold_or_rest(self._commands.in_force, time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:
@@ -300,8 +319,18 @@ class Controller:
         return self.last_failure
 
     def _ramp_to_rest(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
-        hold = self._commands.ramp_to_rest(time)
+        hold = self._hold_or_rest(self._commands.ramp_to_rest, time)
         return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
+
+    def _hold_or_rest(
+        self, command: Callable[[float], FirstOrderHold], time: float
+    ) -> FirstOrderHold:
+        """Return the command from `time` [s] on; where it fails rest, which `commit` ramps to."""
+        try:
+            return command(time)
+        except Exception as error:
+            self._record(error)
+            return FirstOrderHold.constant(time, np.zeros(INPUT_SIZE))
 
     def _reset_strategy(self) -> None:
         try:

@@ -1,14 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Monitor of Theorem 3: whether the value function decreases as the proof requires.
+"""Monitor of the decrease that Theorem 3 concludes, Eq. (42), along the closed loop.
 
-For each transition from sample k to k + 1 under the input u(k+1) it reports
+For each transition from sample k to k + 1 under the input u(k+1) it reports whether
 
-    V*(k+1) - V*(k) <= -l(x(k), u(k+1)),   l = |x - x_d|^2 + alpha |u|^2          (Eq. 42)
-    Delta = |x(k+1) - x_d|^2 - |x(k) - x_d|^2 < 0                          (Assumption 3)
-    beta >= (|x(k) - x_d|^2 + 2 alpha u_max^2) / |Delta|                        (Eq. 36)
+    V*(k+1) - V*(k) <= -l(x(k), u(k+1)),   l = |x - x_d|^2 + alpha |u|^2.         (Eq. 42)
 
-As Delta is never below -|x - x_d|^2, no step satisfies Eq. (36) where
+With an exact model V*(k) - l(x(k), u(k+1)) is the cost of the knots that are left, an upper bound
+of V*_(N-1)(k+1) and equal to it if these are optimal. So this is Eq. (39) at x(k+1), V*_N <=
+V*_(N-1), where the loop meets it.
+
+The premises are not tested. Theorem 3 uses Eqs. (31) and (36) at the end of a predicted horizon,
+(37) to (39), where some input has to satisfy them; the input of the present step neither confirms
+nor refutes that. Nor are Eqs. (40), which any solution satisfies, and (41).
+
+As Delta is never below -|x - x_d|^2, no input satisfies Eq. (36) where
 |x - x_d|^2 < 2 alpha u_max^2 / (beta - 1): that ball is taken as the neighbourhood D of Remark 5.
 With the paper's numbers its radius is 1e-2.
 """
@@ -65,11 +71,6 @@ class Sample:
         return self.square_error + self.input_weight * float(np.sum(self.next_input**2))
 
     @property
-    def bound_numerator(self) -> float:
-        """|x - x_d|^2 + 2 alpha u_max^2, the lower bound of beta |Delta| (Eq. 36)."""
-        return self.square_error + 2.0 * self.input_weight * self.max_speed**2
-
-    @property
     def inside(self) -> bool:
         """Whether the state is in the neighbourhood D of Remark 5."""
         return math.sqrt(self.square_error) < neighbourhood_radius(
@@ -102,19 +103,17 @@ class StabilityReport:
     allowed_change : float
         -l(x(k), u(k+1)), the largest change that Eq. (42) allows; nan likewise.
     delta : float
-        Delta of Assumption 3; nan likewise.
-    beta_bound : float
-        Smallest beta for which Eq. (36) holds; inf where Delta >= 0, nan likewise.
+        |x(k+1) - x_d|^2 - |x(k) - x_d|^2, for the input that was sent; nan likewise.
     inside : bool
         Whether the newest state is in the neighbourhood D of Remark 5.
     decreases : bool or None
         Whether Eq. (42) held; None if undefined.
-    approaches : bool or None
-        Whether Delta < 0; None if undefined.
     judged : int
         Transitions assessed since the start: those that began outside D.
-    decrease_violations, approach_violations, beta_violations : int
-        Numbers of these that violated Eq. (42), had Delta >= 0, violated Eq. (36).
+    violations : int
+        Number of these that violated Eq. (42).
+    not_nearer : int
+        Number of these with Delta >= 0, which violates nothing.
     """
 
     time: float
@@ -122,20 +121,17 @@ class StabilityReport:
     value_change: float
     allowed_change: float
     delta: float
-    beta_bound: float
     inside: bool
     decreases: bool | None
-    approaches: bool | None
     judged: int
-    decrease_violations: int
-    approach_violations: int
-    beta_violations: int
+    violations: int
+    not_nearer: int
 
 
 def neighbourhood_radius(
     input_weight: float, terminal_weight: float, max_speed: float
 ) -> float:
-    """Return the radius of D [mixed units]: inside, no step satisfies Eq. (36)."""
+    """Return the radius of D [mixed units]: inside, no input satisfies Eq. (36)."""
     if terminal_weight <= 1.0:
         return math.inf
     return math.sqrt(2.0 * input_weight / (terminal_weight - 1.0)) * max_speed
@@ -154,44 +150,33 @@ class StabilityMonitor:
         """Discard the last sample and all counts."""
         self._last: Sample | None = None
         self._judged = 0
-        self._decrease_violations = 0
-        self._approach_violations = 0
-        self._beta_violations = 0
+        self._violations = 0
+        self._not_nearer = 0
 
     def update(self, sample: Sample) -> StabilityReport:
         """Take the newest sample and report on the transition that led to it."""
         last, self._last = self._last, sample if sample.is_usable else None
-        nan = float("nan")
-        if last is None or self._last is None or not _comparable(last, sample):
-            return self._report(sample, nan, nan, nan, nan)
-        delta = sample.square_error - last.square_error
-        bound = last.bound_numerator / -delta if delta < 0.0 else math.inf
-        change, allowed = sample.value - last.value, -last.stage_cost
-        if not last.inside:
-            self._judged += 1
-            self._decrease_violations += int(change > allowed)
-            self._approach_violations += int(delta >= 0.0)
-            self._beta_violations += int(bound > last.terminal_weight)
-        return self._report(sample, change, allowed, delta, bound)
-
-    def _report(
-        self, sample: Sample, change: float, allowed: float, delta: float, bound: float
-    ) -> StabilityReport:
-        unknown = math.isnan(change)
+        change = allowed = delta = float("nan")
+        decreases = None
+        if last is not None and self._last is not None and _comparable(last, sample):
+            delta = sample.square_error - last.square_error
+            change, allowed = sample.value - last.value, -last.stage_cost
+            decreases = change <= allowed
+            if not last.inside:
+                self._judged += 1
+                self._violations += int(not decreases)
+                self._not_nearer += int(delta >= 0.0)
         return StabilityReport(
             time=sample.time,
             value=sample.value,
             value_change=change,
             allowed_change=allowed,
             delta=delta,
-            beta_bound=bound,
             inside=sample.is_usable and sample.inside,
-            decreases=None if unknown else change <= allowed,
-            approaches=None if unknown else delta < 0.0,
+            decreases=decreases,
             judged=self._judged,
-            decrease_violations=self._decrease_violations,
-            approach_violations=self._approach_violations,
-            beta_violations=self._beta_violations,
+            violations=self._violations,
+            not_nearer=self._not_nearer,
         )
 
 

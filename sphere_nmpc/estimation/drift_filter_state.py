@@ -123,5 +123,4 @@ class DriftFilterState(FilterState):
 
     def _corrected(self, correction: Vector) -> "DriftFilterState":
         corrected = super()._corrected(correction)
-        assert isinstance(corrected, DriftFilterState)
         return replace(corrected, values=self.values + correction[_Drift])

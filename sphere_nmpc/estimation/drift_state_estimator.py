@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from sphere_nmpc.estimation.drift_filter_state import PUSHED, DriftFilterState
-from sphere_nmpc.estimation.filter_state import FilterState, PoseNoise
+from sphere_nmpc.estimation.filter_state import FilterState, Kind, PoseNoise
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import Entry, StateEstimator
@@ -30,8 +30,10 @@ _COMPARED = 40
 _BEFORE = 12
 """... and the least number that the model without drift must have explained before a push."""
 
+_Entry = Entry[DriftFilterState]
 
-class DriftStateEstimator(StateEstimator):
+
+class DriftStateEstimator(StateEstimator[DriftFilterState]):
     """`StateEstimator` whose model has drift.
 
     A push leaves a few poses inside the gate until the motion shows. So where poses fit badly, the
@@ -56,7 +58,7 @@ class DriftStateEstimator(StateEstimator):
         """Pushes found since the start."""
         self._since_tried = 0
         self._pushed_at = -math.inf
-        self._before: FilterState | None = None
+        self._before: DriftFilterState | None = None
 
     @property
     def drift(self) -> Drift:
@@ -70,14 +72,12 @@ class DriftStateEstimator(StateEstimator):
         self._pushed_at = -math.inf
         super().forget()
 
-    def _at_pose(self, stamp: float, pose: Vector) -> FilterState:
+    def _at_pose(self, stamp: float, pose: Vector) -> DriftFilterState:
         begun = super()._at_pose(stamp, pose)
         known, self._before = self._before, None
-        if isinstance(begun, DriftFilterState) and isinstance(known, DriftFilterState):
-            return begun.with_drift_of(known)
-        return begun
+        return begun if known is None else begun.with_drift_of(known)
 
-    def adopt(self, paper: StateEstimator) -> None:
+    def adopt(self, paper: StateEstimator[FilterState]) -> None:
         """Continue from the filter of the paper's model and a push if that explains the poses.
 
         They have to be more likely since the push and in all. A filter that has had little motion
@@ -85,14 +85,15 @@ class DriftStateEstimator(StateEstimator):
         """
         count = min(len(paper.entries), len(self._history), _COMPARED)
         entries, own = paper.entries[-count:], list(self._history)[-count:]
-        tried: list[tuple[float, list[Entry]]] = []
+        tried: list[tuple[float, list[_Entry]]] = []
         for age in _AGES:
             if age + _BEFORE < count:
                 base = entries[-age - 1]
                 before = _likelihood(entries[:-age]) - _likelihood(own[:-age])
                 pushed = DriftFilterState.from_paper(base.after, PUSHED)
                 for start in (pushed, pushed.doubted()):
-                    found = self._fused_again(replace(base, after=start), entries[-age:])
+                    begun = Entry(base.stamp, base.pose, start)
+                    found = self._fused_again(begun, entries[-age:])
                     since = _likelihood(found[1:]) - _likelihood(own[-age:])
                     tried.append((min(since, since + before), found))
         if not tried:
@@ -130,23 +131,25 @@ class DriftStateEstimator(StateEstimator):
             self._history.extend(found)
 
     def _changed(
-        self, entries: list[Entry], age: int, change: Callable[[DriftFilterState], FilterState]
-    ) -> tuple[float, list[Entry]]:
+        self,
+        entries: list[_Entry],
+        age: int,
+        change: Callable[[DriftFilterState], DriftFilterState],
+    ) -> tuple[float, list[_Entry]]:
         """Return the entries with a change `age` poses ago, and the likelihood gained by it."""
         base, again = entries[-age - 1], entries[-age:]
-        assert isinstance(base.after, DriftFilterState)
         found = self._fused_again(replace(base, after=change(base.after)), again)
         gain = _likelihood(found[1:]) - _likelihood(again)
         return gain, [*entries[: -age - 1], *found]
 
-    def _fused_again(self, base: Entry, later: list[Entry]) -> list[Entry]:
+    def _fused_again(self, base: _Entry, later: Sequence[Entry[Kind]]) -> list[_Entry]:
         """Return `base` and the entries after it, fused again."""
         found, state = [base], replace(base.after, outliers=())
         for entry in later:
             state, _ = state.updated(entry.stamp, entry.pose, self.noise, self._sent)
-            found.append(replace(entry, after=state))
+            found.append(Entry(entry.stamp, entry.pose, state))
         return found
 
 
-def _likelihood(entries: Sequence[Entry]) -> float:
+def _likelihood(entries: Sequence[Entry[Kind]]) -> float:
     return sum(entry.after.likelihood for entry in entries)

@@ -104,7 +104,7 @@ class ExactPoseEstimator:
         plant = self.plant
         # Because of the lag, inputs sent before the pose was measured have yet to take effect:
         # relative to the inputs the pose is older by the lag.
-        constants, step = plant.constants.as_array(), self._settings.integration_step
+        constants, step = plant.constants.as_array(), self._settings.longest_step
         drift = self._drift(stamp, plant.lag, constants)
         state, drift = self._sent.predict_with_drift(
             pose, drift, stamp - plant.lag, time, constants, step
@@ -141,7 +141,7 @@ class ExactPoseEstimator:
         known, pose = result.end
         _, drift = self._sent.predict_with_drift(
             pose, result.drift, known - lag, stamp - lag, constants,
-            self._settings.integration_step,
+            self._settings.longest_step,
         )
         return drift
 

@@ -3,6 +3,7 @@
 """State of the extended Kalman filter: prediction with the inputs sent and update with a pose."""
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -53,6 +54,10 @@ State = slice(0, ERROR_SIZE)
 Parameters = slice(ERROR_SIZE, SIZE)
 Constants = slice(ERROR_SIZE, SIZE - 1)
 _LAG = SIZE - 1
+
+
+Kind = TypeVar("Kind", bound="FilterState")
+"""Model of the filter."""
 
 
 @dataclass(frozen=True)
@@ -106,13 +111,13 @@ class FilterState:
 
     @classmethod
     def at_pose(
-        cls,
+        cls: type[Kind],
         stamp: float,
         pose: Vector,
         noise: PoseNoise,
         scaling: ParameterScaling,
         parameters: ParameterDistribution,
-    ) -> "FilterState":
+    ) -> Kind:
         """Return the state after one pose, shape (6,), with the parameters known before."""
         joint = np.zeros((SIZE, SIZE))
         joint[State, State] = noise.covariance
@@ -141,8 +146,8 @@ class FilterState:
         return self.scaling.constants(self.scaled)
 
     def with_parameters(
-        self, parameters: ParameterDistribution, stamp: float, sent: SentInputs
-    ) -> "FilterState":
+        self: Kind, parameters: ParameterDistribution, stamp: float, sent: SentInputs
+    ) -> Kind:
         """Return the estimate of the robot's state at `stamp` [s] with other parameters.
 
         An error of the new lag is an error of the time to which the inputs have moved the robot,
@@ -158,7 +163,7 @@ class FilterState:
         joint = by_lag @ joint @ by_lag.T
         return replace(self, time=time, scaled=parameters.mean, joint=joint)
 
-    def predicted(self, time: float, sent: SentInputs) -> "FilterState":
+    def predicted(self: Kind, time: float, sent: SentInputs) -> Kind:
         """Return the state predicted to a later time [s] with the inputs sent."""
         if time <= self.time:
             return self
@@ -169,8 +174,8 @@ class FilterState:
         return replace(current, time=time)
 
     def updated(
-        self, stamp: float, pose: Vector, noise: PoseNoise, sent: SentInputs
-    ) -> tuple["FilterState", bool]:
+        self: Kind, stamp: float, pose: Vector, noise: PoseNoise, sent: SentInputs
+    ) -> tuple[Kind, bool]:
         """Fuse a pose, shape (6,), measured at `stamp` [s].
 
         Returns
@@ -183,7 +188,9 @@ class FilterState:
         prior = self.predicted(stamp - self.scaling.lag(self.scaled), sent)
         return prior._fused(pose, noise, sent.at(prior.time))
 
-    def _fused(self, pose: Vector, noise: PoseNoise, speeds: Vector) -> tuple["FilterState", bool]:
+    def _fused(
+        self: Kind, pose: Vector, noise: PoseNoise, speeds: Vector
+    ) -> tuple[Kind, bool]:
         """Fuse a pose of this instant, at which `speeds` [rad/s] were in force; see `updated`."""
         size = self.joint.shape[0]
         # If the lag is longer than estimated, the pose is of an earlier state.
@@ -217,7 +224,7 @@ class FilterState:
         """Return the rates of the state, shape (5,), at rotor speeds (2,) [rad/s]."""
         return state_rates(self.state, speeds, constants)
 
-    def _advanced(self, here: Vector, there: Vector, duration: float) -> "FilterState":
+    def _advanced(self: Kind, here: Vector, there: Vector, duration: float) -> Kind:
         """Return the state after a straight piece of the rotor speeds."""
         state, by_state, by_constants = propagate(
             self.state, (here, there), duration, self.constants
@@ -229,7 +236,7 @@ class FilterState:
         joint += self._process_noise(duration, 0.5 * (here + there))
         return replace(self, state=state, joint=joint)
 
-    def _corrected(self, correction: Vector) -> "FilterState":
+    def _corrected(self: Kind, correction: Vector) -> Kind:
         """Return the state with a correction of its means."""
         return replace(
             self,

@@ -65,12 +65,12 @@ class NoisyPoseEstimator:
         self._learnt = ParameterDistribution.prior(settings.drive_lag) if prior is None else prior
         self._sent = sent
         self._paper = StateEstimator(
-            sent, self._scaling, self._parameters_in_use, _pose_noise(settings)
+            sent, self._scaling, self._parameters_in_use, _pose_noise(settings), FilterState
         )
         self._drifting = self._with_drift()
 
     @property
-    def _filter(self) -> StateEstimator:
+    def _filter(self) -> StateEstimator[FilterState] | DriftStateEstimator:
         """The filter in use."""
         return self._drifting if self._drifts else self._paper
 

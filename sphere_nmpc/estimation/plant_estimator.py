@@ -94,6 +94,22 @@ class _Linearisation:
     residual: Vector
     jacobian: Vector
 
+    def whitened(self, at: Vector, variance: float) -> tuple[Vector, Vector]:
+        """Return residual (6,) and Jacobian (6, 6) at unknowns near the linearisation.
+
+        Where the drives saturate the share of this transition differs from the others' by
+        `_SHARE_SPREAD`; the component along its effect is scaled to the variance of the others.
+        """
+        jacobian = self.jacobian
+        residual = self.residual + jacobian @ (at - self.at)
+        along = jacobian[:, _SHARE]
+        square = float(along @ along)
+        if square == 0.0:
+            return residual, jacobian
+        reduced = (1.0 - (1.0 + _SHARE_SPREAD**2 * square / variance) ** -0.5) / square
+        residual = residual - reduced * along * float(along @ residual)
+        return residual, jacobian - reduced * np.outer(along, along @ jacobian)
+
 
 @dataclass(eq=False)
 class _Fitted:
@@ -101,23 +117,6 @@ class _Fitted:
 
     transition: Transition
     linearisation: _Linearisation | None = None
-
-    def whitened(self, at: Vector, variance: float) -> tuple[Vector, Vector]:
-        """Return residual (6,) and Jacobian (6, 6) at unknowns near the linearisation.
-
-        Where the drives saturate the share of this transition differs from the others' by
-        `_SHARE_SPREAD`; the component along its effect is scaled to the variance of the others.
-        """
-        part = self.linearisation
-        assert part is not None
-        residual = part.residual + part.jacobian @ (at - part.at)
-        along = part.jacobian[:, _SHARE]
-        square = float(along @ along)
-        if square == 0.0:
-            return residual, part.jacobian
-        reduced = (1.0 - (1.0 + _SHARE_SPREAD**2 * square / variance) ** -0.5) / square
-        residual = residual - reduced * along * float(along @ residual)
-        return residual, part.jacobian - reduced * np.outer(along, along @ part.jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +217,8 @@ class PlantEstimator:
             if abs(share - self.share) > _SHARE_STEP:
                 residuals = ()  # Those of drives that attain another share are no noise.
             if share < _ATTAINED:
-                self._linearise(newest, unknowns)
-                residual, _ = newest.whitened(unknowns, noise_variance(residuals, 0))
+                part = self._linearised(newest, unknowns)
+                residual, _ = part.whitened(unknowns, noise_variance(residuals, 0))
             else:
                 residual = self._residual(self._driven(transition, share), unknowns)
         self._publish(parameters, share, (*residuals, residual)[-_NOISE_WINDOW:])
@@ -249,9 +248,10 @@ class PlantEstimator:
         bold = _BOLD_ITERATIONS if len(transitions) <= _FIRST else 0
         for iteration in range(bold + _ITERATIONS):
             before = unknowns
-            for fitted in transitions:
-                self._linearise(fitted, before)
-            parts = [fitted.whitened(before, variance) for fitted in transitions]
+            parts = [
+                self._linearised(fitted, before).whitened(before, variance)
+                for fitted in transitions
+            ]
             residuals = [residual for residual, _ in parts]
             variance = expected if iteration < bold else noise_variance(residuals, SIZE)
             residual, jacobian = np.concatenate(residuals), np.vstack([j for _, j in parts])
@@ -278,19 +278,21 @@ class PlantEstimator:
         step[:SIZE] = np.linalg.solve(information[:SIZE, :SIZE], rest)
         return np.append(self._scaling.within(before[:SIZE] + step[:SIZE]), share)
 
-    def _linearise(self, fitted: _Fitted, at: Vector) -> None:
+    def _linearised(self, fitted: _Fitted, at: Vector) -> _Linearisation:
+        """Return the last linearisation where it still holds at the unknowns, else a new one."""
         known = fitted.linearisation
         if known is not None:
             moved = np.abs(at - known.at) / np.append(PRIOR_DEVIATION, _SHARE_PRIOR)
             if float(np.max(moved)) < _STILL_LINEAR:
-                return
+                return known
         driven = self._driven(fitted.transition, float(at[_SHARE]))
         residual = self._residual(driven, at)
         jacobian = np.column_stack((
             self._jacobian(driven, at, residual),
             self._by_share(fitted.transition, at, residual),
         ))
-        fitted.linearisation = _Linearisation(at, residual, jacobian)
+        found = fitted.linearisation = _Linearisation(at, residual, jacobian)
+        return found
 
     def _driven(self, transition: Transition, share: float) -> Transition:
         return transition.driven(share * self._acceleration, LONGEST_LAG)

@@ -15,10 +15,11 @@ something other than the rotors has moved the robot.
 
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import Generic
 
 import numpy as np
 
-from sphere_nmpc.estimation.filter_state import REST_NOISE, FilterState, PoseNoise
+from sphere_nmpc.estimation.filter_state import REST_NOISE, Kind, PoseNoise
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
@@ -33,15 +34,15 @@ HISTORY = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class Entry(Generic[Kind]):
     """A pose as measured at control time `stamp` [s], and the filter's state after it."""
 
     stamp: float
     pose: Vector
-    after: FilterState
+    after: Kind
 
 
-class StateEstimator:
+class StateEstimator(Generic[Kind]):
     """Extended Kalman filter with the history that poses out of order need.
 
     Parameters
@@ -54,7 +55,7 @@ class StateEstimator:
         Prior of the parameters; one without variance is taken as exact.
     noise : PoseNoise
         Measurement noise of the poses.
-    kind : type of FilterState, optional
+    kind : type of FilterState
         Model of the filter.
     """
 
@@ -64,7 +65,7 @@ class StateEstimator:
         scaling: ParameterScaling,
         parameters: ParameterDistribution,
         noise: PoseNoise,
-        kind: type[FilterState] = FilterState,
+        kind: type[Kind],
     ) -> None:
         self._kind = kind
         self._sent = sent
@@ -72,7 +73,7 @@ class StateEstimator:
         self._parameters = parameters
         self.noise = noise
         """Measurement noise of the poses from now on."""
-        self._history: deque[Entry] = deque(maxlen=HISTORY)
+        self._history: deque[Entry[Kind]] = deque(maxlen=HISTORY)
         self.outliers = 0
         """Poses rejected since the start."""
         self.restarts = 0
@@ -94,7 +95,7 @@ class StateEstimator:
         return self._history[-1].after.drift if self._history else NO_DRIFT
 
     @property
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[Entry[Kind]]:
         """Poses and states that are kept, oldest first."""
         return list(self._history)
 
@@ -133,7 +134,7 @@ class StateEstimator:
             False if there is one of this time already or it is older than the history.
         """
         before = self._history.copy()
-        later: list[Entry] = []
+        later: list[Entry[Kind]] = []
         while self._history and self._history[-1].stamp > stamp:
             later.append(self._history.pop())
         known = bool(self._history) and self._history[-1].stamp == stamp
@@ -150,7 +151,7 @@ class StateEstimator:
         self._parameters = self._history[-1].after.parameters
         return True
 
-    def predict(self, time: float) -> FilterState | None:
+    def predict(self, time: float) -> Kind | None:
         """Return the filter's state predicted to control time `time` [s]; None without a pose."""
         return self._history[-1].after.predicted(time, self._sent) if self._history else None
 
@@ -164,10 +165,10 @@ class StateEstimator:
                 after = self._after_outlier(after, stamp, pose)
         self._history.append(Entry(stamp, pose, after))
 
-    def _at_pose(self, stamp: float, pose: Vector) -> FilterState:
+    def _at_pose(self, stamp: float, pose: Vector) -> Kind:
         return self._kind.at_pose(stamp, pose, self.noise, self._scaling, self._parameters)
 
-    def _after_outlier(self, predicted: FilterState, stamp: float, pose: Vector) -> FilterState:
+    def _after_outlier(self, predicted: Kind, stamp: float, pose: Vector) -> Kind:
         """Return the prediction, or the state restarted from the last outliers."""
         self.outliers += 1
         outliers = (*predicted.outliers, (stamp, pose))

@@ -65,6 +65,10 @@ class GraphMonitor:
         """Return the full names of the nodes that publish a topic, one for each endpoint."""
         return [full_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
 
+    def known_publishers(self, topic: str) -> list[str]:
+        """Return the full names of the nodes that publish a topic, once their names are known."""
+        return [name for name in self.publishers(topic) if name != UNKNOWN]
+
     def further_publishers(self, clocked: bool) -> list[GraphFault]:
         """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
         pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))

@@ -24,9 +24,10 @@ _NO_MOMENTUM_ROW.flags.writeable = False
 class HoldProblem:
     """Find the knots u_1 ... u_N of a first-order hold that starts at the input in force u_0.
 
-    Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction),
+    Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction) and
+    |.|_s the norm in which positions are multiplied by s = `position_scale`,
 
-        w_T (|x_N - x_d|^2 + (r_h . h_N)^2 + t^2) + w_x sum_{m=1}^{N-1} |x_m - x_d|^2
+        w_T (|x_N - x_d|_s^2 + (r_h . h_N)^2 + t^2) + w_x sum_{m=1}^{N-1} |x_m - x_d|_s^2
             + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
             + w_s sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
 
@@ -57,6 +58,8 @@ class HoldProblem:
         a [rad/s^2]; has no effect unless `slew_weight` is positive.
     max_step : float
         Longest integration step [s].
+    position_scale : float
+        s [1/m], what a position's error counts in the cost over that of a quaternion component.
     drift : ndarray, shape (8,)
         Drift at the start as an array, `sphere_nmpc.model.drift.Drift.as_array`.
     momentum_row : ndarray, shape (3,)
@@ -90,6 +93,7 @@ class HoldProblem:
     slew_weight: float = 0.0
     max_acceleration: float = np.inf
     max_step: float = DEFAULT_MAX_STEP
+    position_scale: float = 1.0
     drift: Vector = field(default_factory=lambda: _NO_DRIFT)
     input_reference: Vector = field(default_factory=lambda: _ZERO_INPUT)
     momentum_row: Vector = field(default_factory=lambda: _NO_MOMENTUM_ROW)
@@ -108,8 +112,8 @@ class HoldProblem:
             self.state, goal, self.input_in_force, self.durations, self.constants, self.lower,
             self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
             self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
-            self.drift, self.input_reference, self.momentum_row, self.steady_interval,
-            self.steady_axis, self.whole_turns,
+            self.position_scale, self.drift, self.input_reference, self.momentum_row,
+            self.steady_interval, self.steady_axis, self.whole_turns,
         )
 
 
@@ -120,6 +124,9 @@ class SolveStatus(Enum):
     CAPPED = "iteration cap"
     BUDGET = "time budget"
     NOT_FINITE = "not finite"
+    """Cost or gradient at the best iterate are not finite."""
+    STALLED = "no step lowers the cost"
+    """The damping has exceeded its bound: at round-off, or where every trial is not finite."""
 
 
 @dataclass(frozen=True)

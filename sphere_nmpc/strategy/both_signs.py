@@ -13,10 +13,7 @@ from dataclasses import dataclass, replace
 from sphere_nmpc.model.state import Vector, flipped_sign
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
-
-_SETTLED_COST = 1e-4
-"""Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled;
-below it the other sign is not solved for."""
+from sphere_nmpc.strategy.stationary_point import SETTLED_COST
 
 PLAN_KEEPING = SolverSettings(max_iterations=30, decrease_floor=5e-6, initial_damping=0.02)
 """Settings for a receding horizon that carries out its plans.
@@ -53,8 +50,14 @@ class SignedSolutions:
     def solution(self) -> HoldSolution:
         """The solution to follow."""
         found = self.solutions[self.followed]
-        assert found is not None
+        if found is None:
+            raise ValueError(f"followed: given sign {self.followed}, which was not solved for")
         return found
+
+    @property
+    def solve_time(self) -> float:
+        """Wall time of all solves [s]."""
+        return sum(found.solve_time for found in self.solutions if found is not None)
 
     def inputs_for(self, sign: int) -> Vector:
         """Return the knots for the warm start of a sign, shape (N + 1, 2) [rad/s]."""
@@ -107,7 +110,7 @@ def solve_both_signs(
     """
     first = _signed(problem, followed)
     solution = solvers[0].solve(first, starts[followed], time_budget)
-    if solution.cost <= _SETTLED_COST:
+    if solution.cost <= SETTLED_COST:
         return SignedSolutions(_ordered(solution, None, followed), followed)
     other = 1 - followed
     second = solvers[1].solve(_signed(problem, other), starts[other], time_budget)

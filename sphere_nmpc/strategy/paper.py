@@ -4,6 +4,8 @@
 
 Stage cost ||x - x_d||^2 + alpha ||u||^2, terminal cost beta ||x - x_d||^2 (Eq. 34) on the raw
 difference of quaternions, warm start shifted by one knot with zero as its last knot (step 6).
+Step 1 leaves the initial guess open. It is rest, and where that leads to a stationary point short
+of the goal, loops of the rotor speeds (`sphere_nmpc.strategy.stationary_point`).
 
 Between two knots the same problem is solved with its first interval shortened, so that a higher
 control rate corrects a disturbance earlier. At the paper's rate this never happens.
@@ -18,9 +20,16 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
+from sphere_nmpc.strategy.both_signs import SignedSolutions
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.stationary_point import (
+    NO_PROGRESS,
+    SETTLED_COST,
+    Progress,
+    loops,
+)
 
 _SHORTEST_INTERVAL = 1e-6
 """Time to a knot [s] below which it counts as passed."""
@@ -37,16 +46,17 @@ class PaperStrategy:
         Limits of the drives.
     input_weight_factor : float, optional
         Factor on alpha.
+    settled_cost : float, optional
+        Cost [squared error] up to which stationary points are accepted.
     """
 
     def __init__(
-        self,
-        settings: ControllerSettings,
-        robot: RobotParameters,
-        input_weight_factor: float = 1.0,
+        self, settings: ControllerSettings, robot: RobotParameters,
+        input_weight_factor: float = 1.0, settled_cost: float = SETTLED_COST,
     ) -> None:
         self._robot = robot
         self._input_weight_factor = input_weight_factor
+        self._settled_cost = settled_cost
         self.change(settings)
         self.reset()
 
@@ -56,37 +66,69 @@ class PaperStrategy:
         self._solver = HoldSolver(SolverSettings(max_iterations=settings.max_iterations))
 
     def reset(self) -> None:
-        """Forget the warm start and the grid of knots."""
-        self._last: FirstOrderHold | None = None
+        """Forget the warm starts and the grid of knots."""
+        self._plans: tuple[FirstOrderHold | None, FirstOrderHold | None] = (None, None)
+        self._followed = 0
         self._origin: float | None = None
+        self._progress = Progress(self._settled_cost)
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
         times = self._knot_times(situation.time)
         problem = self._problem(situation, times)
-        solution = self._solve(problem, times, situation.time_budget)
+        answer, solve_time, message = self._best_answer(problem, times, situation.time_budget)
+        solution = answer.solution
         if solution.status is SolveStatus.NOT_FINITE:
             raise ArithmeticError("the optimal control problem has no finite cost")
+        self._plans = (
+            FirstOrderHold(times, answer.inputs_for(0)),
+            FirstOrderHold(times, answer.inputs_for(1)),
+        )
+        self._followed = answer.followed
         capped = solution.status is not SolveStatus.CONVERGED
         settings = self._settings
-        initial = float(np.sum((situation.state - situation.goal) ** 2))
+        error = settings.units.scaled(situation.state) - settings.units.scaled(situation.goal)
         return Plan(
             PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
             FirstOrderHold(times, solution.inputs),
             solution.states,
             # The solver's cost is divided by beta and lacks the stage cost of the initial state.
-            cost=settings.terminal_weight * solution.cost + initial,
+            cost=settings.terminal_weight * solution.cost + float(error @ error),
             iterations=solution.iterations,
             kkt_residual=solution.kkt_residual,
-            solve_time=solution.solve_time,
-            message=solution.status.value,
+            solve_time=solve_time,
+            message=message or solution.status.value,
         )
 
-    def _solve(self, problem: HoldProblem, times: Vector, time_budget: float) -> HoldSolution:
-        start = self._warm_start(self._last, times[1:], problem.input_reference)
-        solution = self._solver.solve(problem, start, time_budget)
-        self._last = FirstOrderHold(times, solution.inputs)
-        return solution
+    def _best_answer(
+        self, problem: HoldProblem, times: Vector, time_budget: float
+    ) -> tuple[SignedSolutions, float, str]:
+        """Return the solution from the warm start or better ones, their solve time and a message.
+
+        Further initial guesses are tried where the warm start leads to a stationary point.
+        """
+        rest = problem.input_reference
+        starts = [self._warm_start(plan, times[1:], rest) for plan in self._plans]
+        best = self._solve(problem, (starts[0], starts[1]), self._followed, time_budget)
+        solve_time, message = best.solve_time, ""
+        if self._progress.has_ended(float(times[-1]), best.solution):
+            message = NO_PROGRESS
+            for guess in loops(problem):
+                left = time_budget - solve_time
+                if left <= 0.0:
+                    break
+                answer = self._solve(problem, (guess, guess), best.followed, left)
+                solve_time += answer.solve_time
+                if answer.solution.cost < best.solution.cost:
+                    best, message = answer, ""
+        return best, solve_time, message
+
+    def _solve(
+        self, problem: HoldProblem, starts: tuple[Vector, Vector], followed: int,
+        time_budget: float,
+    ) -> SignedSolutions:
+        """Solve for the goal's quaternion as it is given."""
+        return SignedSolutions((self._solver.solve(problem, starts[0], time_budget), None), 0)
 
     def _knot_times(self, now: float) -> Vector:
         period = self._settings.period
@@ -105,7 +147,9 @@ class PaperStrategy:
 
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
         settings, limit = self._settings, self._robot.max_rotor_speed
-        input_weight = self._input_weight_factor * settings.input_weight
+        input_weight = self._input_weight_factor * settings.alpha
+        if situation.drift.is_zero:  # with momentum the rest may need all of it
+            limit = min(limit, settings.units.max_speed)
         durations = np.diff(times)
         upper = np.full((durations.size, INPUT_SIZE), limit)
         # The first ramp is the one that is sent: it keeps the acceleration limit exactly.
@@ -126,5 +170,6 @@ class PaperStrategy:
             terminal_weight=1.0,
             stage_weight=1.0 / settings.terminal_weight,
             input_weight=input_weight * limit**2 / settings.terminal_weight,
-            max_step=settings.integration_step,
+            max_step=settings.longest_step,
+            position_scale=settings.units.position_scale,
         )

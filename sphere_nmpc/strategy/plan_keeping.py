@@ -14,11 +14,14 @@ that the rotors can hold, and inputs are weighed by their difference from the sp
 from dataclasses import replace
 
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution
-from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
+from sphere_nmpc.solver.problem import HoldProblem
+from sphere_nmpc.strategy.both_signs import (
+    SignedSolutions,
+    plan_keeping_solvers,
+    solve_both_signs,
+)
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.holdable_goal import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.paper import PaperStrategy
@@ -33,12 +36,6 @@ class PlanKeepingStrategy(PaperStrategy):
         """Use other weights, horizon and cap on iterations; the warm starts are kept."""
         super().change(settings)
         self._solvers = plan_keeping_solvers(settings.max_iterations)
-
-    def reset(self) -> None:
-        """Forget the warm starts and the grid of knots."""
-        super().reset()
-        self._plans: tuple[FirstOrderHold | None, FirstOrderHold | None] = (None, None)
-        self._followed = 0
 
     def plan(self, situation: Situation) -> Plan:
         """Solve the problem for both signs of the goal that the rotors can hold."""
@@ -62,16 +59,9 @@ class PlanKeepingStrategy(PaperStrategy):
         """Return the drift at the end of the horizon."""
         return situation.drift.after_slope(self._settings.horizon * self._settings.period)
 
-    def _solve(self, problem: HoldProblem, times: Vector, time_budget: float) -> HoldSolution:
-        rest = problem.input_reference
-        first, second = (self._warm_start(plan, times[1:], rest) for plan in self._plans)
-        answer = solve_both_signs(
-            self._solvers, problem, (first, second), self._followed, time_budget=time_budget
-        )
-        self._plans = (
-            FirstOrderHold(times, answer.inputs_for(0)),
-            FirstOrderHold(times, answer.inputs_for(1)),
-        )
-        self._followed = answer.followed
-        both = (solution for solution in answer.solutions if solution is not None)
-        return replace(answer.solution, solve_time=sum(solution.solve_time for solution in both))
+    def _solve(
+        self, problem: HoldProblem, starts: tuple[Vector, Vector], followed: int,
+        time_budget: float,
+    ) -> SignedSolutions:
+        """Solve for both signs of the goal's quaternion."""
+        return solve_both_signs(self._solvers, problem, starts, followed, time_budget)

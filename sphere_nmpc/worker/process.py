@@ -8,11 +8,9 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
-from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
+from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
 _MOST_PENDING = 8
@@ -48,7 +46,7 @@ class WorkerProcess:
         self._on_fault = on_fault
         self._pending: deque[Reply[Any]] = deque()
         self._sizes: deque[int] = deque()
-        self._connection: Connection | None = None
+        self._connection: Channel | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._start()
 
@@ -66,9 +64,15 @@ class WorkerProcess:
     def submit(self, task: Task[Result]) -> Reply[Result]:
         """Send a task to the process; see `Worker.submit`."""
         reply: Reply[Result] = Reply()
+        try:
+            content = encoded(task)
+        except Exception as error:
+            # Whatever cannot be sent must not reach the control loop.
+            reply.error = f"given a task that cannot be sent: {type(error).__name__}: {error}"
+            self._on_fault(reply.error)
+            return reply
         self._restart()
         connection = self._connection
-        content = bytes(ForkingPickler.dumps(task))
         full = len(self._pending) >= _MOST_PENDING
         if connection is None or full or sum(self._sizes) + len(content) > _MOST_BYTES:
             reply.error = "the worker has ended" if connection is None else "the worker is busy"
@@ -76,7 +80,7 @@ class WorkerProcess:
         if not self._pending:
             self._heard = time.monotonic()
         try:
-            connection.send_bytes(content)
+            connection.send(content)
         except _CONNECTION_ERRORS as error:
             self._replace(str(error))
             reply.error = "the worker has ended"
@@ -91,13 +95,15 @@ class WorkerProcess:
         if connection is None or not self._pending:
             return
         try:
-            while self._pending and connection.poll(0.0):
-                result, error = connection.recv()
+            while self._pending:
+                result, error = connection.receive()
                 self._heard, self._patience = time.monotonic(), _PATIENCE
                 reply, _ = self._pending.popleft(), self._sizes.popleft()
                 reply.result, reply.error, reply.ready = result, error, not error
                 if error:
                     self._on_fault(error)
+        except BlockingIOError:
+            pass  # What is left has not arrived as a whole.
         except _CONNECTION_ERRORS:
             self._replace("it has ended")
             return
@@ -126,20 +132,21 @@ class WorkerProcess:
         """Start a process; it ends when the other end of its connection is closed."""
         self._started = self._heard = time.monotonic()
         self._patience = _FIRST_PATIENCE
-        # What is found here has to be found there, and nothing else: the folder that a module is
-        # started in comes first.
-        path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)
         try:
-            here, there = Pipe()
+            here, there = Channel.pair()
         except OSError as error:
             self._on_fault(f"worker not started: {error}")
             return
-        command = [sys.executable, "-m", "sphere_nmpc.worker.serve", str(there.fileno())]
         try:
+            # What is found here has to be found there, and nothing else: the folder that a module
+            # is started in comes first.
+            path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)
+            command = [sys.executable, "-m", "sphere_nmpc.worker.serve", str(there.fileno())]
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, pass_fds=[there.fileno()], cwd=os.sep,
                 env={**os.environ, "PYTHONPATH": path},
             )
+            here.never_wait()
             self._connection = here
         except OSError as error:
             here.close()

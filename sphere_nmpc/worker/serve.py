@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Program of the worker process: does the tasks that arrive until its connection is closed.
+"""Program of the worker process: does the tasks that arrive until its channel is closed.
 
 It is started by `sphere_nmpc.worker.process` as ``python -m sphere_nmpc.worker.serve DESCRIPTOR``.
 """
@@ -11,9 +11,9 @@ import os
 import signal
 import sys
 from importlib import import_module
-from multiprocessing.connection import Connection
 
 from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_nmpc.worker.contract import Store
 
 _NICENESS = 5
@@ -22,23 +22,22 @@ _USED = ("sphere_nmpc.strategy.time_optimal.search_task", "sphere_nmpc.estimatio
 """Modules of the tasks, loaded before the first of them arrives."""
 
 
-def serve(connection: Connection) -> None:
+def serve(channel: Channel) -> None:
     """Do the tasks that arrive; each is answered by its result and an error, empty if none."""
     store: Store = {}
     with contextlib.suppress(EOFError, OSError):
         while True:
-            task = connection.recv()
-            result, error = None, ""
+            task = channel.receive()
             try:
-                result = task(store)
+                answer = encoded((task(store), ""))
             except Exception as raised:
                 # One failed task must not prevent the next ones.
-                error = f"{type(raised).__name__}: {raised}"
-            connection.send((result, error))
+                answer = encoded((None, f"{type(raised).__name__}: {raised}"))
+            channel.send(answer)
 
 
 def main(argv: list[str]) -> int:
-    """Serve the connection whose file descriptor is the only argument."""
+    """Serve the channel whose file descriptor is the only argument."""
     # It ends with its owner, which may still need it after a signal to both.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
@@ -51,7 +50,7 @@ def main(argv: list[str]) -> int:
     for name in _USED:
         import_module(name)
     gc.freeze()
-    serve(Connection(int(argv[0])))
+    serve(Channel.inherited(int(argv[0])))
     return 0
 
 

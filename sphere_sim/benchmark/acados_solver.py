@@ -63,7 +63,8 @@ class Acados:
             )
         except OSError as error:
             raise RuntimeError(f"{python} does not start: {error.strerror}") from error
-        assert child.stdin is not None and child.stdout is not None
+        if child.stdin is None or child.stdout is None:
+            raise RuntimeError(f"{python}: started without pipes")
         self._requests, self._answers = child.stdin, child.stdout
         # The process ends with its standard input, hence also when this process ends.
         self.close = weakref.finalize(self, child.communicate)
@@ -78,7 +79,8 @@ class Acados:
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
         """Return the next rotor speeds; see `BenchmarkedSolver`."""
         request = np.concatenate(([self._start], state, self._goal, input_in_force))
-        assert request.size == REQUEST_SIZE
+        if request.size != REQUEST_SIZE:
+            raise ValueError(f"request: given {request.size} numbers, expected {REQUEST_SIZE}")
         self._start = 0.0
         try:
             self._requests.write(request.tobytes())

@@ -11,6 +11,9 @@ from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_sig
 from sphere_sim.benchmark.benchmarked_solver import Answer
 from sphere_sim.benchmark.problem import HORIZON, paper_problem, shifted
 
+_FAILURES = (SolveStatus.NOT_FINITE, SolveStatus.STALLED)
+"""How a solve ends that counts as failed; one at its cap on iterations is part of a method."""
+
 
 class BothSigns:
     """Plan-keeping settings, with a warm start for each sign of the goal's quaternion."""
@@ -32,7 +35,7 @@ class BothSigns:
         self._starts = (shifted(answer.inputs_for(0)), shifted(answer.inputs_for(1)))
         self._followed = answer.followed
         solution = answer.solution
-        return Answer(solution.inputs[1], solution.status is not SolveStatus.NOT_FINITE)
+        return Answer(solution.inputs[1], solution.status not in _FAILURES)
 
 
 class AlgorithmOne:
@@ -51,4 +54,4 @@ class AlgorithmOne:
         problem = paper_problem(state, self._goal, input_in_force)
         solution = self._solver.solve(problem, self._start)
         self._start = shifted(solution.inputs)
-        return Answer(solution.inputs[1], solution.status is not SolveStatus.NOT_FINITE)
+        return Answer(solution.inputs[1], solution.status not in _FAILURES)

@@ -7,13 +7,13 @@ from sphere_sim.benchmark.do_mpc_solver import DoMpc
 from sphere_sim.benchmark.nlp_solvers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
 from sphere_sim.benchmark.numpy_slsqp import NumpySlsqp
 from sphere_sim.benchmark.own_solvers import AlgorithmOne, BothSigns
-from sphere_sim.benchmark.report import OWN
+from sphere_sim.benchmark.report import ALGORITHM_1, PLAN_KEEPING
 
 IPOPT = "casadi ipopt"
 
 QUICK: dict[str, Maker] = {
-    OWN: BothSigns,
-    f"{OWN} (Algorithm 1)": AlgorithmOne,
+    ALGORITHM_1: AlgorithmOne,
+    PLAN_KEEPING: BothSigns,
     "scipy slsqp (casadi cost)": lambda: Slsqp(exact_gradient=False),
     IPOPT: ipopt,
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphere_nmpc.library_threads import limit_library_threads
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import not_negative, number, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.output.result_folder import prepare_folder
@@ -70,8 +70,8 @@ def _run(arguments: argparse.Namespace) -> int:
         scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind)
     draws = _draws(arguments)
     scenarios = [draws.applied_to(scenario) for scenario in scenarios]
-    strategies = tuple(dict.fromkeys(arguments.strategy or [ControllerSettings().strategy]))
-    conditions = _conditions(arguments, strategies[0])
+    strategies = tuple(dict.fromkeys(arguments.strategy or ()))
+    conditions = _conditions(arguments, strategies)
     study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
 
     def search(motions: "Sequence[Motion]") -> Sequence[float]:
@@ -81,9 +81,11 @@ def _run(arguments: argparse.Namespace) -> int:
             "continues the search"
         )
         with if_interrupted(lambda: left):
-            return best_known_times(motions, conditions.robot, workers, arguments.bound_effort)
+            known = best_known_times(motions, conditions.robot, workers, arguments.bound_effort)
+        # Runs are judged by when they settle, which is before they are at rest at the goal.
+        return [found.settling for found in known]
 
-    runs = len(scenarios) * len(strategies)
+    runs = len(scenarios) * max(1, len(strategies))
     jobs = arguments.jobs or cores()
     with Workers(jobs, arguments.scheduler) as workers, StudyProgress(runs) as progress:
         summaries = study.run(workers, None if arguments.no_bound else search, progress.count)
@@ -103,25 +105,27 @@ def _draws(arguments: argparse.Namespace) -> "DisturbanceDraws":
     )
 
 
-def _conditions(arguments: argparse.Namespace, strategy: str) -> "StudyConditions":
+def _conditions(
+    arguments: argparse.Namespace, strategies: Sequence[str]
+) -> "StudyConditions":
     from sphere_sim.study.conditions import StudyConditions
 
     position_noise, orientation_noise = arguments.pose_noise
     named = {
-        "controller.strategy": strategy,
+        "controller.strategy": strategies[0] if strategies else None,
+        "controller.learning": "false" if arguments.no_learning else None,
         "simulator.plant": arguments.plant,
         "simulator.process_noise": arguments.process_noise,
         "simulator.position_noise": position_noise,
         "simulator.orientation_noise": orientation_noise,
     }
-    if arguments.no_learning:
-        named["controller.learning"] = "false"
+    given = [(name, str(value)) for name, value in named.items() if value is not None]
     conditions = StudyConditions(
         duration=arguments.duration,
         perturbation=arguments.perturb,
         latency=arguments.latency,
     )
-    return conditions.with_settings([*((k, str(v)) for k, v in named.items()), *arguments.set])
+    return conditions.with_settings([*given, *arguments.set])
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -155,17 +159,17 @@ def _parser() -> argparse.ArgumentParser:
         "--strategy", nargs="+", action="extend", choices=STRATEGIES, metavar="NAME",
         help=f"one or several of {', '.join(STRATEGIES)}; several are compared",
     )
-    parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
+    parser.add_argument("--plant", choices=PLANTS, help=f"plant of the runs ({PLANTS[0]})")
     parser.add_argument(
         "--perturb", type=not_negative, default=0.0, metavar="PERCENT",
         help="largest error of the robot's parameters, whose nominal values the controller has",
     )
     parser.add_argument(
-        "--process-noise", type=not_negative, default=0.0, metavar="S",
+        "--process-noise", type=not_negative, metavar="S",
         help="standard deviation of the noise added to each state every noise_period (0.5 s)",
     )
     parser.add_argument(
-        "--pose-noise", type=not_negative, nargs=2, default=(0.0, 0.0),
+        "--pose-noise", type=not_negative, nargs=2, default=(None, None),
         metavar=("METRES", "RADIANS"),
         help="standard deviation of the measured position and orientation",
     )
@@ -214,7 +218,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
-        help="one or several other settings, such as horizon=8 simulator.sample_period=0.25",
+        help="one or several other settings, in any order, each once: controller.NAME, "
+        "simulator.NAME, robot.NAME, rigid_body.NAME or disturbances.NAME, such as "
+        "controller.horizon=8; the prefix may be left out. msg_docs/parameters.md lists the "
+        "names; one that no study reads is refused with those that it reads",
     )
     return parser
 

@@ -42,7 +42,6 @@ def compute_other(plan: DemoPlan, recorded: Run) -> Run:
     settings = dataclasses.replace(
         SimulatorSettings(**own),
         initial_state=tuple(plan.scenario.start),
-        sample_period=controller.control_period,
     )
     trajectory = run_closed_loop(
         Simulator(settings, RobotParameters(**true)),

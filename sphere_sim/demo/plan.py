@@ -163,7 +163,6 @@ def make_plan(
         "initial_state": scenario.start.tolist(),
         "real_time_factor": real_time_factor,
         "lockstep": lockstep,
-        "sample_period": ControllerSettings(strategy=strategy).control_period,
         "seed": seed,
         "start_paused": True,
     }

@@ -76,7 +76,7 @@ def run_closed_loop(
     control_period : float
         Time between sampling instants [s].
     output_period : float, optional
-        Spacing of the rows of the trajectory [s].
+        Spacing of the rows of the trajectory [s]; the controller does not see it.
     latency : float, optional
         Age of the newest pose at a sampling instant [s]; its stamp is the time of measurement.
         Before the run the sphere is measured at rest at its start. Only for a sensor without
@@ -121,10 +121,10 @@ def run_closed_loop(
             break
         if plain and (now + delay) % control == 0 and now > 0:
             pending.append((now + delay, simulator.time, simulator.measured_state()))
-        if not plain:
-            for stamp_ns, pose in simulator.poses():
-                controller.observe(stamp_ns / NANOSECONDS, pose)
         if now % control == 0:
+            if not plain:
+                for stamp_ns, pose in simulator.poses():
+                    controller.observe(stamp_ns / NANOSECONDS, pose)
             while pending and pending[0][0] <= now:
                 _, stamp, state = pending.popleft()
                 controller.observe(stamp, state)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Best known time: that of the fastest motion from start to goal that was found.
+"""Best known times: those of the fastest motion from start to goal that was found.
 
 A long multi-start search for arrivals on a coarse grid of knots, whose best result is shortened
 on finer and finer grids: to rest, |u| <= u_max, |du/dt| <= the limit of acceleration and torque.
@@ -8,6 +8,7 @@ The true minimum time may be shorter.
 """
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import nearer_sign, state_error
 from sphere_nmpc.model.torque import within_torque
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
@@ -27,8 +29,8 @@ from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_sim.evaluation.metrics import SETTLED_ERROR
-from sphere_sim.study.best_known_cache import BestKnownCache
+from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index, state_errors
+from sphere_sim.study.best_known_cache import BestKnownCache, BestKnownTimes
 from sphere_sim.study.motion import AT_REST, Motion
 from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
@@ -54,12 +56,16 @@ _DRIFT_STEPS = 16
 """Steps in which the drift is raised."""
 _STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
 """Factors of the duration that are tried in turn on a finer grid [-]."""
+_RESOLUTION = 0.01
+"""Resolution of the settling time [s], that of the runs."""
 _LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
 """Share of the duration by which a motion is shortened, at first and at last [-]."""
 
 
-def best_known_time(motion: Motion, robot: RobotParameters, factor: float = 1.0) -> float:
-    """Return the time of the fastest motion found [s]; nan if none, 0 if the start is settled.
+def best_known_time(
+    motion: Motion, robot: RobotParameters, factor: float = 1.0
+) -> BestKnownTimes:
+    """Return the times of the fastest motion found; 0 if the start is settled.
 
     Parameters
     ----------
@@ -71,21 +77,44 @@ def best_known_time(motion: Motion, robot: RobotParameters, factor: float = 1.0)
         Work of each search over `EFFORT` [-].
     """
     if state_error(motion.start, motion.goal) < SETTLED_ERROR and motion.starts_at_rest:
-        return 0.0
+        return BestKnownTimes(0.0, 0.0)
     robot = within_torque(robot)
     goal = nearer_sign(motion.goal, motion.start)
     situation = Situation(
         0.0, motion.start, goal, motion.speeds, robot.lumped, drift=motion.drift
     )
-    earliest = float("nan")
+    earliest: Arrival | None = None
     for seed in range(SEARCHES):
         arrival = _searched(situation, robot, seed, _work(factor))
         for period in GRIDS[1:]:
             if arrival is not None:
                 arrival = _refined(arrival, period, situation, robot)
-        if arrival is not None:
-            earliest = float(np.fmin(earliest, arrival.duration))
-    return earliest
+        if arrival is not None and (
+            earliest is None or arrival.duration < earliest.duration
+        ):
+            earliest = arrival
+    if earliest is None:
+        return BestKnownTimes(math.nan, math.nan)
+    return BestKnownTimes(earliest.duration, _settling(earliest, situation))
+
+
+def _settling(arrival: Arrival, situation: Situation) -> float:
+    """Return the time from which the error of a motion stays below `SETTLED_ERROR` [s].
+
+    It is sampled from the last knot above that on. Before that knot the states at the knots
+    suffice, also of a motion with whole turns, which its solution does not integrate.
+    """
+    hold = arrival.hold
+    knot = max(0, (settling_index(state_errors(arrival.states, arrival.goal)) or 0) - 1)
+    times = np.arange(hold.times[knot], hold.end, _RESOLUTION)
+    times = np.unique(np.concatenate((times, hold.times[knot:])))
+    states = roll_out(
+        arrival.states[knot], np.array([hold.at(time) for time in times]), np.diff(times),
+        situation.constants.as_array(), _STEP,
+        replace(situation.drift, momentum=arrival.momenta[knot]),
+    )
+    index = settling_index(state_errors(states, arrival.goal))
+    return hold.end if index is None else float(times[index])
 
 
 def _work(factor: float) -> int:
@@ -158,8 +187,8 @@ def _refined(
 
 def best_known_times(
     motions: Sequence[Motion], robot: RobotParameters, workers: Workers, factor: float = 1.0
-) -> list[float]:
-    """Return the best known time of each motion [s], from the cache where it is there.
+) -> list[BestKnownTimes]:
+    """Return the best known times of each motion, from the cache where they are there.
 
     A cache that cannot be used is a warning; all times are then searched for.
 
@@ -190,14 +219,14 @@ def best_known_times(
         with shown(bar) as progress:
             task = progress.add_task("best known times", total=len(missing))
             searches = [(key, (motion, robot, factor)) for key, motion in missing.items()]
-            for key, seconds in workers.run(best_known_time, searches, "search"):
-                cache.add(key, seconds)
+            for key, found in workers.run(best_known_time, searches, "search"):
+                cache.add(key, found)
                 progress.advance(task)
     return [cache.known[key] for key in keys]
 
 
 def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
-    """Return a key of all that the best known time depends on, to nine digits."""
+    """Return a key of all that the best known times depend on, to nine digits."""
     limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
     search = (SEARCH_VERSION, SEARCHES, _work(factor), *GRIDS)
     numbers = [*motion.start, *motion.goal, *robot.lumped.as_array(), *limits, *search]

@@ -7,12 +7,27 @@ import json
 import logging
 import math
 from pathlib import Path
-
-import numpy as np
+from typing import NamedTuple
 
 from sphere_nmpc.cache import make_private
 
 _log = logging.getLogger("sphere_nmpc")
+
+
+class BestKnownTimes(NamedTuple):
+    """Times of the fastest motion that was found; nan if none.
+
+    Attributes
+    ----------
+    duration : float
+        Time from the start to rest at the goal [s].
+    settling : float
+        Time from the start on from which the error stays below `SETTLED_ERROR` [s], somewhat
+        before the end of the motion: what the settling time of a run is compared with.
+    """
+
+    duration: float
+    settling: float
 
 
 class BestKnownCache:
@@ -21,15 +36,15 @@ class BestKnownCache:
     Parameters
     ----------
     path : Path
-        The file; created with the first time that is added. Of a key that is there several times
-        the shortest time counts; lines that are damaged are skipped.
+        The file; created with the first times that are added. Of a key that is there several
+        times the shortest motion counts; lines that are damaged are skipped.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._is_usable = True
-        self.known: dict[str, float] = {}
-        """Times [s] by key; nan where a search found no motion."""
+        self.known: dict[str, BestKnownTimes] = {}
+        """Times by key."""
         try:
             # Reading anything but a regular file might never end.
             if path.exists() and not path.is_file():
@@ -41,19 +56,22 @@ class BestKnownCache:
         # A crash may leave a line incomplete.
         for line in text.splitlines():
             with contextlib.suppress(ValueError, TypeError, RecursionError):
-                key, seconds = json.loads(line.decode())
-                if not (float(seconds) < 0.0 or math.isinf(seconds)):
-                    self.known[str(key)] = float(np.fmin(self.known.get(key, np.nan), seconds))
+                key, *seconds = json.loads(line.decode())
+                found = BestKnownTimes(*map(float, seconds))
+                if any(time < 0.0 or math.isinf(time) for time in found):
+                    continue
+                if not self.known.get(str(key), found).duration < found.duration:
+                    self.known[str(key)] = found
 
-    def add(self, key: str, seconds: float) -> None:
-        """Keep a time [s], also in the file where that is possible."""
-        self.known[key] = seconds
+    def add(self, key: str, found: BestKnownTimes) -> None:
+        """Keep times, also in the file where that is possible."""
+        self.known[key] = found
         if not self._is_usable:
             return
         try:
             make_private(self._path.parent)
             with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps([key, seconds]) + "\n")
+                file.write(json.dumps([key, *found]) + "\n")
         except OSError as error:
             self._warn("written", error)
 

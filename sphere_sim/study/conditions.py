@@ -9,13 +9,21 @@ from typing import Any
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 
 _SCENARIO_SETTINGS = ("initial_state", "seed")
+OF_NODES = {
+    "simulator": (
+        "clock", "frame_prefix", "real_time_factor", "lockstep", "lockstep_timeout",
+        "sample_period", "pose_rate", "command_timeout", "start_paused",
+    ),
+    "controller": ("goal_memory", "command_rate", "lockstep"),
+}
+"""Settings that only nodes read, by kind: they have no effect on a run of a study."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +33,7 @@ class StudyConditions:
     Attributes
     ----------
     controller : ControllerSettings
-        Settings of the controller, including its strategy.
+        Settings of the controller, including its strategy; they get the units of the robot.
     simulator : SimulatorSettings
         Settings of the simulator; start and seed come from the scenario.
     robot : RobotParameters
@@ -56,6 +64,13 @@ class StudyConditions:
 
     def __post_init__(self) -> None:
         validate(self)
+        object.__setattr__(self, "controller", self.controller.of(self.robot))
+
+    def contradiction(self) -> str | None:
+        """Return in one line how limits contradict each other; None if they do not."""
+        if self.simulator.plant != "rigid_body":
+            return None
+        return self.rigid_body.contradiction(self.robot)
 
     def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
         """Return the conditions with other values of some settings.
@@ -63,42 +78,32 @@ class StudyConditions:
         Parameters
         ----------
         assignments : iterable of (str, str)
-            Names and values as text. A name that occurs in only one of controller, simulator,
-            robot, rigid_body and disturbances needs no prefix such as in
-            ``simulator.sample_period``.
+            Names and values as text, in any order. A name that occurs in only one of controller,
+            simulator, robot, rigid_body and disturbances needs no prefix such as in
+            ``controller.horizon``.
 
         Raises
         ------
         InvalidParameterError
-            If there is no such setting, the name is ambiguous, or the value is not in its range.
+            If there is no such setting or no study reads it, one is given twice, or the values
+            are not in their ranges.
         """
-        conditions = self
+        given: dict[str, dict[str, str]] = {}
         for name, text in assignments:
-            group, _, setting = name.rpartition(".")
-            groups = [group] if group else _groups_with(setting)
-            if len(groups) > 1:
+            group, setting = _found(name, text)
+            texts = given.setdefault(group, {})
+            if setting in texts:
                 raise InvalidParameterError(
-                    name, text, " or ".join(f"{one}.{setting}" for one in groups)
+                    f"{group}.{setting}", [texts[setting], text], "one value"
                 )
-            known = _defaults(groups[0]) if groups else {}
-            if setting not in known:
-                raise InvalidParameterError(name, text, "the name of a setting")
-            if setting in _SCENARIO_SETTINGS:
-                raise InvalidParameterError(name, text, "to be left to the scenarios")
-            settings = getattr(conditions, groups[0])
-            value = _parse(name, text, known[setting])
-            changed = dataclasses.replace(settings, **{setting: value})
-            conditions = dataclasses.replace(conditions, **{groups[0]: changed})
-        return conditions
-
-
-def _groups_with(setting: str) -> list[str]:
-    return [group for group in _GROUPS if setting in _defaults(group)]
-
-
-def _defaults(group: str) -> dict[str, Any]:
-    settings = _GROUPS.get(group)
-    return {} if settings is None else {f.name: f.default for f in dataclasses.fields(settings)}
+            texts[setting] = text
+        changed = {}
+        for group, texts in given.items():
+            known = _defaults(group)
+            values = {name: _parse(name, text, known[name]) for name, text in texts.items()}
+            # All at once, as some are valid only together.
+            changed[group] = dataclasses.replace(getattr(self, group), **values)
+        return dataclasses.replace(self, **changed)
 
 
 _GROUPS: dict[str, Any] = {
@@ -108,6 +113,28 @@ _GROUPS: dict[str, Any] = {
     "rigid_body": RigidBodySettings,
     "disturbances": DisturbanceSettings,
 }
+
+
+def _found(name: str, text: str) -> tuple[str, str]:
+    """Return kind and name of a setting that a study reads."""
+    prefix, _, setting = name.rpartition(".")
+    groups = [g for g in _GROUPS if prefix in ("", g) and setting in _defaults(g)]
+    if not groups:
+        raise InvalidParameterError(name, text, f"a setting of {', '.join(_GROUPS)}")
+    if setting in _SCENARIO_SETTINGS:
+        raise InvalidParameterError(name, text, "to be left to the scenarios")
+    for group in groups:
+        if setting not in OF_NODES.get(group, ()):
+            return group, setting
+    others = {*OF_NODES[groups[0]], *_SCENARIO_SETTINGS}
+    read = ", ".join(other for other in _defaults(groups[0]) if other not in others)
+    raise InvalidParameterError(
+        name, text, f"a setting of the {groups[0]} that a study reads: {read}"
+    )
+
+
+def _defaults(group: str) -> dict[str, Any]:
+    return {name: getattr(_GROUPS[group], name) for name in quantities(_GROUPS[group])}
 
 
 def _parse(name: str, text: str, default: Any) -> Any:

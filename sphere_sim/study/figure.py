@@ -31,7 +31,7 @@ def draw(
     summaries: Mapping[str, dict[str, Any]],
     about: str,
 ) -> None:
-    """Draw settling times, their ratios to the best known times, final errors and failures.
+    """Draw settling times, their ratios to the best known ones, final errors and failures.
 
     Parameters
     ----------
@@ -66,14 +66,14 @@ def draw(
         _share(axes[1, 1], column(found, "final_error"), runs, name)
     _label_axes(axes[0, 0], "settling time [s]", "share of all runs settled")
     _label_axes(axes[0, 1], "settling time [s]", "runs")
-    _label_axes(axes[1, 0], "settling time / best known time", "share of all runs")
+    _label_axes(axes[1, 0], "settling time / that of the best known motion", "share of all runs")
     _label_axes(axes[1, 1], "error at the end, ||x - x_d||", "share of all runs")
     if any(np.any(column(found, "final_error") > 0.0) for found in results.values()):
         axes[1, 1].set_xscale("log")
     axes[1, 1].axvline(SETTLED_ERROR, color="grey", linewidth=0.8)
     if not any(column(found, "ratio").size for found in results.values()):
         axes[1, 0].set_xticks([])
-        _write_text(axes[1, 0], "best known times are not part of this study", 0.5)
+        _write_text(axes[1, 0], "best known motions are not part of this study", 0.5)
     axes[0, 0].set_xlim(left=0.0)
     for axis in axes[2]:
         axis.remove()

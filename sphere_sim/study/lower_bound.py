@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lower bound of the time between two states of rest, without drift; proof: docs/time_bound.md.
 
-With rotor speeds u the sphere rolls at v and rotates at omega, s of it about the vertical, such
-that everywhere ``c1^2 |u|^2 = (v / Rs)^2 + mu(k) s^2`` with mu(k) > 0. So the least integral of
-|u| follows from the distance and the angle of the rotation, and the least time from that integral
-and the limits of speed and acceleration.
+With rotor speeds u the sphere rolls at v and rotates at omega, omega_k of it about the vertical,
+such that everywhere ``c1^2 |u|^2 = (v / Rs)^2 + mu(k) omega_k^2`` with mu(k) > 0. So the least
+integral of |u| follows from the distance and the angle of the rotation, and the least time from
+that integral and the limits of speed, acceleration and torque.
 """
 
 import math
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, position_error
-from sphere_nmpc.model.torque import within_torque
 
 _CELLS = 1000
 """Intervals of the latitude; more of them raise the bound, by less than 1 ms from 1000 on."""
@@ -32,7 +31,6 @@ def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
     robot : RobotParameters
         Parameters and limits of the robot that moves.
     """
-    robot = within_torque(robot)
     constants = robot.lumped
     turn = angle_error(start, goal)
     first, last = (rotation.vertical(state[QUATERNION]) for state in (start, goal))
@@ -45,8 +43,21 @@ def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
         _by_latitude(float(first[2]), float(last[2]), turn, constants),
     )
     at_full_speed = least / (constants.input_gain * math.sqrt(2.0) * robot.max_rotor_speed)
-    ramp = robot.max_rotor_speed / robot.max_rotor_acceleration
+    ramp = robot.max_rotor_speed / _largest_gain(robot)
     return at_full_speed + ramp if at_full_speed >= ramp else 2.0 * math.sqrt(at_full_speed * ramp)
+
+
+def _largest_gain(robot: RobotParameters) -> float:
+    """Return a' [rad/s^2] with ``|u(t)| <= sqrt(2) a' t`` from rest, Eq. (7) of the document.
+
+    A torque limit bounds the speeds of the rotors in space, of which those against the shell are
+    a multiple that the orientation limits. For a while they may accelerate faster than this.
+    """
+    if robot.max_rotor_torque <= 0.0:
+        return robot.max_rotor_acceleration
+    least_share = 1.0 - robot.rotor_axial_inertia / robot.transverse_inertia
+    by_torque = robot.max_rotor_torque / (robot.rotor_axial_inertia * least_share)
+    return min(robot.max_rotor_acceleration, by_torque)
 
 
 def _least_input(rolled: ArrayLike, turn: float, share: ArrayLike) -> Vector:

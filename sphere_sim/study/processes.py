@@ -103,14 +103,14 @@ class Processes:
                 link = idle or self._start()
                 if link is not None:
                     hand_out(link)
-            for ready in connection.wait(list(busy)):
-                assert isinstance(ready, Connection)
-                task = name, _ = busy.pop(ready)
+            ready = connection.wait(list(busy))
+            for link in [each for each in busy if each in ready]:
+                task = name, _ = busy.pop(link)
                 try:
-                    result, failure = ready.recv()
+                    result, failure = link.recv()
                 except (EOFError, OSError):
                     deaths[name] += 1
-                    reason = self._remove(ready)
+                    reason = self._remove(link)
                     if deaths[name] == TRIES:
                         raise WorkersError(
                             f"{what} {name}: its process died {TRIES} times ({reason}); is there "
@@ -121,7 +121,7 @@ class Processes:
                 if failure is not None:
                     raise WorkersError(f"{what} {name} could not be made: {failure}")
                 if waiting:
-                    hand_out(ready)
+                    hand_out(link)
                 yield name, result
 
     def _start(self) -> Connection | None:

@@ -51,7 +51,7 @@ class RunRecord:
     ----------
     results : dict of str to Value
         By the names of `RESULT_COLUMNS` and `PUSH_RESULT_COLUMNS`, without those that compare
-        with the lower bound of the time and the best known time.
+        with the lower bound of the time and the best known motion.
     times : ndarray, shape (K,)
         Knot times of the rotor speeds [s]; empty for a run that crashed.
     speeds : ndarray, shape (K, 2)

@@ -39,9 +39,9 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
     rng = np.random.default_rng([scenario.seed, 2])
     robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
     disturbances = replace(conditions.disturbances, **scenario.disturbances)
-    plant = make_plant(
-        simulation.plant, robot, scenario.start, conditions.rigid_body, disturbances
-    )
+    # The limits of the drives are those of the nominal robot.
+    body = conditions.rigid_body.for_robot(conditions.robot)
+    plant = make_plant(simulation.plant, robot, scenario.start, body, disturbances)
     return Simulator(simulation, robot, plant), Controller(conditions.controller, conditions.robot)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Decrease of the Lyapunov function of a strategy along a run."""
+"""Decrease of the value function, or of the time left, along a run."""
 
 import itertools
 import math
@@ -17,9 +17,9 @@ _ROUNDING = 1e-9
 def stability_of(
     decisions: list[Decision], goal: Vector, conditions: StudyConditions
 ) -> dict[str, Value]:
-    """Count the steps that violate the decrease required by the proof of stability.
+    """Count the steps that violate the decrease which a strategy's argument needs.
 
-    The strategy ``paper`` has the value function of Theorem 3, which has to decrease by the stage
+    The strategy ``paper`` has the value function of Theorem 3, which should decrease by the stage
     cost (Eq. 42) outside the neighbourhood D. ``time_optimal`` has the remaining time to the
     arrival, which has to decrease by the time that passes.
 
@@ -58,14 +58,14 @@ def _value_decrease(
         report = monitor.update(
             Sample(
                 time=k * settings.control_period,
-                state=decision.state,
-                goal=goal,
+                state=settings.units.scaled(decision.state),
+                goal=settings.units.scaled(goal),
                 value=decision.plan.cost,
                 next_input=decision.plan.hold.speeds[1],
-                input_weight=settings.input_weight,
+                input_weight=settings.alpha,
                 terminal_weight=settings.terminal_weight,
                 max_speed=conditions.robot.max_rotor_speed,
             )
         )
-        judged, broken = report.judged, report.decrease_violations
+        judged, broken = report.judged, report.violations
     return {"stability_steps": judged, "stability_violations": broken}

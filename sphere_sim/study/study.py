@@ -4,6 +4,7 @@
 
 import contextlib
 import json
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,8 +25,10 @@ from sphere_sim.study.summary import summarise, with_bounds
 from sphere_sim.study.tables import replace_file, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
 
+_log = logging.getLogger("sphere_nmpc")
+
 BestKnown = Callable[[Sequence[Motion]], Sequence[float]]
-"""Returns the best known time of each motion [s]."""
+"""Returns the settling time of the best known motion for each motion [s]."""
 
 Observer = Callable[[RunRecord], None]
 """Called with each run, those recorded earlier included."""
@@ -68,7 +71,7 @@ class Study:
         workers : Workers
             Where the runs are made.
         best_known : callable, optional
-            Returns the best known times.
+            Returns the settling times of the best known motions.
         observer : callable, optional
             Is called with each run.
 
@@ -82,6 +85,9 @@ class Study:
         SphereNmpcError
             If the folder cannot take the results, or the runs cannot be made.
         """
+        contradiction = self.conditions.contradiction()
+        if contradiction is not None:
+            _log.warning("sphere_nmpc study: %s", contradiction)
         names = self.strategies or (self.conditions.controller.strategy,)
         folders = {name: self.folder / name if len(names) > 1 else self.folder for name in names}
         if len(names) > 1:
@@ -146,7 +152,7 @@ class Study:
     def _best_known(
         self, search: BestKnown, motions: Mapping[str, Sequence[Motion]]
     ) -> dict[str, Sequence[float]]:
-        """Return the best known time of each run [s], by strategy."""
+        """Return the settling time of the best known motion of each run [s], by strategy."""
         times = list(search([motion for found in motions.values() for motion in found]))
         runs = len(self.scenarios)
         return {name: times[i * runs : (i + 1) * runs] for i, name in enumerate(motions)}

@@ -30,7 +30,7 @@ _PEAKS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque_nm")
 def with_bounds(
     results: Results, lower_bounds: Sequence[float], best_known: Sequence[float] | None
 ) -> list[dict[str, Value]]:
-    """Return the results with lower bound, best known time and ratio to it where there are such.
+    """Return the results with lower bound, best known settling time and ratio to it, if any.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def with_bounds(
     lower_bounds : sequence of float
         Lower bound of the time of each run [s]; nan where there is none.
     best_known : sequence of float, optional
-        Best known time of each run [s], from its push on if there was one; nan where no motion was
-        found, 0 where the start is at the goal.
+        Settling time of the best known motion of each run [s], from its push on if there was one;
+        nan where no motion was found, 0 where the start is at the goal.
     """
     known = [0.0] * len(results) if best_known is None else map(float, best_known)
     extended = []
@@ -122,7 +122,7 @@ def headline(summary: dict[str, Any]) -> str:
             f"worst {recovery['max']:.2f})"
         )
     if ratio["count"]:
-        parts.append(f"{ratio['median']:.2f} x best known time (p99 {ratio['p99']:.2f})")
+        parts.append(f"{ratio['median']:.2f} x best known (p99 {ratio['p99']:.2f})")
     if summary["final_error"]["count"]:
         parts.append(f"final error {summary['final_error']['median']:.1e}")
     if summary["crashed"]:

@@ -110,6 +110,19 @@ class SimulatedClock:
         self._stop_at = self.next_sample(now)
         return self._stop_at
 
+    def set_sample_period(self, sample_period: int, wall: float) -> None:
+        """Continue with sampling instants of another spacing [ns]: that of the controller.
+
+        A command for an instant that is no longer one of them is not awaited, as none is sent.
+        """
+        self._sample_period = sample_period
+        now, _ = self._last
+        if self._stop_at is not None:
+            self._stop_at = self.next_sample(now)
+        if self.awaited is not None and self.awaited % sample_period:
+            self.awaited = None
+            self.restart(now, wall)
+
     def command_received(self, stamp: int, wall: float) -> None:
         """Record the arrival of a command for the instant `stamp` [ns]."""
         if stamp == self.awaited:

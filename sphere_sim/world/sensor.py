@@ -16,8 +16,8 @@ NANOSECONDS = 1_000_000_000
 class PoseSensor:
     """Sensor that measures poses at sampling instants and delivers them after a latency.
 
-    Times are simulated time [ns]. With a rate of its own the measurements depend on the seed and
-    the settings alone, not on the times at which poses are read.
+    Times are simulated time [ns]. The measurements depend on the seed and the settings alone, not
+    on the times at which poses are read, unless the sensor is plain: it measures at each of these.
 
     Parameters
     ----------
@@ -27,8 +27,7 @@ class PoseSensor:
 
     def __init__(self, settings: SimulatorSettings) -> None:
         self._settings = settings
-        rate = settings.sensor_rate
-        self._period = round(NANOSECONDS / rate) if rate > 0.0 else 0
+        self._period = round(NANOSECONDS / (settings.sensor_rate or settings.pose_rate))
         # Streams 0 and 2 belong to the process noise and to the plant's parameters.
         self._noise = np.random.default_rng([settings.seed, 1])
         self._dropouts = np.random.default_rng([settings.seed, 3])
@@ -39,12 +38,14 @@ class PoseSensor:
         self._settings = settings
 
     def next_instant(self, now: int) -> int | None:
-        """Return the first sampling instant after `now`; None without a rate of its own."""
-        return (now // self._period + 1) * self._period if self._period else None
+        """Return the first sampling instant after `now`; None for a plain sensor."""
+        if self._settings.is_sensor_plain:
+            return None
+        return (now // self._period + 1) * self._period
 
     def is_due(self, now: int) -> bool:
-        """Return whether `now` is a sampling instant of a sensor with a rate of its own."""
-        return self._period > 0 and now % self._period == 0
+        """Return whether `now` is a sampling instant of a sensor that is not plain."""
+        return not self._settings.is_sensor_plain and now % self._period == 0
 
     def sample(self, now: int, state: Vector) -> None:
         """Measure the true state, shape (6,), at this instant."""

@@ -70,9 +70,10 @@ class SimulatorSettings:
     sample_period: float = quantity(
         0.25,
         "s",
-        "Spacing of the sampling instants in lockstep; the control period of the controller",
+        "Time that ~/step advances; spacing of the sampling instants in lockstep, until a "
+        "controller tells its own on control_period",
         minimum=1e-3,
-        maximum=10.0,
+        maximum=100.0,
     )
     pose_rate: float = quantity(
         100.0, "Hz", "Rate of pose, odometry and joint states", minimum=1.0, maximum=2000.0
@@ -114,7 +115,7 @@ class SimulatorSettings:
     sensor_rate: float = quantity(
         0.0,
         "Hz",
-        "Sampling rate of the pose sensor; 0 is at each published instant",
+        "Sampling rate of the pose sensor; 0 is at pose_rate",
         minimum=0.0,
         maximum=2000.0,
     )
@@ -181,5 +182,3 @@ class PushSettings:
 
     def __post_init__(self) -> None:
         validate(self)
-        if len(self.push_impulse) != 2:
-            raise InvalidParameterError("push_impulse", self.push_impulse, "two numbers")

@@ -90,9 +90,9 @@ class Simulator:
     def poses(self) -> list[tuple[int, Vector]]:
         """Return stamps [ns] and poses, shape (6,), that the sensor has delivered by now.
 
-        Each is returned once. A sensor without a rate of its own measures at each call.
+        Each is returned once. A plain sensor measures at each call.
         """
-        if self._settings.sensor_rate <= 0.0:
+        if self._settings.is_sensor_plain:
             self._sensor.sample(self.now, self.plant.state)
         return self._sensor.delivered(self.now)
 

@@ -18,13 +18,20 @@ DRIFT = np.array([30.0, -20.0, 15.0, 20.0, -5.0, 3.0, 4.0, -8.0])
 KINDS: dict[str, dict[str, Any]] = {
     "paper": {"intervals": 4, "stage_weight": 1e-8, "input_weight": 5e-5},
     "terminal": {"intervals": 5, "input_weight": 1e-6},
-    "slew": {"intervals": 9, "input_weight": 1e-8, "slew_weight": 10.0, "max_acceleration": 150.0},
+    "slew": {
+        "intervals": 9,
+        "input_weight": 1e-8,
+        "slew_weight": 10.0,
+        "max_acceleration": 150.0,
+        "position_scale": 0.4,
+    },
     "stages and slew": {
         "intervals": 4,
         "stage_weight": 0.3,
         "input_weight": 1e-4,
         "slew_weight": 1.0,
         "max_acceleration": 150.0,
+        "position_scale": 0.4,
     },
     "stages alone": {"intervals": 3, "stage_weight": 1.0, "terminal_weight": 0.0},
     "one interval": {"intervals": 1, "input_weight": 1e-6},
@@ -36,6 +43,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "drift": DRIFT,
         "input_reference": np.array([30.0, -20.0]),
         "momentum_row": np.array([0.01, -0.02, 0.015]),
+        "position_scale": 2.5,
     },
     "drift and stages": {
         "intervals": 4,
@@ -43,6 +51,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "input_weight": 1e-4,
         "drift": DRIFT,
         "input_reference": np.array([30.0, -20.0]),
+        "position_scale": 2.5,
     },
     "steady": {
         "intervals": 9,
@@ -51,6 +60,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "steady_interval": 4,
         "steady_axis": np.array([0.6, -0.8]),
         "whole_turns": 13.7,
+        "position_scale": 2.5,
     },
     "steady and stages": {
         "intervals": 4,
@@ -60,6 +70,7 @@ KINDS: dict[str, dict[str, Any]] = {
         "steady_interval": 2,
         "steady_axis": np.array([0.6, -0.8]),
         "whole_turns": 13.7,
+        "position_scale": 0.4,
     },
 }
 

@@ -34,12 +34,16 @@ class ControlClock:
 
     def __init__(self, node: Node, on_jump: Callable[[bool | None], object]) -> None:
         self._node = node
+        clock = node.get_clock()
+        if not isinstance(clock, ROSClock):
+            raise TypeError(f"clock of the node: given {type(clock).__name__}, expected ROSClock")
+        self._ros_clock = clock
         self._on_jump = on_jump
         self._heard: int | None = None
         backwards = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
-        self._jumps = node.get_clock().create_jump_callback(backwards, post_callback=self._jumped)
+        self._jumps = clock.create_jump_callback(backwards, post_callback=self._jumped)
         self._begin()
         self.listen()
 
@@ -47,7 +51,7 @@ class ControlClock:
         """Return the present stamp [ns]; 0 before the first message on ``/clock``."""
         if self._heard is not None:
             return self._heard
-        return int(self._node.get_clock().now().nanoseconds)
+        return int(self._ros_clock.now().nanoseconds)
 
     def now(self) -> float | None:
         """Return control time [s]; None before the first message on ``/clock``."""
@@ -67,8 +71,7 @@ class ControlClock:
     def _hear(self, message: bytes) -> None:
         stamp = clock_stamp(message)
         self._heard = stamp
-        clock = self._node.get_clock()
-        assert isinstance(clock, ROSClock)
+        clock = self._ros_clock
         clock.set_ros_time_override(Time(nanoseconds=stamp, clock_type=clock.clock_type))
 
     def _begin(self) -> None:

@@ -3,8 +3,8 @@
 """The controller node: rolls the sphere to a goal position and orientation.
 
 subscribes  pose, goal_pose, joint_states while commands are late or lost
-publishes   rotor_trajectory, rotor_commands, ~/active_goal, ~/at_goal, ~/predicted_path,
-            ~/status, /diagnostics
+publishes   rotor_trajectory, rotor_commands, control_period, ~/active_goal, ~/at_goal,
+            ~/predicted_path, ~/status, /diagnostics
 services    ~/enable
 """
 
@@ -17,8 +17,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from sphere_nmpc.control.clocked_schedule import ClockedSchedule
@@ -74,8 +75,9 @@ class ControllerNode(RunnableNode):
             parameter_overrides=parameter_overrides,
             automatically_declare_parameters_from_overrides=True,
         )
-        declared = DeclaredSettings(self, ControllerSettings(), on_change=self._change)
         robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
+        own = ControllerSettings().of(robot.settings)
+        declared = DeclaredSettings(self, own, on_change=self._change)
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
         parts = (declared, robot, self._scheduling)
         warn_of_unknown(self, [name for part in parts for name in part.names])
@@ -96,6 +98,10 @@ class ControllerNode(RunnableNode):
         self._stored_goal = StoredGoal(
             self, settings.goal_memory, self._control_clock, self._fault_log
         )
+        # Before the publisher of commands, so that nobody finds that one alone.
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._period_publisher = self.create_publisher(Float64, "control_period", latched)
+        self._period_publisher.publish(Float64(data=settings.control_period))
         self._sender = CommandSender(
             self, settings.command_rate, self._control_clock.now,
             depth=1 if self._schedule.is_real_time else 10,
@@ -287,6 +293,8 @@ class ControllerNode(RunnableNode):
         return response
 
     def _change(self, settings: ControllerSettings) -> None:
+        if settings.control_period != self._settings.control_period:
+            self._period_publisher.publish(Float64(data=settings.control_period))
         self._settings, period = settings, self._schedule.timer_period
         self.controller.change(settings)
         self._reports.change(settings)

@@ -120,20 +120,20 @@ class ControllerStatus:
         return {
             "value_change": report.value_change,
             "value_change_allowed": report.allowed_change,
-            "beta_bound": report.beta_bound,
             "stability_steps": report.judged,
-            "stability_violations": report.decrease_violations,
+            "stability_violations": report.violations,
         }
 
     def _update_stability(self, decision: Decision, time: float) -> None:
-        """Update the monitor of Theorem 3, which holds for the paper's strategy only."""
+        """Update the monitor of Eq. (42), which concerns the paper's strategy only."""
         goal, settings, state = self._controller.goal, self._settings, decision.state
         if settings.strategy != "paper" or goal is None or state is None:
             return
         self._stability = self._monitor.update(
             Sample(
-                time, state, goal, decision.plan.cost,
+                time, settings.units.scaled(state), settings.units.scaled(goal),
+                decision.plan.cost,
                 decision.plan.hold.at(time + settings.period),
-                settings.input_weight, settings.terminal_weight, self._robot.max_rotor_speed,
+                settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
             )
         )

@@ -89,12 +89,12 @@ static int dense_step(workspace *w, double damping, int64_t size)
 
 /* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 7 x 7 system
  * (Woodbury's formula). */
-static int sparse_step(const problem *p, workspace *w, double damping, const double *x_end,
+static int sparse_step(const problem *p, workspace *w, double damping, const double *states,
                        double seventh_error, int64_t size)
 {
     double small[END * END], error[END], *z = w->solved;
     for (int l = 0; l < 6; l++)
-        error[l] = x_end[l] - p->goal[l];
+        error[l] = state_residual(p, states, p->intervals, l);
     error[6] = seventh_error;
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
@@ -174,7 +174,7 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     for (int pass = 0; pass < BOUND_PASSES && any; pass++) {
         int crossed = 0;
         if (!(is_dense(p) ? dense_step(w, damping, size)
-                          : sparse_step(p, w, damping, states + 6 * p->intervals,
+                          : sparse_step(p, w, damping, states,
                                         seventh_residual(p, states, momenta), size)))
             return 0;
         any = 0;
@@ -216,14 +216,16 @@ static double predicted_decrease(const problem *p, const workspace *w)
     return -(linear + 0.5 * square);
 }
 
+/* Largest component of P(v - g) - v; NaN where a component of the gradient is not finite, which the
+ * projection onto the bounds could hide. */
 static double projected_gradient(const workspace *w, int64_t size)
 {
     double largest = 0.0;
     for (int64_t i = 0; i < size; i++) {
-        const double v = w->v[i];
-        const double move = fabs(clip(v - w->gradient[i], w->lower[i], w->upper[i]) - v);
-        /* Written so that a NaN is returned. */
-        largest = move <= largest ? largest : move;
+        const double v = w->v[i], gradient = w->gradient[i];
+        if (!isfinite(gradient))
+            return NAN;
+        largest = fmax(largest, fabs(clip(v - gradient, w->lower[i], w->upper[i]) - v));
     }
     return largest;
 }

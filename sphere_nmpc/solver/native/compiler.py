@@ -150,7 +150,10 @@ def _run(command: list[str], work: Path) -> None:
 
 def _message(problem: Exception) -> str:
     """Return the end of a compiler's error output, or its exit status, in one line."""
-    printed = " ".join((getattr(problem, "stderr", None) or "").split())
+    stderr = getattr(problem, "stderr", None) or ""
+    # That of a compiler that took too long is not decoded.
+    text = stderr.decode(errors="replace") if isinstance(stderr, bytes) else stderr
+    printed = " ".join(text.split())
     if printed:
         return printed[-_MESSAGE_LENGTH:]
     status = getattr(problem, "returncode", None)

@@ -20,6 +20,7 @@ STATUSES = (
     SolveStatus.CAPPED,
     SolveStatus.BUDGET,
     SolveStatus.NOT_FINITE,
+    SolveStatus.STALLED,
 )
 """Statuses by the number that the compiled solver writes."""
 
@@ -49,6 +50,7 @@ FIELDS = (
     Field("double", "slew_weight", 1, "w_s"),
     Field("double", "max_acceleration", 1, "a [rad/s^2]"),
     Field("double", "max_step", 1, "longest integration step [s]"),
+    Field("double", "position_scale", 1, "s [1/m]"),
     Field("double", "whole_turns", 1, "time of whole turns [s]"),
     Field("double", "gradient_tolerance", 1, "see SolverSettings"),
     Field("double", "decrease_tolerance", 1, ""),

@@ -118,6 +118,7 @@ class Slot:
             problem.slew_weight,
             problem.max_acceleration,
             problem.max_step,
+            problem.position_scale,
             problem.whole_turns,
         )
         self._integers[_STEADY_INTERVAL] = problem.steady_interval

@@ -40,13 +40,25 @@ static double seventh_residual(const problem *p, const double *states, const dou
     return has_tilt(p) ? tilt(p, states + 6 * p->steady_interval + 2) : 0.0;
 }
 
+/* Factor on the error of a component of the state. */
+static double state_scale(const problem *p, int component)
+{
+    return component < 2 ? p->position_scale : 1.0;
+}
+
+/* Scaled error of a component of the state at knot m. */
+static double state_residual(const problem *p, const double *states, int64_t m, int component)
+{
+    return state_scale(p, component) * (states[6 * m + component] - p->goal[component]);
+}
+
 static double cost_of(const problem *p, const double *v, const double *inputs,
                       const double *states, const double *momenta)
 {
     const int64_t n = p->intervals;
     double terminal = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;
     for (int k = 0; k < 6; k++) {
-        const double error = states[6 * n + k] - p->goal[k];
+        const double error = state_residual(p, states, n, k);
         terminal += error * error;
     }
     if (!is_dense(p)) {
@@ -56,7 +68,7 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
     if (p->stage_weight > 0.0)
         for (int64_t m = 1; m < n; m++)
             for (int k = 0; k < 6; k++) {
-                const double error = states[6 * m + k] - p->goal[k];
+                const double error = state_residual(p, states, m, k);
                 stages += error * error;
             }
     for (int64_t i = 0; i < 2 * n; i++) {
@@ -97,9 +109,10 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
             continue;
         for (int l = 0; l < 6; l++) {
             const double *row = w->chain + l * size;
-            const double error = weight * (states[6 * m + 6 + l] - p->goal[l]);
+            const double by_row = weight * state_scale(p, l);
+            const double error = by_row * state_residual(p, states, m + 1, l);
             for (int64_t i = 0; i < limit; i++) {
-                const double factor = weight * row[i];
+                const double factor = by_row * state_scale(p, l) * row[i];
                 double *h = w->hessian + i * size;
                 w->gradient[i] += error * row[i];
                 for (int64_t j = 0; j <= i; j++)
@@ -146,7 +159,7 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     terminal_rows(p, w);
     double error[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
-        error[l] = 2.0 * p->terminal_weight * (states[6 * p->intervals + l] - p->goal[l]);
+        error[l] = 2.0 * p->terminal_weight * state_residual(p, states, p->intervals, l);
     error[6] = 2.0 * p->terminal_weight * seventh_residual(p, states, momenta);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;

@@ -128,8 +128,8 @@ static void NAME(shoot)(const problem *p, const double *inputs, double *states, 
                              states + 6 * m + 6, momenta + 3 * m + 3, jacobians + m * DERIVATIVE);
 }
 
-/* rows_i = d [x_N, residual of h_N or of the tilt] / d v_i, backwards: `sensitivity` is the derivative by y_m, and
- * d x_N / d xy_m is one. */
+/* rows_i = d [scaled x_N, residual of h_N or of the tilt] / d v_i, backwards: `sensitivity` is the
+ * derivative by y_m, and that by xy_m the position's scale. */
 static void NAME(terminal_rows)(const problem *p, workspace *w)
 {
     const int64_t n = p->intervals;
@@ -143,7 +143,7 @@ static void NAME(terminal_rows)(const problem *p, workspace *w)
         const double *a = w->interval + m * DERIVATIVE;
         double column[CARRIED + 4][ROW];
         for (int d = 0; d < CARRIED + 4; d++) {
-            double sum[ROW] = {a[d], a[DIRECTIONS + d]};
+            double sum[ROW] = {p->position_scale * a[d], p->position_scale * a[DIRECTIONS + d]};
             for (int k = 0; k < CARRIED; k++)
                 for (int l = 0; l < ROW; l++)
                     sum[l] += a[(2 + k) * DIRECTIONS + d] * sensitivity[k][l];

@@ -43,7 +43,7 @@ void hold_solve(problem *p)
     const double began = now();
     const int64_t size = 2 * p->intervals;
     double damping = p->initial_damping, growth = 2.0;
-    int expanded = 0;
+    int expanded = 0, small = 0;
     prepare(p, &w);
     p->status = CAPPED;
     p->iterations = 0;
@@ -56,7 +56,11 @@ void hold_solve(problem *p)
             expand(p, &w, w.v, p->inputs, p->states, p->momenta);
             expanded = 1;
             p->kkt_residual = projected_gradient(&w, size);
-            if (p->kkt_residual <= p->gradient_tolerance || p->cost <= p->target_cost) {
+            if (!isfinite(p->kkt_residual)) {
+                p->status = NOT_FINITE;
+                break;
+            }
+            if (small || p->kkt_residual <= p->gradient_tolerance || p->cost <= p->target_cost) {
                 p->status = CONVERGED;
                 break;
             }
@@ -78,7 +82,7 @@ void hold_solve(problem *p)
         if (isfinite(value) && decrease > 0.0) {
             const double predicted = predicted_decrease(p, &w);
             const double gain = fmin(decrease / fmax(predicted, 1e-300), 1.0);
-            const int small = decrease <= fmax(p->decrease_tolerance * p->cost, p->decrease_floor);
+            small = decrease <= fmax(p->decrease_tolerance * p->cost, p->decrease_floor);
             damping *= fmax(1.0 / 3.0, 1.0 - pow(2.0 * gain - 1.0, 3.0));
             damping = fmax(damping, MIN_DAMPING);
             growth = 2.0;
@@ -89,17 +93,11 @@ void hold_solve(problem *p)
                 memcpy(p->momenta, w.momenta, (size_t)(3 * p->intervals + 3) * sizeof *w.momenta);
             p->cost = value;
             expanded = 0;
-            if (small) {
-                expand(p, &w, w.v, p->inputs, p->states, p->momenta);
-                p->kkt_residual = projected_gradient(&w, size);
-                p->status = CONVERGED;
-                break;
-            }
         } else {
             damping *= growth;
             growth *= 2.0;
             if (damping > MAX_DAMPING) {
-                p->status = CONVERGED;
+                p->status = STALLED;
                 break;
             }
         }

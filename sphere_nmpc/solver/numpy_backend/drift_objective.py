@@ -36,13 +36,13 @@ class DriftObjective(VectorObjective):
     def _terminal_rows(self) -> tuple[Vector, Vector]:
         row = self._problem.momentum_row
         by_end = self._by_knots()[-1]
-        rows = np.vstack((by_end[:6], row @ by_end[6:]))
+        rows = np.vstack((self._scale[:, None] * by_end[:6], row @ by_end[6:]))
         residual = float(row @ self._with_drift.momenta[-1])
         return rows, np.append(self._errors[-1], residual)
 
     def _all_rows(self) -> tuple[Vector, Vector]:
         weights = self._root_weights()
-        rows = weights[:, :, None] * self._by_knots()[:, :6]
+        rows = (weights * self._scale)[:, :, None] * self._by_knots()[:, :6]
         return rows.reshape(-1, rows.shape[2]), (weights * self._errors).ravel()
 
     def _by_knots(self) -> Vector:

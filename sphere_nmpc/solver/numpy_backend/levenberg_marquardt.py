@@ -54,7 +54,7 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
     status = SolveStatus.CAPPED
     iterations = 0
     damping, growth = settings.initial_damping, 2.0
-    residual = np.inf
+    residual, small = np.inf, False
     model: QuadraticModel | None = None
     if not math.isfinite(value):
         status = SolveStatus.NOT_FINITE
@@ -62,7 +62,14 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
         if model is None:
             model = objective.expand(v)
             residual = _kkt_residual(v, model.gradient, lower, upper)
-            if residual <= settings.gradient_tolerance or value <= settings.target_cost:
+            if not math.isfinite(residual):
+                status = SolveStatus.NOT_FINITE
+                break
+            if (
+                small
+                or residual <= settings.gradient_tolerance
+                or value <= settings.target_cost
+            ):
                 status = SolveStatus.CONVERGED
                 break
         if iterations >= settings.max_iterations:
@@ -85,16 +92,11 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
             growth = 2.0
             small = decrease <= max(settings.decrease_tolerance * value, settings.decrease_floor)
             v, value, states, model = trial, trial_value, trial_states, None
-            if small:
-                residual = _kkt_residual(v, objective.expand(v).gradient, lower, upper)
-                status = SolveStatus.CONVERGED
-                break
         else:
             damping *= growth
             growth *= 2.0
             if damping > MAX_DAMPING:
-                # No descent direction at working precision.
-                status = SolveStatus.CONVERGED
+                status = SolveStatus.STALLED
                 break
     inputs = objective.inputs(v)
     inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
@@ -110,6 +112,9 @@ def _clipped(v: Vector, lower: Vector, upper: Vector) -> Vector:
 
 
 def _kkt_residual(v: Vector, gradient: Vector, lower: Vector, upper: Vector) -> float:
+    # A component that is not finite could be hidden by the projection onto the bounds.
+    if not np.isfinite(gradient).all():
+        return math.nan
     return float(np.abs(_clipped(v - gradient, lower, upper) - v).max())
 
 

@@ -40,6 +40,8 @@ class VectorObjective:
         self._to_residual = np.zeros((6, _RESIDUAL_SIZE))
         self._to_residual[0, 0] = self._to_residual[1, 1] = 1.0
         self._to_residual[2:, 2:] = ((-i, -j, -k), (w, k, -j), (-k, w, i), (j, -i, w))
+        s = problem.position_scale
+        self._scale = np.array([s, s, 1.0, 1.0, 1.0, 1.0])
         self._knots: Vector = np.empty((n + 1, 2))
         self._knots[0] = problem.input_in_force
         self._reference = np.repeat(problem.input_reference / problem.input_scale, n)
@@ -49,7 +51,8 @@ class VectorObjective:
         self._horizon = Horizon(problem.durations, problem.constants, problem.max_step)
         self._horizon.columns[self._horizon.last if self._is_dense else -1, 10] = 1.0
         to_free = -problem.constants[1]
-        self._by_input = to_free * problem.input_scale * np.array([1.0, 1.0, 0.5, 0.5, 0.5])
+        s = problem.position_scale
+        self._by_input = to_free * problem.input_scale * np.array([s, s, 0.5, 0.5, 0.5])
 
     def momenta(self, v: Vector) -> Vector:
         """Return the momenta at the knots [rad/s; world frame], shape (N + 1, 3)."""
@@ -71,7 +74,7 @@ class VectorObjective:
         problem, knots = self._problem, self._knots
         knots[1:] = problem.input_scale * v.reshape(2, -1).T
         states = self._states(knots)
-        errors = states[1:] - problem.goal
+        errors = self._scale * (states[1:] - problem.goal)
         self._errors = errors
         value = problem.terminal_weight * (float(errors[-1] @ errors[-1]) + self._further_cost())
         effort = v - self._reference
@@ -147,6 +150,7 @@ class VectorObjective:
         through[:, 2:, 2:4] = by_turn[:, :3]
         through[:, :2, 2:4] = 2.0 * by_turn[:, 3:]
         through[:, 0, 4], through[:, 1, 4] = -2.0 * sensitivity[11], 2.0 * sensitivity[10]
+        through[:, :2, 2:] *= self._problem.position_scale
         return through
 
     def _all_rows(self) -> tuple[Vector, Vector]:

@@ -33,7 +33,7 @@ class SteadyObjective(VectorObjective):
     def _tilt(self) -> tuple[float, Vector]:
         """Return the tilt and its derivative by the rotation e of dq = e (x) q, shape (3,)."""
         problem = self._problem
-        q = (self._errors[problem.steady_interval - 1] + problem.goal)[QUATERNION]
+        q = self._errors[problem.steady_interval - 1, QUATERNION] + problem.goal[QUATERNION]
         by_q = 2.0 * self._form @ q
         w, vector = q[0], q[1:]
         by_e = by_q[1:] * w - by_q[0] * vector + np.cross(vector, by_q[1:])

@@ -23,7 +23,7 @@ def cost(problem: HoldProblem, scaled: Vector) -> tuple[float, Vector]:
 
 
 def _cost_of(problem: HoldProblem, inputs: Vector, states: Vector, momentum: Vector) -> float:
-    errors = states[1:] - problem.goal
+    errors = _scale(problem) * (states[1:] - problem.goal)
     value = problem.terminal_weight * float(errors[-1] @ errors[-1])
     if not problem.stage_weight > 0.0:
         value += problem.terminal_weight * float(problem.momentum_row @ momentum) ** 2
@@ -51,6 +51,11 @@ def tilt(problem: HoldProblem, states: Vector) -> tuple[float, Vector]:
     return float(value), 2.0 * np.array(by_quaternion)
 
 
+def _scale(problem: HoldProblem) -> Vector:
+    """Return the factors on the errors of the state's components, shape (6,)."""
+    return np.array([problem.position_scale] * 2 + [1.0] * 4)
+
+
 def _slew_excess(problem: HoldProblem, inputs: Vector) -> Vector:
     """Signed excess of each knot difference over its limit, scaled, shape (N, 2)."""
     change = np.diff(inputs, axis=0)
@@ -70,12 +75,14 @@ def expand(problem: HoldProblem, scaled: Vector) -> tuple[Vector, Vector]:
     reference = np.tile(problem.input_reference / problem.input_scale, problem.intervals)
     gradient = 2.0 * problem.input_weight * (scaled - reference)
     hessian = 2.0 * problem.input_weight * np.eye(size)
+    scale = _scale(problem)
     weights = np.full(problem.intervals, problem.stage_weight)
     weights[-1] = problem.terminal_weight
     for m in range(1, problem.intervals + 1):
         if weights[m - 1] > 0.0:
-            jacobian = problem.input_scale * sensitivities[m]
-            gradient += 2.0 * weights[m - 1] * jacobian.T @ (states[m] - problem.goal)
+            jacobian = problem.input_scale * scale[:, None] * sensitivities[m]
+            error = scale * (states[m] - problem.goal)
+            gradient += 2.0 * weights[m - 1] * jacobian.T @ error
             hessian += 2.0 * weights[m - 1] * jacobian.T @ jacobian
     if not problem.stage_weight > 0.0:
         row = problem.input_scale * problem.momentum_row @ by_momentum

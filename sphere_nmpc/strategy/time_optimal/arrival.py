@@ -7,6 +7,7 @@ until then; with a centre of mass beside the centre it depends on the path, and 
 solved again with the momentum of its last solution until both agree.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, flipped_sign
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
 from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import speeds_of_rest
@@ -52,7 +53,7 @@ class Arrival:
         Goal with the quaternion sign that is aimed at.
     error : float
         Predicted terminal error, norm in R^6: square root of the cost, which also contains what
-        exceeds the acceleration limit.
+        exceeds the acceleration limit; inf where it is not finite, so that nothing is reached.
     iterations : int
         Solver iterations used.
     kkt_residual : float
@@ -209,9 +210,11 @@ class ArrivalSolver:
             start = solution.inputs[1:]
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
+        finite = solution.status is not SolveStatus.NOT_FINITE
+        error = math.sqrt(solution.cost) if finite else math.inf
         return Arrival(
             FirstOrderHold(times, solution.inputs), solution.states, goal,
-            float(np.sqrt(solution.cost)), iterations, solution.kkt_residual,
+            error, iterations, solution.kkt_residual,
             _CALL_WORK + (iterations + 1) * problem.intervals, drift, solution.momenta,
             turns,
         )

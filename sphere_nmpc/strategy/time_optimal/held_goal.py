@@ -71,9 +71,11 @@ class HeldGoal:
         if drift.is_zero:
             self._unloading = None
             return goal
-        if self._is_unloading(situation, holding):
+        unloading = self._unloading_near(situation, holding)
+        if unloading is not None:
             self.given_up = "orientation for a while: it unloads the rotors"
-            return np.concatenate((goal[:2], self._unloading_at(end or drift, found_none)))
+            self._unloading = self._unloading_at(end or drift, unloading, found_none)
+            return np.concatenate((goal[:2], self._unloading))
         margin = self._settings.held_goal_factor * situation.uncertainty
         found = holdable_goal(goal, end or self._expected(situation, holding), margin)
         self.given_up = given_up_angle(angle_error(found, goal))
@@ -91,8 +93,11 @@ class HeldGoal:
         speed = SteadyRolling.of(situation.constants, self._max_speed).speed
         return drift.after_slope(self._settings.manoeuvre_allowance + way / speed)
 
-    def _is_unloading(self, situation: Situation, holding: bool) -> bool:
-        """Return whether the rotors are being unloaded, after beginning or ending it."""
+    def _unloading_near(self, situation: Situation, holding: bool) -> Vector | None:
+        """Return the orientation, shape (4,), near which the rotors are being unloaded.
+
+        None while they are not; unloading begins and ends here.
+        """
         settings, drift = self._settings, situation.drift
         if not drift.imbalance.any():
             self._unloading = None
@@ -108,7 +113,7 @@ class HeldGoal:
             # One that is being unloaded by the torque at the goal itself needs no manoeuvre.
             if np.any((np.abs(speeds) > nearly) & (speeds * rates > 0.0)):
                 self._begin(drift, quaternion)
-        return self._unloading is not None
+        return self._unloading
 
     def _begin(self, drift: Drift, quaternion: Vector) -> None:
         """Begin to unload the rotors unless a slope loads them much faster.
@@ -122,18 +127,14 @@ class HeldGoal:
         if slope < self._settings.largest_slope_share * unload:
             self._unloading = quaternion
 
-    def _unloading_at(self, drift: Drift, other: bool) -> Vector:
+    def _unloading_at(self, drift: Drift, near: Vector, other: bool) -> Vector:
         """Return the orientation, shape (4,), that unloads the momentum of `drift` fastest."""
-        assert self._unloading is not None
         level = drift.momentum * (1.0, 1.0, 0.0)
         length = float(np.linalg.norm(level))
         # Near zero the direction is not defined, and the momentum then reverses along it.
         if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
             self._direction = level / length
-        self._unloading = _unloading_orientation(
-            drift.imbalance, self._direction, self._unloading, other
-        )
-        return self._unloading
+        return _unloading_orientation(drift.imbalance, self._direction, near, other)
 
 
 def _unloading_orientation(

@@ -46,8 +46,9 @@ class RestAtGoal:
     ) -> None:
         self._robot = robot
         self._tuning = tuning
+        # A turn that rolling does not correct is a stationary point, and is accepted.
         self._corrections = PaperStrategy(
-            self._for_corrections(settings), robot, tuning.correction_weight
+            self._for_corrections(settings), robot, tuning.correction_weight, np.inf
         )
 
     def change(self, settings: ControllerSettings) -> None:

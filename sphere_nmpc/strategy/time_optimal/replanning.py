@@ -3,9 +3,7 @@
 """Re-planning over the shrinking horizon: the rest of the plan from the measured state."""
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -18,9 +16,6 @@ from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
 from sphere_nmpc.strategy.time_optimal.states import Following
 
-Improve = Callable[[Following, int], Following]
-"""Searches for an earlier arrival than that of a plan, with an effort."""
-
 
 def replan(
     plan: Following,
@@ -28,7 +23,6 @@ def replan(
     dead_band: float,
     deadline: float,
     settings: ControllerSettings,
-    improve: Improve | None = None,
 ) -> Following | None:
     """Solve the rest of the plan again, for the same arrival time or a later one.
 
@@ -44,30 +38,27 @@ def replan(
         Steady clock reading at which to stop [s].
     settings : ControllerSettings
         Planning effort, sample period, control period.
-    improve : callable, optional
-        Called with the plan that is kept and the effort of a search for an earlier arrival;
-        returns the plan to follow. By default it is searched in line, until the deadline.
 
     Returns
     -------
     Following or None
-        None if the plan has ended, or no delay that is tried makes it reach the goal.
+        The rest of the plan, with the effort that an earlier arrival is worth now. None if the
+        plan has ended, or no delay that is tried makes it reach the goal.
     """
-    if improve is None:
-        improve = partial(_improved, situation=situation, deadline=deadline, settings=settings)
     tuning, now = plan.planner.tuning, situation.time
     left = plan.time_left(now)
     if left < tuning.ended_time:
         return None
-    rest = plan.rest(now)
+    rest, plan = plan.rest(now), replace(plan, work=0)
     if not situation.drift.is_zero:
         change = situation.drift.momentum - plan.prediction(now)[1].momentum
         if np.max(np.abs(change)) > tuning.large_change_of_momentum:
             changed = _after_change(plan, situation, rest, left, deadline)
             if changed is None:
                 return None
-            kept = replace(plan, arrival=changed, planned_at=now)
-            return improve(kept, settings.planning_effort)
+            return replace(
+                plan, arrival=changed, planned_at=now, work=settings.planning_effort
+            )
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:
@@ -76,13 +67,13 @@ def replan(
         arrival = plan.planner.solve(
             situation, plan.arrival.goal, tuning.stretched(left, delay), rest, new_plan=False
         )
-        if arrival.error <= (tuning.distant_error if arrival.turns else tuning.arrival_error):
+        found = replace(plan, arrival=arrival, planned_at=now)
+        if found.reaches:
             # After a large delay the robot does not behave as the plan assumed: plan as at first.
             is_large = delay > tuning.large_delay
             fruitless = 0 if is_large else plan.fruitless
-            kept = replace(plan, arrival=arrival, planned_at=now, fruitless=fruitless)
             work = settings.planning_effort // (1 if is_large else tuning.improvement_divisor)
-            return improve(kept, work)
+            return replace(found, fruitless=fruitless, work=work)
         if best is None or arrival.error < 0.5 * best.error:
             best = arrival
         if best.error < accepted:
@@ -126,14 +117,10 @@ def _after_change(
     return arrival
 
 
-def _improved(
-    plan: Following,
-    work: int,
-    situation: Situation,
-    deadline: float,
-    settings: ControllerSettings,
+def improved(
+    plan: Following, situation: Situation, deadline: float, settings: ControllerSettings
 ) -> Following:
-    """Use the rest of the sample to search for an earlier arrival, with effort `work`."""
+    """Use the rest of the sample to search for an earlier arrival than that of `replan`."""
     tuning, arrival, planner = plan.planner.tuning, plan.arrival, plan.planner
     tick, period = settings.control_period, settings.period
     # At a high control rate it is searched once a sample period, just after a knot.
@@ -141,10 +128,10 @@ def _improved(
     between_knots = tick < period and to_knot < period - 0.5 * tick
     short = deadline - time.perf_counter() < tuning.least_search_time
     over = plan.fruitless >= tuning.fruitless_searches
-    if arrival.duration < tuning.fixed_time or work == 0 or between_knots or short or over:
+    if arrival.duration < tuning.fixed_time or plan.work == 0 or between_knots or short or over:
         return plan
     search = DistantSearch(planner, situation, new_plan=False, start=arrival)
-    found = search.improve(work, deadline)
+    found = search.improve(plan.work, deadline)
     if found is None or found is arrival:
         return replace(plan, fruitless=plan.fruitless + 1)
     plan = replace(plan, fruitless=0)

@@ -85,7 +85,7 @@ class SearchTask:
     ) -> "SearchResult":
         situation, tuning = self.situation, planner.tuning
         start = planner.solve(situation, situation.goal, known.end, known, new_plan=False)
-        if start.error > (tuning.distant_error if start.turns else tuning.arrival_error):
+        if start.error > tuning.kept_error(start.turns):
             return SearchResult()
         search = DistantSearch(planner, situation, new_plan=False, start=start)
         found = search.improve(self.effort, end)

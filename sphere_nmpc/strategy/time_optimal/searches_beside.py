@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.roll_out import roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
@@ -65,6 +66,23 @@ class Outcome:
     planner: ArrivalPlanner
     from_rest: bool
     is_late: bool
+
+    def begins_in(self, situation: Situation) -> bool:
+        """Return whether the plan begins in this situation, whatever the time.
+
+        A sphere at rest may have been moved since, and what is estimated of it may have changed.
+        """
+        return all(
+            np.array_equal(planned, now)
+            for planned, now in zip(
+                _where(self.situation), _where(situation), strict=True
+            )
+        )
+
+
+def _where(situation: Situation) -> tuple[Vector, ...]:
+    drift = situation.drift.as_array()
+    return situation.state, situation.input_in_force, situation.constants.as_array(), drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +172,13 @@ class SearchesBeside:
         search = self._under_way
         if search is None or not self.is_due(now):
             return None
-        self._under_way = None
+        self._under_way, result = None, search.reply.result
+        if result is None:
+            return None
         late = now - search.task.situation.time
         is_late = not search.from_rest and late > max(tick, _LEAST_TICK) + _SAME_TIME
         if is_late:
             self.ahead = min(_GROWTH * self.ahead, self._tuning.search_farthest_ahead)
-        result = search.reply.result
-        assert result is not None
         return Outcome(
             search.purpose, result, search.task.situation, search.planner, search.from_rest,
             is_late,

@@ -321,6 +321,10 @@ class TimeOptimalSettings:
         """Return a duration [s] changed by a factor [-] on what of it manoeuvres take at most."""
         return duration + (factor - 1.0) * min(duration, 2.0 * self.manoeuvre_time)
 
+    def kept_error(self, turns: int) -> float:
+        """Return the terminal error [-] up to which a plan is kept, with whole turns left out."""
+        return self.distant_error if turns else self.arrival_error
+
     def dead_band(self, noise: float, uncertainty: float) -> float:
         """Return the error [-] within which the sphere rests at the goal.
 

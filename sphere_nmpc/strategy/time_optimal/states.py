@@ -44,12 +44,25 @@ class Following:
         Planner with the drive limits of the plan.
     fruitless : int
         Number of searches for an earlier arrival since the last one that found it.
+    work : int
+        Planning effort to be spent on an earlier arrival at this sample.
     """
 
     arrival: Arrival
     planned_at: float
     planner: ArrivalPlanner
     fruitless: int = 0
+    work: int = 0
+
+    @property
+    def arrives(self) -> float:
+        """Control time of the arrival [s]."""
+        return self.planned_at + self.arrival.duration
+
+    @property
+    def reaches(self) -> bool:
+        """Whether the plan reaches the goal but for an error up to which plans are kept."""
+        return self.arrival.error <= self.planner.tuning.kept_error(self.arrival.turns)
 
     def time_left(self, now: float) -> float:
         """Return the time from `now` to the arrival [s]."""

@@ -42,7 +42,7 @@ from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
 from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
-from sphere_nmpc.strategy.time_optimal.replanning import replan
+from sphere_nmpc.strategy.time_optimal.replanning import improved, replan
 from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, search_task
 from sphere_nmpc.strategy.time_optimal.searches_beside import (
     Outcome,
@@ -238,12 +238,14 @@ class TimeOptimalStrategy:
     ) -> Following | None:
         """Return what remains of the plan, or of an earlier arrival; None if it has ended."""
         settings, beside = self._settings, self._beside
+
+        def rest(plan: Following) -> Following | None:
+            return replan(plan, situation, dead_band, deadline, settings)
+
         if beside is None or not beside.available:
-            return replan(state, situation, dead_band, deadline, settings)
-
-        def improve(plan: Following, work: int) -> Following:
-            return self._search_earlier(plan, situation, work, beside)
-
+            kept = rest(state)
+            return None if kept is None else improved(kept, situation, deadline, settings)
+        followed: Following | None = None
         if beside.purpose is Purpose.EARLIER:
             outcome = beside.take(situation.time, settings.control_period)
             if outcome is not None and not outcome.is_late:
@@ -251,14 +253,17 @@ class TimeOptimalStrategy:
                 if arrival is None:
                     state = dataclasses.replace(state, fruitless=state.fruitless + 1)
                 else:
-                    earlier = Following(arrival, begins, outcome.planner)
-                    found = replan(earlier, situation, dead_band, deadline, settings, improve)
-                    if found is not None:
-                        return found
-        return replan(state, situation, dead_band, deadline, settings, improve)
+                    followed = rest(Following(arrival, begins, outcome.planner))
+        # The plan in force arrives as planned or with a delay: one that arrives before is compared
+        # with it without solving for it.
+        if not _arrives_before(followed, state):
+            kept = rest(state)
+            if kept is not None and not _arrives_before(followed, kept):
+                followed = kept
+        return None if followed is None else self._search_earlier(followed, situation, beside)
 
     def _search_earlier(
-        self, plan: Following, situation: Situation, work: int, beside: SearchesBeside
+        self, plan: Following, situation: Situation, beside: SearchesBeside
     ) -> Following:
         """Begin a search for an earlier arrival, once a sample period; return the plan."""
         tuning, settings, now = plan.planner.tuning, self._settings, situation.time
@@ -267,13 +272,13 @@ class TimeOptimalStrategy:
         over = plan.fruitless >= tuning.fruitless_searches or plan.time_left(begins) < (
             tuning.fixed_time
         )
-        if beside.purpose is None and idle and not over:
+        if beside.purpose is None and idle and plan.work and not over:
             self._improved_at = now
             hold = plan.arrival.hold.delayed(plan.planned_at)
             start = later(situation, hold, begins, tuning.precise_step)
             start = dataclasses.replace(start, goal=plan.arrival.goal)
             known = plan.rest(begins)
-            beside.begin(Purpose.EARLIER, plan.planner, start, work, known=known)
+            beside.begin(Purpose.EARLIER, plan.planner, start, plan.work, known=known)
         return plan
 
     def _found_beside(
@@ -296,11 +301,9 @@ class TimeOptimalStrategy:
             if isinstance(found, Searching):
                 return found
             self._grid.begin_again(begins)
-            if at_once:
+            if at_once and outcome.begins_in(situation):
                 return found
-            followed = replan(
-                found, situation, dead_band, deadline, settings, lambda plan, _: plan
-            )
+            followed = replan(found, situation, dead_band, deadline, settings)
             return Searching() if followed is None else followed
         if beside.purpose is not Purpose.NEW:
             start = situation
@@ -327,9 +330,8 @@ class TimeOptimalStrategy:
         not possible everything begins anew.
         """
         state, wanted = self._state, situation.goal
-        if self._goal is None:
-            self._goal = wanted
-        if np.array_equal(wanted, self._goal):
+        goal = self._goal = wanted if self._goal is None else self._goal
+        if np.array_equal(wanted, goal):
             if beside.purpose is Purpose.REDIRECT:
                 beside.cancel()
             return situation
@@ -340,20 +342,20 @@ class TimeOptimalStrategy:
         simple = situation.drift.is_zero and far < self._tuning.farthest
         if simple and isinstance(state, Searching) and beside.purpose is Purpose.NEW:
             # Goals that arrive faster than a search takes would otherwise prevent any plan.
-            return dataclasses.replace(situation, goal=self._goal)
-        failed = outcome is not None and outcome.result.arrival is None
+            return dataclasses.replace(situation, goal=goal)
+        arrival = None if outcome is None else outcome.result.arrival
+        failed = outcome is not None and arrival is None
         if not isinstance(state, Following) or not simple or failed or not beside.available:
             self.reset()
             self._grid.begin(situation.time)
             self._goal = wanted
             return situation
-        if outcome is not None and not outcome.is_late:
-            arrival, begins = outcome.result.arrival, outcome.situation.time
-            assert arrival is not None
+        if outcome is not None and arrival is not None and not outcome.is_late:
+            begins = outcome.situation.time
             for part in (self._goals, self._held_goal, self._rest_at_goal):
                 part.reset()
             self._grid.begin_again(begins)
-            self._goal = outcome.situation.goal
+            goal = self._goal = outcome.situation.goal
             self._state = Following(arrival, begins, outcome.planner)
         elif beside.purpose is not Purpose.REDIRECT:
             hold = state.arrival.hold.delayed(state.planned_at)
@@ -363,8 +365,7 @@ class TimeOptimalStrategy:
                 Purpose.REDIRECT, self._planner_for(situation),
                 dataclasses.replace(start, goal=wanted), self._settings.planning_effort,
             )
-        assert self._goal is not None
-        return dataclasses.replace(situation, goal=self._goal)
+        return dataclasses.replace(situation, goal=goal)
 
     def _resting_band(self, dead_band: float, situation: Situation) -> float:
         """Return the error below which a sphere at rest stays: with momentum it is corrected."""
@@ -441,3 +442,8 @@ class TimeOptimalStrategy:
             kkt_residual=arrival.kkt_residual,
             message=f"arrives in {arrival.duration:.2f} s, {arrival.error:.1e} off",
         )
+
+
+def _arrives_before(plan: Following | None, other: Following) -> bool:
+    """Return whether there is a plan that reaches the goal before another one does."""
+    return plan is not None and plan.reaches and plan.arrives < other.arrives

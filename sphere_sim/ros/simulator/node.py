@@ -4,32 +4,40 @@
 
 publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
             ~/pushed
-subscribes  rotor_trajectory, rotor_commands, ~/push
+subscribes  rotor_trajectory, rotor_commands, control_period, ~/push
 services    ~/reset, ~/pause, ~/step, ~/push
 """
 
+import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
+from sphere_nmpc.ros.graph_faults import GraphFault
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
+from sphere_sim.ros.simulator.controller_limits import ControllerLimits
 from sphere_sim.ros.simulator.push_receiver import PushReceiver
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.limits import beyond
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
@@ -96,6 +104,11 @@ class SimulatorNode(RunnableNode):
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._monitor = GraphMonitor(self, self._fault_log)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
+        self._robot, self._body = robot.settings, body.settings
+        self._limits = ControllerLimits(
+            self,
+            lambda: self._monitor.known_publishers(self.resolve_topic_name("rotor_trajectory")),
+        )
         self._state_publisher = StatePublisher(
             self, robot.settings.shell_radius, prefix + BODY_FRAME,
             clocked=not settings.is_on_system_clock,
@@ -103,8 +116,12 @@ class SimulatorNode(RunnableNode):
         self._receiver = CommandReceiver(
             self, self.simulator, robot.settings.max_rotor_speed,
             self._settings.command_timeout, self._fault_log, self._settings.lockstep,
-            lambda stamp: self._simulated_clock.command_received(stamp, time.monotonic()),
-            lambda: self._epoch,
+            self._command_received, lambda: self._epoch,
+        )
+        self._period_told = False
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._period_subscription = self.create_subscription(
+            Float64, "control_period", self._receive_period, latched
         )
         self._command_services = [
             self.create_service(Trigger, "~/reset", self._reset),
@@ -194,6 +211,26 @@ class SimulatorNode(RunnableNode):
             executor.spin_once(timeout_sec=0.0)
         self._spun_at = time.monotonic()
 
+    def _command_received(self, stamp: int) -> None:
+        awaited = self._simulated_clock.awaited is not None
+        if awaited and not self._period_told and self.count_publishers("control_period") > 0:
+            return  # the next instant is not known yet; the command is sent again with the pose
+        self._simulated_clock.command_received(stamp, time.monotonic())
+
+    def _receive_period(self, message: Float64) -> None:
+        """In lockstep, take over the controller's period: time stops at its instants."""
+        try:
+            period = replace(self._settings, sample_period=message.data).sample_period
+        except InvalidParameterError as error:
+            line = f"given {message.data!r}, expected {error.expected}"
+            self._fault_log.report("control_period refused", line)
+            return
+        if not self._settings.lockstep:
+            return
+        self._period_told = True
+        self._simulated_clock.set_sample_period(round(NANOSECONDS * period), time.monotonic())
+        self.get_logger().info(f"lockstep: every {period:g} s, as the controller samples")
+
     def _look_for_controller(self) -> None:
         if not self._controller_found:
             self._controller_found = self.count_publishers("rotor_trajectory") > 0
@@ -253,7 +290,8 @@ class SimulatorNode(RunnableNode):
 
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
-        self._monitor.update(self._monitor.incompatible() + others)
+        self._limits.update()
+        self._monitor.update(self._monitor.incompatible() + others + self._contradictions())
         clock, wanted = self._simulated_clock, self._settings.real_time_factor
         achieved = clock.achieved(self.simulator.now, time.monotonic())
         values = {
@@ -274,6 +312,21 @@ class SimulatorNode(RunnableNode):
         if not clock.lockstep and achieved < _SLOW * wanted:
             return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
+
+    def _contradictions(self) -> list[GraphFault]:
+        """Return the faults of limits that contradict each other, here and in the controller."""
+        faults, torque = [], math.inf
+        if self._settings.plant == "rigid_body":
+            own = self._body.contradiction(self._robot)
+            if own is not None:
+                faults.append(GraphFault("limits", own))
+            else:
+                torque = self._body.for_robot(self._robot).torque_limit
+        for controller, planned in self._limits.found.items():
+            line = beyond(self._robot, planned, controller, torque)
+            if line:
+                faults.append(GraphFault(f"limits of {controller}", line))
+        return faults
 
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
         counts = dict(self._fault_log.counts)

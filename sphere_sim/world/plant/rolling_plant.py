@@ -19,9 +19,11 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.momentum_balance import MomentumBalance
+from sphere_sim.world.plant.time_scale import step_scale
 
 MAX_STEP = 5e-3
-"""Longest Runge-Kutta step [s]: error of a 0.5 s interval at full speed below 1e-6."""
+"""Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
+1e-6 for the robot of Table 1."""
 
 _Numbers = tuple[float, ...]
 
@@ -46,6 +48,7 @@ class RollingPlant:
         disturbances: DisturbanceSettings | None = None,
     ) -> None:
         self._robot = robot
+        self._max_step = MAX_STEP * step_scale(robot)
         self._radius = robot.shell_radius
         self._rotor_inertia = robot.rotor_axial_inertia
         self._rolling_inertia = robot.total_mass * robot.shell_radius**2
@@ -82,7 +85,7 @@ class RollingPlant:
     def _disturb(self, disturbances: DisturbanceSettings) -> None:
         self._disturbances = disturbances
         self._balance = MomentumBalance(
-            self._robot, self._central_inertia, disturbances, MAX_STEP
+            self._robot, self._central_inertia, disturbances, self._max_step
         )
         self._is_disturbed = replace(disturbances, slope_direction=0.0) != DisturbanceSettings()
 
@@ -155,7 +158,7 @@ class RollingPlant:
         has_momentum = self._has_momentum
         if not has_momentum and a1 == a2 == b1 == b2 == 0.0:
             return  # without inputs and momentum the ideal sphere is at rest
-        steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
+        steps = max(1, math.ceil(duration / self._max_step - 1e-9))
         h = duration / steps
         step = self._balance.step if has_momentum else self._step
         y = (*self._y, *self._momentum) if has_momentum else self._y

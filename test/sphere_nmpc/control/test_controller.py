@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.arrival import Arrival
+from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import InvalidStateError
@@ -542,6 +543,47 @@ def test_command_that_cannot_be_joined_leaves_the_hold_in_force(controller: Cont
     found = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
     np.testing.assert_allclose(found, expected, atol=1e-11)  # rounding of 60 rad/s
     assert controller.failures == 1 and "AttributeError" in controller.last_failure
+
+
+@pytest.mark.parametrize("part", ["in_force", "ramp_to_rest", "earliest", "joined"])
+@pytest.mark.parametrize("time", [PERIOD, SETTINGS.pose_timeout + 1.0], ids=["fresh", "stale"])
+@pytest.mark.parametrize("enabled", [True, False])
+def test_command_that_fails_in_every_attempt_leaves_the_one_in_force_and_never_raises(
+    controller: Controller, strategy: Scripted, monkeypatch: pytest.MonkeyPatch, part: str,
+    time: float, enabled: bool,
+) -> None:
+    def fail(*arguments: object) -> FirstOrderHold:
+        raise ArithmeticError("made to fail")
+
+    track(controller)
+    controller.enabled = enabled
+    strategy.error = RuntimeError("no plan")
+    times = np.arange(0.0, 4.0, 0.05)
+    before = [controller.speeds_at(t) for t in times]
+    with monkeypatch.context() as patch:
+        patch.setattr(Commands, part, fail)
+        hold = controller.commit(controller.decide(time), time)
+    if hold is None:
+        np.testing.assert_array_equal([controller.speeds_at(t) for t in times], before)
+    else:
+        ramp_is_safe(hold)
+    assert hold is None or part in ("in_force", "ramp_to_rest")
+    strategy.error, controller.enabled = None, True
+    controller.observe(time + PERIOD, START)
+    assert sample(controller, time + PERIOD) is Mode.TRACKING
+
+
+def test_pose_that_stays_away_resets_the_strategy_once(
+    controller: Controller, strategy: Scripted
+) -> None:
+    away = SETTINGS.pose_timeout + 0.01
+    for began in (0.0, 10.0):
+        track(controller, began)
+        resets = strategy.resets
+        for late in (away, away + 0.002, away + 0.004, away + 1.0):
+            assert sample(controller, began + late) is Mode.NO_FRESH_POSE
+        assert strategy.resets == resets + 1
+        assert strategy.situations[-1].time == began
 
 
 def test_pose_that_the_estimator_fails_on_is_counted_and_the_next_one_is_used(

@@ -49,7 +49,7 @@ def measured(rng: np.random.Generator, state: Vector) -> Vector:
 
 
 def estimator(sent: SentInputs, parameters: ParameterDistribution = PRIOR) -> StateEstimator:
-    return StateEstimator(sent, SCALING, parameters, NOISE)
+    return StateEstimator(sent, SCALING, parameters, NOISE, FilterState)
 
 
 def predicted(found: StateEstimator, time: float) -> FilterState:

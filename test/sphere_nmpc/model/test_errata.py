@@ -23,6 +23,12 @@ RADIUS = ROBOT.shell_radius
 HOLDS = 1e-12
 """Rounding of terms of order 10 at most."""
 
+PERIOD, HORIZON, ALPHA, BETA = 0.5, 4, 0.5, 1e8
+"""Sample period [s], horizon and weights of the paper's section 4."""
+
+NEIGHBOURHOOD = 1e-2
+"""Radius of D with these weights."""
+
 FAILS = 1e-2
 """A misprint shows in the largest residual of many random states far above rounding."""
 
@@ -235,6 +241,105 @@ def test_path_of_the_contact_point_crosses_gamma_at_a_right_angle(seed: int) -> 
         k = to_world(x)[2]
         path = RADIUS * np.cross(body, k)
         np.testing.assert_allclose(path[:2], 0.0, atol=HOLDS)
+
+
+def upright(heading: float = 0.0, x: float = 0.0) -> Vector:
+    return np.array([x, 0.0, np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+
+
+def moved(start: Vector, knots: Vector | list[Vector]) -> list[Vector]:
+    """Return the states at the knots of a first-order hold from rest, one a sample period."""
+    plant = RollingPlant(ROBOT, start)
+    states = [plant.state]
+    for knot in knots:
+        plant.advance(knot, PERIOD)
+        states.append(plant.state)
+    return states
+
+
+def square(state: Vector, goal: Vector) -> float:
+    """Return ||x - x_d||^2."""
+    return float(np.sum((state - goal) ** 2))
+
+
+def value(states: list[Vector], knots: Vector | list[Vector], goal: Vector) -> float:
+    """Return the cost of Eq. (24) with the weights of Eq. (34)."""
+    pairs = zip(states[:-1], knots, strict=True)
+    stages = sum(square(x, goal) + ALPHA * float(u @ u) for x, u in pairs)
+    return stages + BETA * square(states[-1], goal)
+
+
+def test_no_step_comes_nearer_where_only_the_heading_of_an_upright_sphere_is_wrong() -> None:
+    """Assumption 3 asks for one that does; without it Theorem 2 fails for any beta."""
+    rng = np.random.default_rng(4)
+    gain = ROBOT.lumped.input_gain
+    start = upright()
+    for heading in (0.03, 0.5, 1.5, 2.5, 3.1):
+        goal = upright(heading)
+        for u in rng.uniform(-100.0, 100.0, size=(20, 2)):
+            _, after = moved(start, [u])
+            # It rolls straight, by the angle theta about a horizontal axis.
+            angle = gain * np.linalg.norm(u) * PERIOD / 2.0
+            expected = np.cos(angle / 2) * np.cos(heading / 2)
+            assert after[2:] @ goal[2:] == pytest.approx(expected, abs=1e-9)
+            assert np.linalg.norm(after[:2]) == pytest.approx(RADIUS * angle, abs=1e-9)
+            delta = square(after, goal) - square(start, goal)
+            assert delta > 0.0
+            assert BETA * delta + square(start, goal) + ALPHA * float(u @ u) > 0.0
+
+
+def test_eq_41_needs_the_present_state_in_its_last_bound() -> None:
+    """V1* is at most V_f of the state itself, and above V_f of the state that it leads to."""
+    axis = np.linspace(-100.0, 100.0, 21)
+    grid = np.array([[first, second] for first in axis for second in axis])
+    for heading, x in ((0.0, 0.5), (0.4, 1.0), (1.0, -0.3)):
+        start, goal = upright(x=x), upright(heading)
+        reached = [moved(start, [u]) for u in grid]
+        costs = [value(states, [u], goal) for states, u in zip(reached, grid, strict=True)]
+        best = int(np.argmin(costs))
+        assert costs[best] > BETA * square(reached[best][1], goal) + FAILS
+        assert costs[best] < BETA * square(start, goal) - FAILS
+
+
+def test_constant_acceleration_does_not_give_the_constant_torque_of_remark_3() -> None:
+    """Eq. (45) contains the angular acceleration of the shell."""
+    inertia, steps = ROBOT.rotor_axial_inertia, 2000
+    slope = np.array([300.0, -150.0])
+    x = np.concatenate((np.zeros(2), box_1(0.7, 0.3, -1.0)))
+    plant, torques, rotors = RollingPlant(ROBOT, x), [], []
+    for step in range(1, steps + 1):
+        u = slope * PERIOD * step / steps
+        plant.advance(u, PERIOD / steps)
+        torques.append(plant.rotor_torques)
+        rotors.append(u + rates(plant.state, u)[2][:2])
+    spread = np.ptp(torques, axis=0)
+    assert np.max(spread / np.abs(inertia * slope)) > FAILS
+    # With it they are the change of the rotors' momenta about their axes.
+    change = inertia * np.gradient(np.array(rotors), PERIOD / steps, axis=0)
+    np.testing.assert_allclose(np.array(torques)[1:-1], change[1:-1], atol=1e-4)
+
+
+def test_resting_in_the_neighbourhood_costs_n_plus_beta_times_the_square() -> None:
+    goal, still = upright(), np.zeros((HORIZON, 2))
+    for size in (1e-3, 9e-3):
+        cost = value(moved(upright(x=size), still), still, goal)
+        assert cost == pytest.approx((HORIZON + BETA) * size**2, rel=1e-12)
+        assert cost != pytest.approx((HORIZON - 1 + BETA) * size**2, rel=1e-9)
+        assert cost != pytest.approx((HORIZON - 1 + BETA) * size, rel=0.5)
+
+
+def test_cost_of_resting_allows_to_leave_the_neighbourhood_however_large_beta_is() -> None:
+    """l >= e^2 bounds the error of the next samples by sqrt(N + beta) epsilon only."""
+    goal, little = upright(), 1.9
+    start = moved(goal, np.array([[0.0, little], [0.0, 0.0]]))[-1]
+    assert 0.9 * NEIGHBOURHOOD < np.sqrt(square(start, goal)) < NEIGHBOURHOOD
+    # Along one line: on by 16 cm, back, and to the goal.
+    knots = np.array([[0.0, 60.0], [0.0, -little], [0.0, -60.0], [0.0, 0.0]])
+    states = moved(start, knots)
+    assert value(states, knots, goal) < (HORIZON + BETA) * square(start, goal)
+    largest = max(np.sqrt(square(state, goal)) for state in states)
+    assert largest > 10.0 * NEIGHBOURHOOD
+    assert largest < np.sqrt((HORIZON + BETA) * square(start, goal))
 
 
 def test_every_test_named_in_the_table_of_errata_exists() -> None:

@@ -2,14 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the nodes declare, what may change while they run, and what is refused."""
 
+from dataclasses import dataclass
+
 import pytest
 from parameter_tables import NODES, PARTS
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.parameters import DeclaredSettings
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
@@ -72,6 +76,39 @@ def test_wrong_change_is_refused_with_the_reason(controller, name, value, words)
     assert not result.successful
     assert words in result.reason
     assert controller.get_parameter(name).value == before
+
+
+@dataclass(frozen=True)
+class Band:
+    """Settings that are valid only together."""
+
+    low: float = quantity(1.0, "m", "Lower end", live=True)
+    high: float = quantity(2.0, "m", "Upper end", live=True)
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if self.low >= self.high:
+            raise InvalidParameterError("low", self.low, f"less than high = {self.high:g}")
+
+
+@pytest.mark.parametrize("band", [{"low": 5.0, "high": 6.0}, {"low": -3.0, "high": -2.0}])
+def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, band) -> None:
+    given = [Parameter("low", value=7.0), Parameter("high", value=8.0)]
+    for turn in (1, -1):
+        node = Node(
+            f"band{turn + 1}",
+            parameter_overrides=given[::turn],
+            automatically_declare_parameters_from_overrides=True,
+        )
+        declared = DeclaredSettings(node, Band())
+        assert declared.settings == Band(7.0, 8.0)
+        changes = [Parameter(name, value=value) for name, value in band.items()][::turn]
+        result = node.set_parameters_atomically(changes)
+        assert result.successful, result.reason
+        assert declared.settings == Band(**band)
+        refused = node.set_parameters_atomically([Parameter("low", value=9.0)])
+        assert not refused.successful and "less than high" in refused.reason
+        node.destroy_node()
 
 
 def test_change_of_several_is_all_or_nothing(controller) -> None:

@@ -59,7 +59,7 @@ def test_solution_states_its_own_cost_states_and_residual(make_problem, kind, ba
 
 def test_converged_point_is_stationary_and_no_random_neighbour_is_better(make_problem):
     problem = make_problem("paper", unequal=False)
-    solver = HoldSolver(SolverSettings(max_iterations=500, decrease_tolerance=0.0))
+    solver = HoldSolver(SolverSettings(max_iterations=500, decrease_tolerance=1e-14))
     solution = solver.solve(problem, rest_start(problem))
     assert solution.status is SolveStatus.CONVERGED
     assert solution.kkt_residual < 1e-6
@@ -150,6 +150,52 @@ class TestStatus:
         problem = make_problem("paper")
         solution = HoldSolver(backend=backend).solve(problem, np.full((4, 2), np.nan))
         assert solution.status is SolveStatus.NOT_FINITE
+
+    @pytest.mark.parametrize("kind_of_hessian", ["paper", "terminal"])
+    def test_gradient_that_is_not_a_number_in_one_component(
+        self, make_problem, backend, kind_of_hessian
+    ):
+        # Twice the weight is infinite. Knots at zero have a gradient of inf times 0; the others
+        # are at their lower bounds, and their part of the projected gradient is zero.
+        problem = make_problem(kind_of_hessian, input_weight=1e308)
+        lower = np.full_like(problem.lower, 10.0)
+        lower[0, 0] = 0.0
+        with np.errstate(invalid="ignore", over="ignore"):
+            solution = HoldSolver(backend=backend).solve(
+                replace(problem, lower=lower), rest_start(problem)
+            )
+        assert np.isfinite(solution.cost)
+        assert np.isnan(solution.kkt_residual)
+        assert solution.status is SolveStatus.NOT_FINITE
+
+    def test_gradient_that_is_infinite_towards_a_bound(self, make_problem, backend):
+        problem = make_problem("paper", input_weight=1e308)
+        problem = replace(problem, lower=np.full_like(problem.lower, 10.0))
+        with np.errstate(invalid="ignore", over="ignore"):
+            solution = HoldSolver(backend=backend).solve(problem, rest_start(problem))
+        assert np.isfinite(solution.cost)
+        assert solution.status is SolveStatus.NOT_FINITE
+
+    def test_no_finite_trial(self, make_problem, backend):
+        # Cost and gradient are finite, the Hessian is not, so that no step can be computed.
+        problem = make_problem("paper", input_in_force=np.zeros(2), input_scale=1e6)
+        goal = problem.state + np.array([1e-6, 0.0, 0.0, 0.0, 0.0, 0.0])
+        problem = replace(problem, goal=goal, terminal_weight=8e307)
+        with np.errstate(invalid="ignore", over="ignore"):
+            solution = HoldSolver(backend=backend).solve(problem, rest_start(problem))
+        assert np.isfinite(solution.cost) and solution.kkt_residual > 0.0
+        assert solution.iterations > 1
+        assert solution.status is SolveStatus.STALLED
+        assert not np.any(solution.inputs[1:])
+
+    def test_no_step_lowers_the_cost_by_more_than_its_rounding(self, make_problem, backend):
+        settings = SolverSettings(
+            max_iterations=10_000, gradient_tolerance=0.0, decrease_tolerance=0.0
+        )
+        problem = make_problem("paper")
+        solution = HoldSolver(settings, backend).solve(problem, rest_start(problem))
+        assert 0.0 < solution.kkt_residual < 1e-6
+        assert solution.status is SolveStatus.STALLED
 
     def test_target_reached_at_the_start(self, make_problem, backend):
         problem = make_problem("terminal")

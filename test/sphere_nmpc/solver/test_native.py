@@ -16,6 +16,7 @@ from other_user import as_user
 
 from sphere_nmpc import cache as places
 from sphere_nmpc.control.goal_memory import GoalMemory
+from sphere_nmpc.solver.native import compiler
 from sphere_nmpc.solver.native import library as native
 from sphere_nmpc.solver.native.codegen import kernel_source
 
@@ -213,6 +214,15 @@ def test_warning_quotes_the_output_of_a_compiler_that_fails(tmp_path):
     assert out[0].startswith("numpy")
     assert f"{compiler} fails: unknown option" in err and "another C compiler" in err
     assert not list((tmp_path / "cache").glob("*.so"))
+
+
+def test_output_of_a_compiler_that_takes_too_long_is_in_the_error(monkeypatch, tmp_path):
+    def late(command, work):
+        raise subprocess.TimeoutExpired(command, 120.0, stderr=b"still \xff optimising\n")
+
+    monkeypatch.setattr(compiler, "_run", late)
+    with pytest.raises(compiler.CompilerError, match=r"mycc fails: still . optimising"):
+        compiler.compile_library([["mycc"]], {"solver.c": ""}, tmp_path)
 
 
 def test_next_compiler_is_tried_where_the_first_fails(tmp_path):

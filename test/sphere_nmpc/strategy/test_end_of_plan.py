@@ -13,6 +13,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.replanning import replan
+from sphere_nmpc.strategy.time_optimal.states import Following
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -47,3 +49,13 @@ def test_plan_is_kept_where_it_ends_within_the_dead_band(intervals: int, compone
     kept = strategy.plan(replace(now, state=apply_error(now.state, moved)))
     # A delay by up to a third of the time left may remove the error; a new plan takes a second.
     assert kept.arrival < now.time + 1.35 * (arrival - now.time)
+
+
+def test_rest_of_a_plan_without_a_finite_cost_is_no_plan() -> None:
+    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
+    now = Situation(0.0, CASE.start, CASE.goal, np.zeros(2), ROBOT.lumped)
+    plan = strategy.plan(now)
+    followed = strategy._state
+    assert isinstance(followed, Following)
+    near = replace(now, time=plan.arrival - SETTINGS.period, state=np.full(6, np.nan))
+    assert replan(followed, near, 2e-3, np.inf, SETTINGS) is None

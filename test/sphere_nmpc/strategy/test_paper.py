@@ -9,7 +9,8 @@ from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import PlanStatus
@@ -54,7 +55,7 @@ def strategy() -> PaperStrategy:
 def test_settings_default_to_the_numbers_of_section_4() -> None:
     numbers = (SETTINGS.horizon, SETTINGS.period, SETTINGS.terminal_weight)
     assert numbers == (4, 0.5, 1e8)
-    assert SETTINGS.input_weight == 0.5
+    assert SETTINGS.alpha == 0.5
     assert SETTINGS.control_period == 0.5
 
 
@@ -197,6 +198,15 @@ def test_plan_that_ran_out_of_time_is_the_best_so_far(strategy: PaperStrategy) -
     assert plan.status is PlanStatus.BEST_SO_FAR
     assert np.all(np.isfinite(plan.hold.speeds))
     assert strategy.plan(given).status is PlanStatus.SOLVED
+
+
+def test_plan_of_a_solve_that_has_stalled_is_the_best_so_far(strategy: PaperStrategy) -> None:
+    # Neither tolerance can be met, so that the solve ends where no step lowers the cost.
+    never = SolverSettings(10_000, gradient_tolerance=0.0, decrease_tolerance=0.0)
+    strategy._solver = HoldSolver(never)
+    plan = strategy.plan(situation())
+    assert plan.status is PlanStatus.BEST_SO_FAR
+    assert plan.message == "no step lowers the cost"
 
 
 def test_model_without_numbers_is_an_error_that_the_loop_catches(

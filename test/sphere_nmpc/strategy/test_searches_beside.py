@@ -2,19 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Searches beside the control loop: as good as in line but for their time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.state import POSITION, Vector, state_error
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal import strategy
-from sphere_nmpc.strategy.time_optimal.search_task import SearchTask
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, SearchTask
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_nmpc.worker.contract import Reply
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import settling_index, state_errors
@@ -129,6 +136,66 @@ def test_worker_that_loses_a_search_is_asked_again(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(DelayedWorker, "submit", losing)
     found, _ = run(100.0, SEARCH)
     assert lost and settling(found, FIRST.goal) < DURATION
+
+
+def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is() -> None:
+    now = 0.0
+    planner = TimeOptimalStrategy(ControllerSettings(control_rate=100.0), ROBOT)
+    planner.search_beside(DelayedWorker(lambda: now, SEARCH))
+    begun = Situation(now, FIRST.start, FIRST.goal, np.zeros(2), ROBOT.lumped)
+    assert planner.plan(begun).status is PlanStatus.RAMP_TO_REST
+    now = SEARCH
+    carried = FIRST.start.copy()
+    carried[POSITION] += 0.3
+    plan = planner.plan(replace(begun, time=now, state=carried))
+    assert plan.status is PlanStatus.SOLVED
+    hold = plan.hold
+    end = roll_out(carried, hold.speeds, np.diff(hold.times), ROBOT.lumped.as_array(), 0.05)[-1]
+    assert state_error(end, FIRST.goal) < 1e-3
+
+
+def too_early(
+    task: SearchTask, planner: ArrivalPlanner, known: FirstOrderHold, end: float
+) -> SearchResult:
+    """Return the plan in force with nine tenths of the time that it takes.
+
+    It reaches the goal only with a delay, and then later than the plan in force.
+    """
+    goal = task.situation.goal
+    return SearchResult(planner.solve(task.situation, goal, 0.9 * known.end, known, False))
+
+
+def arrivals(found: Trajectory, worker: DelayedWorker | None) -> Vector:
+    """Return the times of arrival of the plans of a run with searches for earlier ones [s]."""
+    assert worker is not None
+    assert sum(isinstance(t, SearchTask) and t.known is not None for t in worker.tasks) > 5
+    plans = [d.plan for d in found.decisions if d.plan.status is PlanStatus.SOLVED]
+    return np.array([plan.arrival for plan in plans])
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_arrival_is_not_put_off_by_the_result_of_a_search(
+    monkeypatch: pytest.MonkeyPatch, rate: float
+) -> None:
+    monkeypatch.setattr(SearchTask, "_earlier", too_early)
+    assert np.all(np.diff(arrivals(*run(rate, SEARCH, duration=6.0))) < 1e-6)
+
+
+def test_plan_in_force_is_replaced_by_one_that_arrives_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = SearchTask._new_plan
+
+    def slow(task: SearchTask, planner: ArrivalPlanner, end: float) -> SearchResult:
+        found = search(task, planner, end).arrival
+        assert found is not None
+        duration = 1.2 * found.duration
+        return SearchResult(planner.solve(task.situation, found.goal, duration, found.hold, True))
+
+    monkeypatch.setattr(SearchTask, "_new_plan", slow)
+    found = arrivals(*run(100.0, SEARCH, duration=6.0))
+    assert np.all(np.diff(found) < 1e-6)
+    assert found[-1] < found[0] - 0.2
 
 
 def test_without_a_worker_to_be_had_it_is_searched_in_line(

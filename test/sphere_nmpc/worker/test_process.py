@@ -9,7 +9,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from operator import methodcaller
+from pathlib import Path
+from select import select
 
 import pytest
 
@@ -130,11 +133,57 @@ def test_result_that_cannot_be_read_replaces_the_process(
     def fail() -> object:
         raise ValueError("nothing like it")
 
-    monkeypatch.setattr(worker._connection, "recv", fail)
+    monkeypatch.setattr(worker._connection, "receive", fail)
     reply = worker.submit(len)
     until(lambda: bool(worker.poll() or reply.error))
     assert "cannot be read: nothing like it" in faults[-1]
     assert complete(worker, worker.submit(len)) == 0
+
+
+def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> None:
+    assert worker._connection is not None
+    # Ten million characters: more than the pipe holds, so that a part of them has arrived.
+    reply = worker.submit(partial("{:>10000000}".format, "end"))
+    assert select([worker._connection], [], [], PATIENCE)[0], "timed out"
+    os.kill(worker.pid, signal.SIGSTOP)
+    polling = threading.Thread(target=worker.poll, daemon=True)
+    polling.start()
+    polling.join(PATIENCE)
+    assert not polling.is_alive() and reply.pending
+    os.kill(worker.pid, signal.SIGCONT)
+    result = complete(worker, reply)
+    assert isinstance(result, str) and len(result) == 10_000_000
+    assert complete(worker, worker.submit(len)) == 0
+
+
+def test_task_that_cannot_be_sent_is_refused_and_the_next_one_is_done(
+    worker: WorkerProcess, faults: list[str]
+) -> None:
+    refused = worker.submit(lambda store: None)
+    assert "cannot be sent" in refused.error and faults == [refused.error]
+    assert complete(worker, worker.submit(len)) == 0
+
+
+def test_result_that_cannot_be_sent_is_told_and_the_next_task_is_done(
+    worker: WorkerProcess, faults: list[str]
+) -> None:
+    # The iterator of a dictionary cannot be pickled.
+    failing, next_one = worker.submit(methodcaller("keys")), worker.submit(len)
+    assert complete(worker, next_one) == 0
+    assert "dict_keys" in failing.error and faults == [failing.error]
+
+
+def test_folder_that_is_gone_prevents_the_start_and_is_told(
+    faults: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    # Relative entries have no meaning there.
+    monkeypatch.setattr(process.sys, "path", ["relative", *sys.path])
+    worker = WorkerProcess(faults.append)
+    assert not worker.available and "not started" in faults[0]
+    worker.close()
 
 
 def test_where_no_process_can_be_started_tasks_are_refused(

@@ -15,15 +15,17 @@ import pytest
 pytest.importorskip("rich")
 pytest.importorskip("matplotlib")
 
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.reference.objective import cost
 from sphere_sim.benchmark import numpy_slsqp
 from sphere_sim.benchmark.benchmarked_solver import Answer
-from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
+from sphere_sim.benchmark.closed_loops import SolverRecord, run_closed_loops, set_up
 from sphere_sim.benchmark.nlp_solvers import Slsqp, ipopt, nonlinear_program
 from sphere_sim.benchmark.own_solvers import AlgorithmOne, BothSigns
 from sphere_sim.benchmark.problem import paper_problem
 from sphere_sim.benchmark.random_problems import Comparison, compare
-from sphere_sim.benchmark.report import as_numbers
+from sphere_sim.benchmark.report import ALGORITHM_1, PLAN_KEEPING, as_numbers
 from sphere_sim.cli.benchmark import main
 from sphere_sim.cli.main import main as command
 from sphere_sim.output.result_folder import ResultFolderError
@@ -51,6 +53,18 @@ def settling_times(maker, cases, duration=15.0):
     for _ in run_closed_loops(solvers, records, scenarios, round(duration / 0.5), 1, 60.0):
         pass
     return records["one"].settle
+
+
+def test_solve_that_has_stalled_counts_as_failed():
+    solver, case = AlgorithmOne(), PAPER_CASES[1]
+    solver.start(case.goal)
+    assert solver.solve(case.start, np.zeros(2)).solved
+    # Neither tolerance can be met, so that the solve ends where no step lowers the cost.
+    solver._solver = HoldSolver(
+        SolverSettings(10_000, gradient_tolerance=0.0, decrease_tolerance=0.0)
+    )
+    solver.start(case.goal)
+    assert not solver.solve(case.start, np.zeros(2)).solved
 
 
 def test_all_solvers_minimise_the_same_cost():
@@ -134,15 +148,27 @@ def test_many_starts_are_not_worse_than_ipopt():
     assert summary["8_starts_not_worse"] >= 0.95
 
 
+def test_other_solvers_are_compared_with_algorithm_1_which_solves_the_same_problem():
+    """`plan_keeping` stops early, so that its time is not that of a solution."""
+    records = {}
+    for name, seconds in (("another", 6e-3), (PLAN_KEEPING, 1e-3), (ALGORITHM_1, 2e-3)):
+        records[name] = SolverRecord()
+        records[name].wall = records[name].cpu = [seconds]
+    report = as_numbers(records, {})
+    times = {name: found["median"] for name, found in report["times_algorithm_1"].items()}
+    assert times == {"another": pytest.approx(3.0), PLAN_KEEPING: pytest.approx(0.5)}
+
+
 @pytest.mark.slow
 def test_command_writes_numbers_table_and_figure(tmp_path, capsys):
     path = tmp_path / "deep" / "benchmark.json"
     quick = ["--quick", "--cases", "3", "--duration", "10", "--budget", "3"]
     assert main(["--json", str(path), *quick]) == 0
     report = json.loads(path.read_text())
-    ours = report["solvers"]["sphere_nmpc"]
-    assert {"median_ms", "p99_ms", "settle_s", "failures"} <= set(ours)
-    assert ours["failures"] == 0 and len(ours["settle_s"]) == 1
+    for name in (ALGORITHM_1, PLAN_KEEPING):
+        ours = report["solvers"][name]
+        assert {"median_ms", "p99_ms", "settle_s", "failures"} <= set(ours)
+        assert ours["failures"] == 0 and len(ours["settle_s"]) == 1
     assert report["floor_us"].keys() == {"roll_out", "expansion", "iteration", "call"}
     assert path.with_suffix(".png").stat().st_size > 1000
     assert "Closed loops on the paper's problem" in capsys.readouterr().out
@@ -179,7 +205,7 @@ QUICK = ["--quick", "--cases", "3", "--duration", "2", "--budget", "1"]
 def test_figure_that_cannot_be_drawn_leaves_the_numbers(tmp_path, caplog):
     (tmp_path / "x.png").mkdir()
     assert main(["--json", str(tmp_path / "x.json"), *QUICK]) == 0
-    assert "sphere_nmpc" in json.loads((tmp_path / "x.json").read_text())["solvers"]
+    assert ALGORITHM_1 in json.loads((tmp_path / "x.json").read_text())["solvers"]
     (warning,) = caplog.messages
     assert f"{tmp_path / 'x.png'} not drawn" in warning
 
@@ -194,7 +220,7 @@ def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(
     monkeypatch.setattr("sphere_sim.benchmark.solve_parts.measure_parts", interrupt)
     assert command(["benchmark", "--json", str(tmp_path / "x.json"), *QUICK]) == 130
     kept = tmp_path / "x_interrupted.json"
-    assert json.loads(kept.read_text())["solvers"]["sphere_nmpc"]["solves"] == 4
+    assert json.loads(kept.read_text())["solvers"][ALGORITHM_1]["solves"] == 4
     assert f"interrupted; {kept} has the numbers so far" in capsys.readouterr().err
     assert (tmp_path / "x.json").read_text() == "{}"
 

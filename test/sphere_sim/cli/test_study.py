@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verb ``study``: its output and its exit codes."""
 
+import csv
 import math
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +17,7 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
 from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.best_known_cache import BestKnownTimes
 from sphere_sim.study.motion import Motion
 from sphere_sim.study.processes import Processes
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -75,6 +78,16 @@ def test_impossible_disturbance_is_refused(tmp_path, capsys, words) -> None:
         (["--draw", "2", "--set", "max_rotor_speed=nan"], "max_rotor_speed: given nan"),
         (["--draw", "2", "--set", "horizon=0"], "horizon: given 0"),
         (["--draw", "2", "--set", "nothing=0"], "nothing: given '0'"),
+        (["--draw", "2", "--set", "pose_rate=50"], "pose_rate: given '50', expected a setting"),
+        (["--draw", "2", "--set", "horizon=6", "horizon=8"], "horizon: given ['6', '8']"),
+        (
+            ["--draw", "2", "--plant", "rolling", "--set", "plant=rigid_body"],
+            "simulator.plant: given ['rolling', 'rigid_body'], expected one value",
+        ),
+        (
+            ["--draw", "2", "--strategy", "paper", "--set", "strategy=time_optimal"],
+            "controller.strategy: given ['paper', 'time_optimal'], expected one value",
+        ),
         (["--draw", "2", "--process-noise", "1e9"], "process_noise: given 1000000000.0"),
     ],
 )
@@ -100,6 +113,34 @@ def test_invalid_study_exits_2_and_leaves_no_folder(
 def test_set_takes_several_settings_and_is_repeated(tmp_path, capsys, settings) -> None:
     assert main(["--draw", "1", "--out", str(tmp_path / "out"), *settings]) == 2
     assert "nothing: given '0'" in capsys.readouterr().err
+
+
+def test_strategy_that_is_set_is_the_one_that_runs(tmp_path) -> None:
+    out = tmp_path / "out"
+    assert main(["--draw", "1", *BRIEF, "--out", str(out), "--set", "strategy=paper"]) == 0
+    with (out / "runs.csv").open() as file:
+        assert {row["strategy"] for row in csv.DictReader(file)} == {"paper"}
+
+
+def test_limits_that_contradict_each_other_are_told_once_at_the_start(tmp_path, caplog) -> None:
+    pytest.importorskip("mujoco")
+    weak = ["--draw", "1", "--plant", "rigid_body", "--set", "torque_limit=1.6"]
+    both = ["--strategy", "paper", "plan_keeping"]
+    assert main([*weak, *both, "--out", str(tmp_path / "out"), *BRIEF]) == 0
+    (line,) = [text for text in caplog.messages if "torque_limit" in text]
+    assert "1.6 N m" in line and "3.2 N m" in line
+
+
+@pytest.mark.parametrize(
+    "kind", ["controller", "simulator", "robot", "rigid_body", "disturbances"]
+)
+def test_help_says_where_the_settings_are_listed(capsys, kind) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"{kind}.NAME" in printed and "msg_docs/parameters.md lists the names" in printed
+    described = (Path(__file__).parents[3] / "msg_docs" / "parameters.md").read_text()
+    assert f"`{kind}.NAME`" in described
 
 
 @pytest.mark.parametrize(
@@ -157,9 +198,9 @@ def searched(tmp_path, monkeypatch) -> list[RobotParameters]:
     """Return a list of the robots whose best known times are searched, without a search."""
     robots: list[RobotParameters] = []
 
-    def search(motion: Motion, robot: RobotParameters, factor: float) -> float:
+    def search(motion: Motion, robot: RobotParameters, factor: float) -> BestKnownTimes:
         robots.append(robot)
-        return 1.0
+        return BestKnownTimes(duration=2.0, settling=1.5)
 
     HoldSolver()  # loads the compiled one before its folder is taken away
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
@@ -186,12 +227,25 @@ def test_best_known_times_are_those_of_the_robot_that_is_set(tmp_path, searched)
     assert searched == [RobotParameters(shell_mass=1.5, max_rotor_speed=60.0)]
 
 
+def test_settling_is_compared_with_the_settling_of_the_best_known_motion(
+    tmp_path, searched
+) -> None:
+    near = tmp_path / "near.csv"
+    near.write_text(f"{','.join(STATE_COLUMNS)}\n0.03,0.02,1,0.05,0.05,0,0,0,1,0,0,0\n")
+    options = ["--scenarios", str(near), "--duration", "5", "--jobs", "1"]
+    assert main([*options, "--out", str(tmp_path / "out")]) == 0
+    with (tmp_path / "out" / "runs.csv").open(encoding="utf-8", newline="") as file:
+        (found,) = csv.DictReader(file)
+    assert float(found["bound_s"]) == 1.5
+    assert float(found["ratio"]) == float(found["settle_time_s"]) / 1.5
+
+
 def test_effort_of_best_known_times_is_multiplied(tmp_path, monkeypatch) -> None:
     factors = []
 
     def search(motions, robot, workers, factor):
         factors.append(factor)
-        return [1.0] * len(motions)
+        return [BestKnownTimes(1.0, 1.0)] * len(motions)
 
     monkeypatch.setattr("sphere_sim.study.best_known.best_known_times", search)
     options = ["--draw", "1", "--duration", "0.5", "--strategy", "paper", "--jobs", "1"]

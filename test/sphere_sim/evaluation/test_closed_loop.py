@@ -103,6 +103,29 @@ def test_output_period_changes_nothing_but_the_rows() -> None:
     np.testing.assert_array_equal(ends[0], ends[1])
 
 
+@pytest.mark.parametrize(
+    "sensor", [{"sensor_latency": 0.05}, {"sensor_dropout": 0.5}, {"sensor_rate": 20.0}]
+)
+def test_output_period_does_not_change_the_poses_that_the_controller_sees(sensor) -> None:
+    class Watched(Controller):
+        def observe(self, time: float, state: np.ndarray) -> bool:
+            seen.append((time, *state))
+            return super().observe(time, state)
+
+    scenario, found = PAPER_CASES[3], []
+    for period in (0.5, 0.02):
+        seen: list[tuple[float, ...]] = []
+        settings = SimulatorSettings(
+            initial_state=tuple(scenario.start), position_noise=1e-3, **sensor
+        )
+        run_closed_loop(
+            Simulator(settings, ROBOT), Watched(PAPER, ROBOT), scenario.goal, 2.0, 0.5, period
+        )
+        found.append(seen)
+    assert len(found[0]) > 20
+    assert found[0] == found[1]
+
+
 def test_prediction_at_each_sample_is_where_the_plant_went() -> None:
     found = run(1, 6.0)
     for decision, following in zip(found.decisions, found.decisions[1:], strict=False):

@@ -21,7 +21,7 @@ pytest.importorskip("mujoco")
 
 ROBOT = RobotParameters()
 CASE = PAPER_CASES[3]
-LAG = 1.0 / RigidBodySettings().drive_bandwidth
+LAG = 1.0 / RigidBodySettings().for_robot(ROBOT).drive_bandwidth
 FINAL_ERROR = 1e-3
 """Error at the end; on the ideal plant it is a thousand times less."""
 

@@ -44,7 +44,7 @@ def run(
     """Run case 1 and return poses by stamp [ns], and velocities of each trajectory by stamp."""
     lockstep = simulator.get("lockstep", False)
     sample = round(STRATEGIES[strategy].sample_period * 1e9)
-    settings = {"start_paused": True, "sample_period": sample / 1e9, **simulator}
+    settings = {"start_paused": True, **simulator}
     controller = {"use_sim_time": True, "lockstep": lockstep, "strategy": strategy}
     with processes(simulator=settings, controller=controller):
         poses = graph.collect(PoseStamped, "pose")

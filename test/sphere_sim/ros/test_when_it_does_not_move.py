@@ -210,6 +210,21 @@ def commands_on_another_clock(graph) -> None:
     sender.publish(hold_to_trajectory(hold, time.time_ns()))
 
 
+def drives_too_weak(graph) -> None:
+    simulator(graph, plant="rigid_body", **{"rigid_body.torque_limit": 1.6})
+
+
+def robots_apart(graph) -> None:
+    simulator(graph, **{"robot.max_rotor_speed": 60.0})
+    controller(graph, use_sim_time=True)
+
+
+def torque_left_out_in_the_controller(graph) -> None:
+    weak = {"rigid_body.torque_limit": 1.6, "robot.max_rotor_torque": 1.6}
+    simulator(graph, plant="rigid_body", **weak)
+    controller(graph, use_sim_time=True)
+
+
 def push_from_above(graph) -> None:
     simulator(graph)
     graph.publisher(Vector3, "simulator/push").publish(Vector3(z=-1.0))
@@ -236,10 +251,16 @@ MISTAKES: dict[Callable[..., None], str] = {
     network_after_the_start: "expected the one that this node announces",
     lockstep_without_controller: "time waits",
     commands_on_another_clock: "rotor_trajectory refused",
+    drives_too_weak: "limits: rigid_body.torque_limit",
+    robots_apart: "as in this node",
+    torque_left_out_in_the_controller: "for rigid_body.torque_limit",
     push_from_above: "push refused",
 }
 """What a beginner does wrong, and words of the row that documents its warning."""
-OF_THE_SIMULATOR = (lockstep_without_controller, commands_on_another_clock, push_from_above)
+OF_THE_SIMULATOR = (
+    lockstep_without_controller, commands_on_another_clock, drives_too_weak, robots_apart,
+    torque_left_out_in_the_controller, push_from_above,
+)
 
 
 def row_of(words: str) -> str:

@@ -23,13 +23,15 @@ from sphere_nmpc.model.drift import (
 )
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import angle_error, make_state, position_error
+from sphere_nmpc.model.state import angle_error, make_state, position_error, state_error
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import best_known
 from sphere_sim.study.best_known import best_known_time, best_known_times
+from sphere_sim.study.best_known_cache import BestKnownTimes
 from sphere_sim.study.motion import AT_REST, Motion, motion_of
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.workers import Workers
@@ -41,9 +43,16 @@ ROBOT = RobotParameters()
 PUSHED = Drift(momentum=momentum_of_push(ROBOT, np.array([0.3, -0.4])))
 
 
-def times(motions: list[Motion] = MOTIONS, robot: RobotParameters = ROBOT) -> list[float]:
+def times(
+    motions: list[Motion] = MOTIONS, robot: RobotParameters = ROBOT
+) -> list[BestKnownTimes]:
     with Workers() as workers:
         return best_known_times(motions, robot, workers)
+
+
+def numbered(last: int) -> list[BestKnownTimes]:
+    """Return the results of the searches that the fixture `searched` stands in for."""
+    return [BestKnownTimes(float(number), 0.5 * number) for number in range(1, last + 1)]
 
 
 @pytest.fixture(autouse=True)
@@ -63,12 +72,12 @@ def cache(tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture
 def searched(cache, monkeypatch) -> list[tuple[Motion, RobotParameters]]:
-    """Return a list of the searches that are made; their results are their numbers."""
+    """Return a list of the searches that are made; the durations found are their numbers."""
     made: list[tuple[Motion, RobotParameters]] = []
 
-    def search(motion: Motion, robot: RobotParameters, factor: float) -> float:
+    def search(motion: Motion, robot: RobotParameters, factor: float) -> BestKnownTimes:
         made.append((motion, robot))
-        return float(len(made))
+        return numbered(len(made))[-1]
 
     monkeypatch.setattr(best_known, "best_known_time", search)
     return made
@@ -76,9 +85,10 @@ def searched(cache, monkeypatch) -> list[tuple[Motion, RobotParameters]]:
 
 def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
     found = times()
-    assert [line[1] for line in map(json.loads, cache.read_text().splitlines())] == found
+    kept = [tuple(line[1:]) for line in map(json.loads, cache.read_text().splitlines())]
+    assert kept == found
 
-    def search(motion: Motion, robot: object, factor: float) -> float:
+    def search(motion: Motion, robot: object, factor: float) -> BestKnownTimes:
         raise AssertionError("searched for again")
 
     monkeypatch.setattr(best_known, "best_known_time", search)
@@ -98,15 +108,15 @@ def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
     ids=str,
 )
 def test_another_robot_has_times_of_its_own(searched, change) -> None:
-    assert times() == [1.0, 2.0]
-    assert times(robot=replace(ROBOT, **change)) == [3.0, 4.0]
-    assert times() == [1.0, 2.0]
+    assert times() == numbered(2)
+    assert times(robot=replace(ROBOT, **change)) == numbered(4)[2:]
+    assert times() == numbered(2)
 
 
 def test_another_effort_has_times_of_its_own(searched, cache) -> None:
     first = times()
     with Workers() as workers:
-        assert best_known_times(MOTIONS, ROBOT, workers, 2.0) == [3.0, 4.0]
+        assert best_known_times(MOTIONS, ROBOT, workers, 2.0) == numbered(4)[2:]
         assert best_known_times(MOTIONS, ROBOT, workers, 1.0) == first
 
 
@@ -136,7 +146,7 @@ def test_robots_that_move_alike_share_their_times(searched) -> None:
 def test_another_search_has_times_of_its_own(searched, monkeypatch, name, value) -> None:
     times()
     monkeypatch.setattr(best_known, name, value)
-    assert times() == [3.0, 4.0]
+    assert times() == numbered(4)[2:]
 
 
 @pytest.mark.parametrize(
@@ -151,9 +161,9 @@ def test_another_search_has_times_of_its_own(searched, monkeypatch, name, value)
     ids=["goal", "speeds", "momentum", "slope", "imbalance"],
 )
 def test_another_motion_has_a_time_of_its_own(searched, change) -> None:
-    assert times(MOTIONS[:1]) == [1.0]
-    assert times([replace(MOTIONS[0], **change)]) == [2.0]
-    assert times(MOTIONS[:1]) == [1.0]
+    assert times(MOTIONS[:1]) == numbered(1)
+    assert times([replace(MOTIONS[0], **change)]) == numbered(2)[1:]
+    assert times(MOTIONS[:1]) == numbered(1)
 
 
 def test_motions_without_drift_have_the_keys_of_before(searched, cache) -> None:
@@ -164,7 +174,7 @@ def test_motions_without_drift_have_the_keys_of_before(searched, cache) -> None:
     ]
     text = " ".join(f"{float(number):.9g}" for number in numbers)
     key = hashlib.sha256(text.encode()).hexdigest()[:24]
-    assert json.loads(cache.read_text()) == [key, 1.0]
+    assert json.loads(cache.read_text()) == [key, 1.0, 0.5]
 
 
 def test_motion_of_a_run_begins_at_its_push() -> None:
@@ -187,13 +197,13 @@ def test_motion_of_a_run_begins_at_its_push() -> None:
 def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     upright = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     held = Motion(upright, upright, PUSHED.rest_speeds(upright[2:]), PUSHED)
-    assert best_known_time(held, ROBOT) == 0.0
+    assert best_known_time(held, ROBOT) == (0.0, 0.0)
     # At 400 rad/s^2 the rotors take 15 / 400 s to hold 11 and 15 rad/s.
-    seconds = best_known_time(replace(held, speeds=np.zeros(2)), ROBOT)
+    seconds = best_known_time(replace(held, speeds=np.zeros(2)), ROBOT).duration
     assert 15.0 / 400.0 < seconds < 1.0
     # A search for a motion from rest to rest in place would never end.
     slight = Drift(momentum=momentum_of_push(ROBOT, np.array([1e-4, 0.0])))
-    assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == 0.0
+    assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0], [1e-3, 0.0, 1e-3]])
@@ -211,9 +221,9 @@ def test_motion_with_momentum_ends_at_rest_with_it_in_the_rotors(monkeypatch, of
     imbalance = imbalance_of_offset(ROBOT, np.array(offset))
     drift = replace(PUSHED, slope=slope_torque(ROBOT, 1e-3, 1.0), imbalance=imbalance)
     state, here = SCENARIOS[0].start, np.zeros(2)
-    seconds = best_known_time(Motion(state, upright, drift=drift), ROBOT)
+    known = best_known_time(Motion(state, upright, drift=drift), ROBOT)
     (arrival,) = found
-    assert arrival is not None and arrival.duration == seconds
+    assert arrival is not None and arrival.duration == known.duration
     constants, knots = ROBOT.lumped.as_array(), arrival.hold
     for duration, there in zip(np.diff(knots.times), knots.speeds[1:], strict=True):
         state, momentum = integrate_with_drift(
@@ -227,11 +237,44 @@ def test_motion_with_momentum_ends_at_rest_with_it_in_the_rotors(monkeypatch, of
     assert np.linalg.norm(here) > 5.0
 
 
+@pytest.mark.parametrize("kind", ["anywhere", "far", "pushed"])
+def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
+    kind, monkeypatch
+) -> None:
+    """The end of the best motion is integrated in fine steps."""
+    monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125, 0.0625))
+    found = []
+    settling = best_known._settling
+    monkeypatch.setattr(
+        best_known, "_settling",
+        lambda arrival, situation: found.append(arrival) or settling(arrival, situation),
+    )
+    (scenario,) = draw_scenarios(1, 4, "far" if kind == "far" else "upright")
+    drift = PUSHED if kind == "pushed" else NO_DRIFT
+    known = best_known_time(Motion(scenario.start, scenario.goal, drift=drift), ROBOT)
+    (arrival,) = found
+    hold, constants = arrival.hold, ROBOT.lumped.as_array()
+    last = int(np.flatnonzero(hold.times < hold.end - 0.3)[-1])
+    state, drift = arrival.states[last], replace(drift, momentum=arrival.momenta[last])
+    now, outside = hold.times[last], []
+    while now < hold.end - 1e-9:
+        later = min(now + 1e-3, hold.end)
+        state, momentum = integrate_with_drift(
+            state, drift, hold.at(now), hold.at(later), later - now, constants, 1e-3
+        )
+        now, drift = later, replace(drift, momentum=momentum)
+        if state_error(state, scenario.goal) >= SETTLED_ERROR:
+            outside.append(now)
+    assert known.duration == hold.end
+    assert outside[-1] < known.settling < outside[-1] + 0.015
+    assert 0.005 < known.duration - known.settling < 0.2
+
+
 
 
 def test_torque_limit_of_the_robot_costs_time() -> None:
     strong, weak = (
-        best_known_time(MOTIONS[0], replace(ROBOT, max_rotor_torque=limit))
+        best_known_time(MOTIONS[0], replace(ROBOT, max_rotor_torque=limit)).duration
         for limit in (0.0, 0.4)
     )
     assert weak > 1.05 * strong
@@ -254,7 +297,7 @@ def test_search_with_momentum_falls_back_on_the_motion_without(monkeypatch) -> N
     monkeypatch.setattr(ArrivalSearch, "improve", blind)
     upright = make_state(np.array([1.0, 0.5]), np.array([0.8, 0.0, 0.0, 0.6]))
     level, pushed = (
-        best_known_time(Motion(SCENARIOS[0].start, upright, drift=drift), ROBOT)
+        best_known_time(Motion(SCENARIOS[0].start, upright, drift=drift), ROBOT).duration
         for drift in (NO_DRIFT, PUSHED)
     )
     assert len(started) == 3
@@ -262,18 +305,18 @@ def test_search_with_momentum_falls_back_on_the_motion_without(monkeypatch) -> N
 
 
 def test_search_whose_refinement_fails_leaves_what_the_other_found(monkeypatch) -> None:
-    alone = best_known_time(MOTIONS[0], ROBOT)
+    alone = best_known_time(MOTIONS[0], ROBOT).duration
     monkeypatch.setattr(best_known, "SEARCHES", 2)
     monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125))
     refined = iter([False, True])
     monkeypatch.setattr(
         best_known, "_refined", lambda arrival, *others: arrival if next(refined) else None
     )
-    assert 0.0 < best_known_time(MOTIONS[0], ROBOT) < 2.0 * alone
+    assert 0.0 < best_known_time(MOTIONS[0], ROBOT).duration < 2.0 * alone
 
 
 def test_start_at_the_goal_takes_no_time() -> None:
-    assert best_known_time(replace(MOTIONS[0], goal=MOTIONS[0].start), ROBOT) == 0.0
+    assert best_known_time(replace(MOTIONS[0], goal=MOTIONS[0].start), ROBOT) == (0.0, 0.0)
 
 
 def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:
@@ -281,23 +324,24 @@ def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:
     first, second = cache.read_bytes().splitlines()
     key = json.dumps(json.loads(first)[0]).encode()
     damaged = [b"\xff", b"", b"{}", b"[1]", b"[[], 1.0]", b"[" * 100_000, first[:-3]]
-    damaged += [b"[%s, %s]" % (key, value) for value in (b"-1", b"Infinity", b'"1"', b"null")]
+    damaged += [b"[%s, %s]" % (key, value) for value in (b"1", b"1, 1, 1", b"null, 1")]
+    damaged += [b"[%s, 0.1, %s]" % (key, value) for value in (b"-1", b"Infinity", b"null")]
     cache.write_bytes(b"\n".join([*damaged, first, second, b""]))
     assert times() == found
     assert not caplog.messages
 
 
-def test_of_several_times_the_shortest_counts(cache) -> None:
+def test_of_several_motions_the_shortest_counts(cache) -> None:
     found = times()
     keys = [json.loads(line)[0] for line in cache.read_text().splitlines()]
     cache.write_text(
         "".join(
-            f"{json.dumps([key, value])}\n"
+            f"{json.dumps([key, value, 0.4])}\n"
             for key in keys
             for value in (np.nan, 0.5, 9.0)
         )
     )
-    assert times() == [0.5, 0.5] != found
+    assert times() == [(0.5, 0.4)] * 2 != found
 
 
 def file_in_place_of_the_folder(cache: Path) -> None:
@@ -318,6 +362,6 @@ def pipe(cache: Path) -> None:
 )
 def test_cache_that_cannot_be_used_is_one_warning(cache, obstacle, caplog) -> None:
     obstacle(cache)
-    assert all(math.isfinite(seconds) for seconds in times())
+    assert all(math.isfinite(found.settling) for found in times())
     (warning,) = caplog.messages
     assert str(cache) in warning and "\n" not in warning

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run and what is recorded of it."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,9 +11,10 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
+from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import draw_scenarios
-from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.conditions import OF_NODES, StudyConditions
 from sphere_sim.study.followed_inputs import followed_inputs
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
 from sphere_sim.study.single_run import prepare, run_scenario
@@ -181,7 +182,6 @@ def test_controller_has_the_nominal_parameters_of_a_perturbed_robot() -> None:
     [
         ("horizon", "many"),
         ("horizon", "0"),
-        ("sample_period", "0.25"),
         ("nothing", "1"),
         ("robot.nothing", "1"),
         ("unknown.horizon", "1"),
@@ -195,8 +195,78 @@ def test_unknown_or_invalid_setting_is_refused(name, value) -> None:
 
 def test_settings_are_found_by_their_name_or_with_a_prefix() -> None:
     changed = SHORT.with_settings(
-        [("horizon", "6"), ("simulator.sample_period", "0.1"), ("shell_mass", "2.5")]
+        [("horizon", "6"), ("controller.sample_period", "0.1"), ("shell_mass", "2.5")]
     )
     assert changed.controller.horizon == 6
-    assert (changed.simulator.sample_period, changed.controller.sample_period) == (0.1, 0.0)
+    assert changed.controller.sample_period == 0.1
     assert changed.robot.shell_mass == 2.5
+
+
+def test_settings_that_depend_on_each_other_are_accepted_in_any_order() -> None:
+    small = [("robot.shell_radius", "0.0365"), ("robot.rotor_offset", "0.015")]
+    large = [("robot.shell_radius", "1.0"), ("robot.rotor_offset", "0.5")]
+    for settings in (small, large):
+        there, back = (SHORT.with_settings(order) for order in (settings, settings[::-1]))
+        assert there == back
+        assert there.robot.rotor_offset == float(settings[1][1])
+    with pytest.raises(InvalidParameterError, match="rotor_offset"):
+        SHORT.with_settings(small[:1])
+
+
+def test_controller_has_the_units_of_the_robot_that_is_set() -> None:
+    slow = replace(SHORT, controller=ControllerSettings(strategy="paper")).with_settings(
+        [("robot.max_rotor_speed", "50"), ("robot.max_rotor_acceleration", "100")]
+    )
+    assert slow.controller.control_period == 1.0
+    assert slow.with_settings([("robot.max_rotor_speed", "100")]).controller.control_period < 1.0
+    _, controller = prepare(slow, SCENARIO)
+    assert controller._settings == slow.controller
+
+
+@pytest.mark.parametrize("again", ["horizon", "controller.horizon"])
+def test_setting_that_is_given_twice_is_refused(again) -> None:
+    with pytest.raises(InvalidParameterError, match=r"controller\.horizon: given .*6.*8"):
+        SHORT.with_settings([("horizon", "6"), ("shell_mass", "2"), (again, "8")])
+
+
+@pytest.mark.parametrize(
+    ("group", "setting"), [(group, name) for group in OF_NODES for name in OF_NODES[group]]
+)
+def test_setting_that_no_study_reads_is_refused_with_those_that_it_reads(group, setting) -> None:
+    value = getattr(getattr(SHORT, group), setting)
+    with pytest.raises(InvalidParameterError) as caught:
+        SHORT.with_settings([(f"{group}.{setting}", str(value))])
+    known = {"simulator": "sensor_rate", "controller": "horizon"}
+    assert "that a study reads" in str(caught.value) and known[group] in str(caught.value)
+    assert "\n" not in str(caught.value) and "seed" not in caught.value.expected
+
+
+def test_names_that_a_study_reads_need_no_prefix() -> None:
+    groups = ("controller", "simulator", "robot", "rigid_body", "disturbances")
+    names = [
+        field.name
+        for group in groups
+        for field in fields(getattr(SHORT, group))
+        if field.name not in OF_NODES.get(group, ())
+    ]
+    assert len(names) == len(set(names))
+
+
+def test_setting_that_only_nodes_read_does_not_change_a_run() -> None:
+    nodes = {
+        "simulator": {
+            "clock": "system", "frame_prefix": "a/", "sample_period": 0.1,
+            "lockstep_timeout": 1.0, "pose_rate": 50.0, "command_timeout": 0.1,
+        },
+        "controller": {"goal_memory": 0.0, "command_rate": 50.0, "lockstep": True},
+    }
+    paced = {"real_time_factor": 3.0, "lockstep": True, "start_paused": True}
+    expected = run_scenario(SHORT, SCENARIO)
+    for changes in (nodes, {"simulator": paced}):
+        for group, given in changes.items():
+            settings = replace(getattr(SHORT, group), **given)
+            found = run_scenario(replace(SHORT, **{group: settings}), SCENARIO)
+            np.testing.assert_array_equal(found.speeds, expected.speeds)
+            assert found.results["final_error"] == expected.results["final_error"]
+    assert set(nodes["simulator"]) | set(paced) == set(OF_NODES["simulator"])
+    assert set(nodes["controller"]) == set(OF_NODES["controller"])

@@ -100,6 +100,26 @@ def test_lockstep_waits_for_the_command_of_its_instant() -> None:
     assert clock.awaited == SAMPLE
 
 
+def test_sampling_instants_are_those_that_the_controller_tells() -> None:
+    clock = clock_at_zero(lockstep=True, real_time_factor=0.0)
+    clock.resume(0, 0.0)
+    clock.set_sample_period(400 * MS, 0.0)
+    assert clock.awaited == 0, "an instant of any period"
+    clock.command_received(0, 0.0)
+    assert run(clock, 400 * MS, 0.0) == 0.0 and clock.awaited == 400 * MS
+    clock.set_sample_period(300 * MS, 0.0)
+    assert clock.awaited is None and clock.next_sample(400 * MS) == 600 * MS
+
+
+def test_step_ends_at_the_sampling_instant_that_is_told_on_the_way() -> None:
+    clock = clock_at_zero(lockstep=True, real_time_factor=0.0, paused=True)
+    clock.step(0, 0.0)
+    clock.set_sample_period(400 * MS, 0.0)
+    clock.command_received(0, 0.0)
+    run(clock, 400 * MS, 0.0)
+    assert clock.paused
+
+
 def test_wait_in_lockstep_ends_after_its_timeout() -> None:
     clock = clock_at_zero(lockstep=True, lockstep_timeout=2.0, real_time_factor=0.0)
     clock.resume(0, 0.0)

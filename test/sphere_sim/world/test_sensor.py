@@ -66,6 +66,15 @@ def test_measurements_do_not_depend_on_when_poses_are_read() -> None:
         np.testing.assert_array_equal(pose, other_pose)
 
 
+def test_sensor_without_a_rate_measures_at_the_pose_rate_whenever_poses_are_read() -> None:
+    settings = dict(sensor_latency=0.03, sensor_dropout=0.3, pose_rate=50.0, seed=4)
+    often, rarely = (
+        poses(world(**settings), step) for step in (10 * MILLISECOND, 250 * MILLISECOND)
+    )
+    assert {stamp % (20 * MILLISECOND) for _, stamp, _ in often} == {0}
+    assert [stamp for _, stamp, _ in often] == [stamp for _, stamp, _ in rarely]
+
+
 def test_losses_have_the_given_share_and_do_not_change_other_poses() -> None:
     noisy = dict(sensor_rate=1000.0, position_noise=0.01, seed=2)
     whole = {stamp: pose for _, stamp, pose in poses(world(**noisy), 10 * MILLISECOND)}

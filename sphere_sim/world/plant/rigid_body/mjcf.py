@@ -33,7 +33,7 @@ def make_mjcf(
     robot : RobotParameters
         True parameters of the robot.
     settings : RigidBodySettings
-        Drives, floor, contact and integration.
+        Drives, floor, contact and integration, all derived by `for_robot`.
     disturbances : DisturbanceSettings
         Slope, offset of the centre of mass and friction.
     floor : RoughFloor, optional

@@ -53,7 +53,8 @@ class RigidBodyPlant:
         disturbances: DisturbanceSettings | None = None,
     ) -> None:
         self._mj = _load_engine()
-        self._settings = RigidBodySettings() if settings is None else settings
+        settings = RigidBodySettings() if settings is None else settings
+        self._settings = settings.for_robot(robot)
         self._radius = robot.shell_radius
         self._gain = servo_gain(robot, self._settings)
         bandwidth = self._gain / robot.rotor_axial_inertia

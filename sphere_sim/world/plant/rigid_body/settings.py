@@ -2,15 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the plant ``rigid_body``: drives, floor, contact and integration."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity, validate
+from sphere_sim.world.plant.time_scale import step_scale, time_scale
+
+_BANDWIDTH = 300.0  # [rad/s]
+_CONTACT_TIME_CONSTANT, _TIME_STEP = 0.004, 0.002  # [s]
+"""Values for the robot of Table 1; docs/rigid_body.md explains them."""
+_SHORTEST_STEP = 1e-5  # [s]
 
 
 @dataclass(frozen=True)
 class RigidBodySettings:
     """Effects that the ideal plant does not have; docs/rigid_body.md explains the defaults.
+
+    Where 0 is the robot's own value, `for_robot` derives it.
 
     Raises
     ------
@@ -19,10 +29,10 @@ class RigidBodySettings:
     """
 
     drive_bandwidth: float = quantity(
-        300.0,
+        0.0,
         "rad/s",
-        "Bandwidth of the rotors' speed servos, cut at 1 / time_step",
-        minimum=1.0,
+        "Bandwidth of the rotors' speed servos, cut at 1 / time_step; 0 is the robot's own",
+        minimum=0.0,
         maximum=1e6,
     )
     drive_feedforward: bool = quantity(
@@ -31,11 +41,11 @@ class RigidBodySettings:
         "Feed the slope of the reference forward, so that the servos follow ramps without lag",
     )
     torque_limit: float = quantity(
-        3.2,
+        0.0,
         "N m",
-        "Largest torque of a rotor drive; the paper's controller needs no more",
-        minimum=1e-3,
-        maximum=1e6,
+        "Largest torque of a rotor drive; 0 is the robot's own: I1 max_rotor_acceleration",
+        minimum=0.0,
+        maximum=1e9,
     )
     friction: float = quantity(
         0.8,
@@ -68,23 +78,68 @@ class RigidBodySettings:
         "Move the shell's centre of mass so that the common one is the centre of the sphere",
     )
     contact_time_constant: float = quantity(
-        0.004,
+        0.0,
         "s",
-        "Time constant of the contact; shorter is stiffer, at least 2 time_step",
-        minimum=1e-4,
+        "Time constant of the contact; shorter is stiffer, at least 2 time_step; 0 is the robot's "
+        "own",
+        minimum=0.0,
         maximum=1.0,
     )
     contact_impedance: float = quantity(
         0.999, "-", "Impedance of the contact; 1 is rigid", minimum=0.1, maximum=0.9999
     )
-    time_step: float = quantity(0.002, "s", "Longest integration step", minimum=1e-5, maximum=0.02)
+    time_step: float = quantity(
+        0.0, "s", "Longest integration step; 0 is the robot's own", minimum=0.0, maximum=0.02
+    )
 
     def __post_init__(self) -> None:
         validate(self)
-        if self.contact_time_constant < 2.0 * self.time_step * (1.0 - 1e-9):
+        if 0.0 < self.time_step < _SHORTEST_STEP:
+            raise InvalidParameterError(
+                "time_step", self.time_step, f"0 or at least {_SHORTEST_STEP:g} s"
+            )
+        if 0.0 < self.contact_time_constant < 2.0 * self.time_step * (1.0 - 1e-9):
             # MuJoCo would soften the contact without a warning.
             raise InvalidParameterError(
                 "contact_time_constant",
                 self.contact_time_constant,
                 f"at least twice time_step = {self.time_step:g} s",
             )
+
+    def for_robot(self, robot: RobotParameters) -> "RigidBodySettings":
+        """Return the settings with each 0 that stands for the robot's own value replaced by it.
+
+        Drives and steps of integration are as fast as the robot moves, so that in units of its
+        radius it deviates from ideal rolling as the robot of Table 1 does; the torque is that of
+        the largest acceleration.
+        """
+        scale = step_scale(robot)
+        given = self.contact_time_constant
+        step = self.time_step or max(
+            _SHORTEST_STEP, min(scale * _TIME_STEP, 0.5 * given if given else math.inf)
+        )
+        return replace(
+            self,
+            drive_bandwidth=self.drive_bandwidth or _BANDWIDTH / time_scale(robot),
+            torque_limit=self.torque_limit or full_torque(robot),
+            contact_time_constant=given or max(scale * _CONTACT_TIME_CONSTANT, 2.0 * step),
+            time_step=step,
+        )
+
+    def contradiction(self, robot: RobotParameters) -> str | None:
+        """Return in one line how the drives fall short of the robot's limits; None if they do not.
+
+        A `max_rotor_torque` that the drives can give makes up for it: plans then respect it.
+        """
+        limit, needed = self.for_robot(robot).torque_limit, full_torque(robot)
+        why = f"for robot.max_rotor_acceleration = {robot.max_rotor_acceleration:g} rad/s^2"
+        if 0.0 < robot.max_rotor_torque < needed:
+            needed, why = robot.max_rotor_torque, "as robot.max_rotor_torque"
+        if limit >= needed * (1.0 - 1e-9):
+            return None
+        return f"rigid_body.torque_limit: given {limit:g} N m, expected {needed:g} N m {why}"
+
+
+def full_torque(robot: RobotParameters) -> float:
+    """Return the torque that accelerates a rotor by `max_rotor_acceleration` [N m]."""
+    return robot.rotor_axial_inertia * robot.max_rotor_acceleration

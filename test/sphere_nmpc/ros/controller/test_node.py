@@ -520,7 +520,7 @@ def test_strategy_can_be_changed_on_the_way(graph) -> None:
     changed = robot.now * 1e-9
     robot.pass_time(1.6)
     graph.until(lambda: robot.status()["strategy"] == "time_optimal")
-    assert "beta_bound" not in robot.status()
+    assert "stability_steps" not in robot.status()
     graph.until(lambda: robot.holds()[-1].start > changed + 1.2)
     starts = np.array([hold.start for hold in robot.holds()])
     # A plan that takes effect when it was made for begins later than its instant.

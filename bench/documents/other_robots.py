@@ -1,0 +1,118 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Deviation of the plant with contact from ideal rolling, for robots from 3 cm to 1 m.
+
+``python bench/documents/other_robots.py`` prints the table of docs/rigid_body.md.
+"""
+
+import argparse
+import math
+
+import numpy as np
+from plant_runs import angles_between
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+
+GRAVITY = 9.81
+STEPS = 50
+"""Steps of the simulator on each ramp."""
+RAMPS = 10
+"""Ramps of a sequence."""
+
+
+def scaled(
+    radius: float, shell: float, rotor: float, speed: float, acceleration: float,
+    axial: float = 0.0,
+) -> RobotParameters:
+    """Return a robot with the inertias of Table 1 over mass and squared radius.
+
+    Parameters
+    ----------
+    radius, shell, rotor : float
+        Radius [m], mass of the shell, and of each rotor and counterweight [kg].
+    speed, acceleration : float
+        Limits of the rotors [rad/s, rad/s^2].
+    axial : float, optional
+        I1 [kg m^2], where it is not that of the scale.
+    """
+    axial = axial or 0.008 / (0.7 * 0.3**2) * rotor * radius**2
+    return RobotParameters(
+        shell_mass=shell, shell_radius=radius, shell_inertia=shell * radius**2 / 1.5,
+        rotor_offset=0.5 * radius, counterweight_mass=rotor, rotor_mass=rotor,
+        rotor_axial_inertia=axial, rotor_transverse_inertia=0.5 * axial,
+        counterweight_axial_inertia=axial, counterweight_transverse_inertia=0.5 * axial,
+        max_rotor_speed=speed, max_rotor_acceleration=acceleration,
+    )
+
+
+ROBOTS = {
+    "3.65 cm": scaled(0.0365, 0.05, 0.02, 1000.0, 5000.0),
+    "10 cm": scaled(0.1, 0.4, 0.25, 500.0, 1000.0),
+    "30 cm, Table 1": RobotParameters(),
+    "1 m": scaled(1.0, 30.0, 20.0, 60.0, 50.0, 0.9),
+}
+
+
+def states(plant: Plant, knots: np.ndarray, duration: float) -> np.ndarray:
+    """Return the states on ramps of `duration` [s] between rotor speeds, shape (steps, 6)."""
+    found, here = [], np.zeros(2)
+    for there in knots:
+        for i in range(STEPS):
+            plant.advance(here + (i + 1) / STEPS * (there - here), duration / STEPS)
+            found.append(plant.state)
+        here = there
+    return np.array(found)
+
+
+def deviations(robot: RobotParameters, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest distance [radii] and angle [rad] within each of `number` sequences.
+
+    The rotor speeds are uniform in half their range, at which no robot here slips, on the
+    shortest ramps allowed.
+    """
+    distances, angles = [], []
+    limit = 0.5 * robot.max_rotor_speed
+    ramp = 2.0 * limit / robot.max_rotor_acceleration
+    for seed in range(number):
+        rng = np.random.default_rng([0, seed])
+        start = np.concatenate(([0.0, 0.0], random_quaternion(rng)))
+        knots = rng.uniform(-limit, limit, (RAMPS, 2))
+        ideal = states(RollingPlant(robot, start), knots, ramp)
+        contact = states(RigidBodyPlant(robot, start), knots, ramp)
+        apart = np.linalg.norm(ideal[:, :2] - contact[:, :2], axis=1).max()
+        distances.append(apart / robot.shell_radius)
+        angles.append(angles_between(contact, ideal).max())
+    return np.array(distances), np.array(angles)
+
+
+def friction_needed(robot: RobotParameters) -> float:
+    """Return the friction at which a curve at full speed does not slip, to first order [-]."""
+    rate = math.sqrt(2.0) * robot.lumped.input_gain * robot.max_rotor_speed
+    return robot.shell_radius * rate**2 / GRAVITY
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--sequences", type=int, default=20)
+    given = parser.parse_args()
+    print("| radius | bandwidth [rad/s] | torque limit [N m] | time step [ms] | deviation, median "
+          "(worst) [radii] | angle [rad] | friction needed at full speed |\n" + "|---" * 7 + "|")
+    for name, robot in ROBOTS.items():
+        own = RigidBodySettings().for_robot(robot)
+        far, turned = deviations(robot, given.sequences)
+        cells = [
+            name, f"{own.drive_bandwidth:.0f}", f"{own.torque_limit:.3g}",
+            f"{1e3 * own.time_step:g}",
+            *(f"{np.median(found):.2g} ({found.max():.2g})" for found in (far, turned)),
+            f"{friction_needed(robot):.2g}",
+        ]
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

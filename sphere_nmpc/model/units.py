@@ -1,0 +1,80 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Units of a robot: the length, time and rotor speed in which all robots move nearly alike.
+
+With lengths in Rs, times in 1 / (c1 u_max) and rotor speeds in u_max, three constants are left:
+r1, r3 and the time of a ramp to the largest speed. What suits the robot of Table 1 suits any other
+robot in its own units.
+"""
+
+import math
+from dataclasses import dataclass
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.torque import within_torque
+
+_TABLE_1 = RobotParameters()
+
+_LONGEST_RAMP = 4.0
+"""Ramp to the largest speed that is planned with [of the ramp of Table 1's robot, in the units of
+the robot]. There a ramp takes half a sample period of the paper; one of two sample periods still
+leads up and down again within the horizon. With ramps of 27 and 31 and no such bound,
+`plan_keeping` missed goals and took up to twice as long."""
+
+
+@dataclass(frozen=True)
+class RobotUnits:
+    """Units of a robot over those of the robot of Table 1; 1 each for that robot.
+
+    Attributes
+    ----------
+    length : float
+        Ratio of the lengths Rs [-].
+    time : float
+        Ratio of the times 1 / (c1 U) [-].
+    speed : float
+        Ratio of the rotor speeds U [-]; U is u_max, or less where a ramp to it takes too long.
+    """
+
+    length: float = 1.0
+    time: float = 1.0
+    speed: float = 1.0
+
+    @classmethod
+    def of(cls, robot: RobotParameters) -> "RobotUnits":
+        """Return the units of a robot.
+
+        Raises
+        ------
+        InvalidParameterError
+            If its torque limit is too low, see `sphere_nmpc.model.torque.largest_acceleration`.
+        """
+        gain = robot.lumped.input_gain / _TABLE_1.lumped.input_gain
+        speed = robot.max_rotor_speed / _TABLE_1.max_rotor_speed
+        limits = within_torque(robot)
+        acceleration = limits.max_rotor_acceleration / _TABLE_1.max_rotor_acceleration
+        ramp = speed / acceleration * gain * speed
+        if ramp > _LONGEST_RAMP:
+            speed *= math.sqrt(_LONGEST_RAMP / ramp)
+        return cls(robot.shell_radius / _TABLE_1.shell_radius, 1.0 / (gain * speed), speed)
+
+    @property
+    def position_scale(self) -> float:
+        """Factor [1/m] on positions in an error that adds them to quaternion components."""
+        return 1.0 / self.length
+
+    def scaled(self, state: Vector) -> Vector:
+        """Return a state, shape (6,), with its position in the unit of length."""
+        scaled = state.copy()
+        scaled[POSITION] *= self.position_scale
+        return scaled
+
+    @property
+    def max_speed(self) -> float:
+        """U [rad/s], the largest rotor speed that is planned with."""
+        return self.speed * _TABLE_1.max_rotor_speed
+
+
+TABLE_1_UNITS = RobotUnits()
+"""Those of the robot of Table 1."""

@@ -1,0 +1,80 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Units of a robot: those of Table 1 are one, and equivalent robots have equal plans."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plan_loop import settling_time
+from robots import SIZES, scaled_robot
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION
+from sphere_nmpc.model.units import RobotUnits
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.registry import make_strategy
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+TABLE_1 = RobotParameters()
+
+
+def test_units_of_table_1_are_one_to_the_bit() -> None:
+    assert RobotUnits.of(TABLE_1) == RobotUnits(1.0, 1.0, 1.0)
+    assert RobotUnits.of(TABLE_1).max_speed == 100.0
+
+
+@pytest.mark.parametrize(
+    ("name", "period"), [("paper", 0.5), ("plan_keeping", 0.5), ("time_optimal", 0.25)]
+)
+def test_own_settings_of_table_1_are_those_of_the_paper_to_the_bit(name, period) -> None:
+    settings = ControllerSettings(strategy=name).of(TABLE_1)
+    assert (settings.period, settings.alpha, settings.longest_step) == (period, 0.5, 0.1)
+
+
+def test_what_a_user_sets_is_used_as_set() -> None:
+    given = ControllerSettings(
+        strategy="paper", sample_period=0.3, input_weight=2.0, integration_step=0.05
+    )
+    settings = given.of(scaled_robot(length=0.1, speed=10.0))
+    assert (settings.period, settings.alpha, settings.longest_step) == (0.3, 2.0, 0.05)
+
+
+def test_ramp_of_many_sample_periods_lowers_the_speed_that_is_planned_with() -> None:
+    slow = replace(TABLE_1, max_rotor_acceleration=400.0 / 16.0)
+    units = RobotUnits.of(slow)
+    # Four times as long a ramp to half the speed: two sample periods of 0.5 s / 0.5.
+    assert units.max_speed == pytest.approx(50.0)
+    assert units.max_speed / slow.max_rotor_acceleration == pytest.approx(2.0 * 0.5 * units.time)
+    assert RobotUnits.of(replace(TABLE_1, max_rotor_acceleration=100.0)).max_speed == 100.0
+
+
+@pytest.mark.parametrize("name", ["paper", "plan_keeping"])
+def test_equivalent_robots_have_the_same_plan_in_their_units(name) -> None:
+    other = scaled_robot(length=0.1, speed=8.0)
+    case, plans = PAPER_CASES[1], []
+    for robot in (TABLE_1, other):
+        settings = ControllerSettings(strategy=name).of(robot)
+        units = settings.units
+        # The own period is rounded to two digits; here the ratio has to be exact.
+        settings = replace(settings, sample_period=0.5 * units.time)
+        start, goal = case.start.copy(), case.goal.copy()
+        start[POSITION] *= units.length
+        goal[POSITION] *= units.length
+        situation = Situation(0.0, start, goal, np.zeros(2), robot.lumped)
+        plan = make_strategy(settings, robot).plan(situation)
+        plans.append((plan.hold.speeds / units.speed, plan.cost))
+    # Rounding of the products, carried through ten iterations.
+    np.testing.assert_allclose(plans[1][0], plans[0][0], atol=1e-6)
+    assert plans[1][1] == pytest.approx(plans[0][1], rel=1e-9)
+
+
+@pytest.mark.parametrize("robot", SIZES)
+@pytest.mark.parametrize("name", ["paper", "plan_keeping"])
+def test_robot_of_another_size_reaches_goals_metres_away(name, robot) -> None:
+    parameters = SIZES[robot]
+    units = RobotUnits.of(parameters)
+    for case in PAPER_CASES.values():
+        settled = settling_time(name, case.start, case.goal, 150.0 * units.time, parameters)
+        assert settled < 120.0 * units.time

@@ -57,9 +57,9 @@ def error_over_time(run: Run) -> Figure:
 def rotor_torques(run: Run) -> Figure:
     """Draw the rotor torques (Eqs. 44 to 46), and the torque of the largest acceleration.
 
-    It is I1 times that acceleration: for Table 1 the bound on all torques that the paper states.
+    For Table 1 that is the bound on all torques that the paper states.
     """
-    bound = run.robot.rotor_axial_inertia * run.robot.max_rotor_acceleration
+    bound = run.robot.full_torque
     with styled():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         axes = figure.subplots()

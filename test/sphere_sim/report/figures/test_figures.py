@@ -123,7 +123,8 @@ def test_animation_of_a_robot_of_a_tenth_is_that_of_the_robot_a_tenth_away() -> 
         picture = animation._frame(camera, floor, run, 30, robot.shell_radius)
         return np.asarray(picture, dtype=float)[40:]  # without the caption
 
-    np.testing.assert_allclose(frame(0.1), frame(1.0), atol=8.0)
+    # Edges of lines may be rounded to other pixels.
+    assert np.mean(np.abs(frame(0.1) - frame(1.0)) > 8.0) < 0.005
 
 
 @pytest.mark.parametrize(("speed", "text"), [(1000.0, "1000 rad/s"), (99.7, "99.7 rad/s")])

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter of another node, polled and set without waiting."""
+"""Parameter of another node, polled and set without waiting, with others that are only read."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -29,12 +29,16 @@ class RemoteParameter:
         Name of the parameter.
     on_refusal : callable
         Called with the reason if the node refuses a value.
+    read_only : sequence of str, optional
+        Names of further parameters that are polled with it.
     """
 
     def __init__(
-        self, node: Node, remote: str, name: str, on_refusal: Callable[[str], object]
+        self, node: Node, remote: str, name: str, on_refusal: Callable[[str], object],
+        read_only: Sequence[str] = (),
     ) -> None:
         self._name = name
+        self._read_only = tuple(read_only)
         self._on_refusal = on_refusal
         self._client = AsyncParameterClient(node, remote)
         self._polled = -_PERIOD
@@ -42,6 +46,8 @@ class RemoteParameter:
         self._descriptor = ParameterDescriptor(read_only=True)
         self.value: Any = None
         """Value; None while the node or the parameter is not available."""
+        self.others: tuple[Any, ...] = ()
+        """Values of `read_only`; empty while they are not available."""
 
     @property
     def writable(self) -> bool:
@@ -64,7 +70,7 @@ class RemoteParameter:
             self.value = None
             return
         take_value = partial(self._take_value, self._changes)
-        self._client.get_parameters([self._name], callback=take_value)
+        self._client.get_parameters([self._name, *self._read_only], callback=take_value)
         self._client.describe_parameters([self._name], callback=self._take_descriptor)
 
     def set(self, value: Any) -> None:
@@ -77,8 +83,9 @@ class RemoteParameter:
     def _take_value(self, changes: int, future: Any) -> None:
         if changes != self._changes:
             return  # the value before the newest change
-        values = getattr(future.result(), "values", None) or [None]
-        self.value = None if values[0] is None else parameter_value_to_python(values[0])
+        values = getattr(future.result(), "values", None) or ()
+        found = [parameter_value_to_python(value) for value in values]
+        self.value, self.others = (found[0] if found else None), tuple(found[1:])
 
     def _take_descriptor(self, future: Any) -> None:
         descriptors = getattr(future.result(), "descriptors", None)

@@ -14,9 +14,12 @@ import pytest
 
 pytest.importorskip("viser")
 
+from robots import GIANT, PALM
+
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.viewer.access import HOST
-from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.frame import DEFAULT_RADIUS, Capabilities, Drive, Frame
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
 from sphere_sim.viewer.source import Pause, Push, Request, SetGoal, SetSpeed, SetStrategy
 from sphere_sim.viewer.trail import Trail
@@ -192,7 +195,7 @@ def test_push_of_a_number_that_is_not_finite_is_not_sent(viewer, name, value) ->
 
 def test_momentum_is_plotted_only_where_there_is_any(viewer, script) -> None:
     def charts() -> list[bool]:
-        viewer._plots.show(viewer._history)
+        viewer._plots.show(viewer._history, Drive())
         return [handle.visible for chart, handle in viewer._plots._drawn.items()
                 if chart.disturbances]
 
@@ -217,13 +220,75 @@ def test_sphere_of_another_radius_is_created_anew(viewer, script) -> None:
     assert viewer._scene._ball.radius == 0.5
 
 
+def lengths(viewer: Viewer) -> np.ndarray:
+    """Return lengths of the view, of what lies on the floor and of the goal [m]."""
+    scene, camera = viewer._scene, viewer._server.initial_camera
+    ground = scene._ground
+    return np.array([
+        *camera.position, *camera.look_at, ground._plan.thickness, ground._knots.point_size,
+        ground._path._thickness, ground._path._spacing, scene._trace._thickness,
+        viewer._goal._position.scale, viewer._goal._position.position[2],
+    ])
+
+
+@pytest.mark.parametrize("robot", [PALM, GIANT])
+def test_robots_of_other_sizes_are_shown_as_that_of_the_paper_at_another_scale(
+    viewer, script, robot
+) -> None:
+    script.next = [at(0.0, 0.0)]
+    viewer.tick()
+    before = lengths(viewer)
+    script.next = [at(0.0, 0.0, radius=robot.shell_radius)]
+    viewer.tick()
+    np.testing.assert_allclose(lengths(viewer), before * robot.shell_radius / DEFAULT_RADIUS)
+
+
+@pytest.mark.parametrize(("radius", "cell"), [(0.0365, 0.05), (0.3, 0.5), (1.0, 1.0)])
+def test_floor_follows_the_sphere_by_whole_cells(viewer, script, radius, cell) -> None:
+    for x in (0.0, 100.3 * radius):
+        script.next = [at(x, 0.0, radius=radius)]
+        viewer.tick()
+    x, y, _ = viewer._scene._ground._floor.position
+    strong_lines = x / (2.0 * cell)
+    assert strong_lines == pytest.approx(round(strong_lines), abs=1e-9) and y == 0.0
+    assert abs(x - 100.3 * radius) <= cell
+
+
+def test_grid_and_lines_of_a_long_recording_suit_its_view_rather_than_the_sphere(
+    viewer, script
+) -> None:
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius)]
+    viewer.tick()
+    for length, size in ((0.1, PALM.shell_radius), (3.0, 0.3)):
+        viewer.look_at(np.array([[0.0, 0.0], [length, 0.0]]))
+        assert viewer._scene._ground.size == pytest.approx(size)
+
+
+@pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])
+def test_plots_have_the_limits_of_the_drives_as_range(viewer, script, robot) -> None:
+    drive = Drive(
+        robot.rotor_axial_inertia, robot.max_rotor_speed, robot.max_rotor_acceleration
+    )
+    full = {"speed": robot.max_rotor_speed, "torque": robot.full_torque}
+    for time in (0.0, 1.0):
+        script.next = [at(
+            0.0, 0.0, time=time, rotor_speeds=np.full(2, 0.5 * full["speed"]),
+            rotor_torques=np.full(2, 0.5 * full["torque"]),
+        )]
+        viewer.tick()
+    viewer._plots.show(viewer._history, drive)
+    for chart, (low, high) in viewer._plots._ranges.items():
+        if chart.limit in full:
+            assert 0.5 * full[chart.limit] <= high == -low < 2.0 * full[chart.limit]
+
+
 def test_plans_at_one_point_are_not_drawn(viewer, script) -> None:
     still = np.tile(make_state((1.0, 1.0), UPRIGHT), (5, 1))
     moving = still + np.linspace(0.0, 1.0, 5)[:, None] * np.eye(6)[0]
     for plan, there in ((still, False), (moving, True), (np.empty((0, 6)), False)):
         script.next = [at(1.0, 1.0, plan=plan)]
         viewer.tick()
-        assert viewer._scene._plan.visible is there
+        assert viewer._scene._ground._plan.visible is there
 
 
 def test_trail_is_connected_and_of_limited_length(viewer) -> None:

@@ -20,6 +20,7 @@ from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.topic_source import TopicSource
+from sphere_sim.viewer.frame import Drive
 from sphere_sim.viewer.source import Pause, Push, Reset, SetGoal, SetSpeed, SetStrategy
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
@@ -107,6 +108,14 @@ def test_refused_request_gives_one_notice(graph, source) -> None:
     notices: list[str] = []
     graph.until(lambda: notices.extend(newest(source).notices) or notices)
     assert notices == ["the lid is open"] and newest(source).notices == ()
+
+
+def test_drive_is_that_of_the_controller(graph, source) -> None:
+    assert newest(source).drive == Drive()
+    robot = (("rotor_axial_inertia", 0.9), ("max_rotor_speed", 60.0),
+             ("max_rotor_acceleration", 50.0))
+    graph.add(ControllerNode([Parameter(f"robot.{name}", value=it) for name, it in robot]))
+    graph.until(lambda: newest(source).drive == Drive(0.9, 60.0, 50.0))
 
 
 def test_strategy_can_be_selected(graph, source) -> None:

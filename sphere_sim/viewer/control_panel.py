@@ -13,10 +13,11 @@ from typing import Any
 
 import viser
 
+from sphere_sim.output.round_numbers import round_down
 from sphere_sim.viewer.choice import Choice
 from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.panel_text import LEGEND, numbers, status_bar
+from sphere_sim.viewer.panel_text import legend, numbers, status_bar
 from sphere_sim.viewer.source import Pause, Push, Request, Reset, Seek, SetSpeed, SetStrategy
 
 PICK = "pick a goal …"
@@ -65,7 +66,8 @@ class ControlPanel:
             )
             self._reset = gui.add_button("Reset", hint="Return to the start")
         with gui.add_folder("Disturbance", visible=False) as self._disturbance:
-            self._impulse = gui.add_number("impulse [N s]", 0.5, min=0.0, max=20.0, step=0.1)
+            self._impulse = gui.add_number("impulse [N s]", 0.0, min=0.0)
+            self._impulse_step = 0.0
             self._direction = gui.add_number(
                 "direction [°]", 0.0, min=-360.0, max=360.0, step=15.0,
                 hint="From the x axis; 90 is along the y axis",
@@ -78,7 +80,7 @@ class ControlPanel:
             )
         find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
         with gui.add_folder("Legend", expand_by_default=False):
-            gui.add_markdown(LEGEND)
+            self._legend = gui.add_markdown("")
         self._sought_at = float("-inf")
         self._capabilities: Capabilities | None = None
         self._on_click(send, lambda: "send")
@@ -112,10 +114,20 @@ class ControlPanel:
         """Clear the selected goal preset, so that it can be selected again."""
         self._preset.show(PICK)
 
-    def show(self, frame: Frame) -> None:
-        """Update texts and widgets; to be called a few times a second."""
+    def show(self, frame: Frame, cell: float) -> None:
+        """Update texts and widgets; to be called a few times a second.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest frame.
+        cell : float
+            Spacing of the grid on the floor [m].
+        """
         _set(self._status, "content", status_bar(frame, self._live))
         _set(self._numbers, "content", numbers(frame))
+        _set(self._legend, "content", legend(cell))
+        self._offer_impulses(frame)
         capabilities = frame.capabilities
         if capabilities != self._capabilities:
             self._capabilities = capabilities
@@ -140,6 +152,17 @@ class ControlPanel:
             _set(handle, "visible", visible)
         if capabilities.duration is not None:
             _set(self._seek.handle, "max", max(capabilities.duration, 1e-3))
+
+    def _offer_impulses(self, frame: Frame) -> None:
+        """Offer impulses in proportion to what the rotors can take up; at first 0.5 N s."""
+        # A push at the centre has the momentum of the impulse times the radius.
+        step = round_down(0.0375 * frame.drive.momentum / frame.radius)
+        if step != self._impulse_step:
+            self._impulse_step = step
+            digits = max(0, -math.floor(math.log10(step)))
+            for name, value in (("precision", digits), ("step", step), ("max", 200.0 * step),
+                                ("value", 5.0 * step)):
+                _set(self._impulse, name, value)
 
     def _show_strategy(self, frame: Frame) -> None:
         # A strategy that cannot be changed is shown as a list of one.

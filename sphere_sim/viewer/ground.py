@@ -32,8 +32,9 @@ class Ground:
     def __init__(self, scene: viser.SceneApi, size: float) -> None:
         self.size = size
         """Radius of the sphere for which it was created [m]."""
-        self._cell = grid_cell(size)
-        self._floor = add_floor(scene, self._cell)
+        self.cell = grid_cell(size)
+        """Spacing of the grid [m]."""
+        self._floor = add_floor(scene, self.cell)
         scene.add_frame(
             "/world", axes_length=0.25 / 0.3 * size, axes_radius=0.008 / 0.3 * size,
             origin_radius=0.04 * size, position=(0.0, 0.0, _ON_FLOOR * size),
@@ -60,8 +61,8 @@ class Ground:
     def show(self, position: Vector, plan: Vector) -> None:
         """Show path and plan, states of shape (n, 6), and the floor around a position, (2,)."""
         self._path.draw()
-        if np.max(np.abs(position - self._floor.position[:2])) > _FLOOR_MARGIN * self._cell:
-            coarse = 2.0 * self._cell
+        if np.max(np.abs(position - self._floor.position[:2])) > _FLOOR_MARGIN * self.cell:
+            coarse = 2.0 * self.cell
             self._floor.position = np.append(coarse * np.round(position / coarse), 0.0)
         if plan is not self._drawn_plan:
             self._drawn_plan = plan

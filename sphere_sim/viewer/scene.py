@@ -51,6 +51,11 @@ class Scene:
         self._ground = Ground(self._scene, self.radius)
         self._look_from_the_start()
 
+    @property
+    def cell(self) -> float:
+        """Spacing of the grid on the floor [m]."""
+        return self._ground.cell
+
     def extend_lines(self, frame: Frame) -> None:
         """Extend the lines to a frame, which itself need not be shown."""
         if frame.restarted:

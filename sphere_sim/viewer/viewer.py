@@ -69,17 +69,19 @@ class Viewer:
         self._frame = frames[-1]
         state = self._frame.state
         if not self._has_view and self._live and state is not None:
-            # A sphere far from the origin would be outside of the initial view.
+            # A sphere or goal far from the origin would be outside of the initial view.
             self._has_view = True
-            if not self._scene.shows(state[POSITION]):
-                self._scene.look_at(state[None, POSITION])
+            goal = state if self._frame.goal is None else self._frame.goal
+            places = np.array([state[POSITION], goal[POSITION]])
+            if not all(map(self._scene.shows, places)):
+                self._scene.look_at(places)
         with self._server.atomic():
             self._scene.show(self._frame)
             self._show_goal()
         now = time.monotonic()
         if now > self._panel_updated + _PANEL_PERIOD:
             self._panel_updated = now
-            self._panel.show(self._frame)
+            self._panel.show(self._frame, self._scene.cell)
             if self._server.get_clients():
                 self._plots.show(self._history, self._frame.drive)
 

@@ -153,15 +153,12 @@ class Browser:
             )
             time.sleep(0.05)
 
-    def settle(self, patience: float = PATIENCE) -> None:
-        """Wait until the page draws regularly, after the compilation of its shaders."""
-        end = time.monotonic() + patience
-        while True:
-            before = self.evaluate("window.drawn")
-            time.sleep(1.5)
-            if self.evaluate("window.drawn") >= before + 5:
-                return
+    def settle(self) -> None:
+        """Wait until the page has drawn some frames, after the compilation of its shaders."""
+        end, before = time.monotonic() + PATIENCE, self.evaluate("window.drawn")
+        while self.evaluate("window.drawn") < before + 5:
             assert time.monotonic() < end, "the page does not draw"
+            time.sleep(0.1)
 
     def click_button(self, label: str) -> None:
         """Click the button with this label."""

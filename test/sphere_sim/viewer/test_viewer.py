@@ -147,21 +147,21 @@ def test_choice_on_the_page_is_neither_overwritten_nor_lost_nor_repeated(
     viewer, label, chosen, request_
 ) -> None:
     panel, before = viewer._panel, in_force(2.0, "time_optimal")
-    panel.show(before)
+    panel.show(before, 0.5)
     assert panel.take() == [], "what the program shows is no request"
     # As the server does on its own thread when the page sends the value.
     widget(viewer, label)._impl.value = chosen
-    panel.show(replace(before, capabilities=replace(before.capabilities, paused=True)))
+    panel.show(replace(before, capabilities=replace(before.capabilities, paused=True)), 0.5)
     assert panel.take() == [request_] and panel.take() == []
 
 
 def test_refused_choice_is_replaced_by_what_is_in_force(viewer) -> None:
     panel = viewer._panel
-    panel.show(in_force(2.0, "time_optimal"))
+    panel.show(in_force(2.0, "time_optimal"), 0.5)
     widget(viewer, "strategy")._impl.value = "paper"
     widget(viewer, "speed")._impl.value = 0.5
     assert len(panel.take()) == 2
-    panel.show(in_force(2.0, "time_optimal"))
+    panel.show(in_force(2.0, "time_optimal"), 0.5)
     assert widget(viewer, "strategy").value == "time_optimal"
     assert widget(viewer, "speed").value == 2.0
     assert panel.take() == []
@@ -171,7 +171,7 @@ def test_refused_choice_is_replaced_by_what_is_in_force(viewer) -> None:
     ("label", "invalid"), [("strategy", "none"), ("speed", np.nan), ("goal", "none")]
 )
 def test_invalid_choice_is_taken_back(viewer, label, invalid) -> None:
-    viewer._panel.show(in_force(2.0, "time_optimal"))
+    viewer._panel.show(in_force(2.0, "time_optimal"), 0.5)
     before = widget(viewer, label).value
     widget(viewer, label)._impl.value = invalid
     assert viewer._panel.take() == [] and widget(viewer, label).value == before
@@ -264,11 +264,44 @@ def test_grid_and_lines_of_a_long_recording_suit_its_view_rather_than_the_sphere
         assert viewer._scene._ground.size == pytest.approx(size)
 
 
+def drive_of(robot: RobotParameters) -> Drive:
+    return Drive(robot.rotor_axial_inertia, robot.max_rotor_speed, robot.max_rotor_acceleration)
+
+
+@pytest.mark.parametrize(
+    ("robot", "step"), [(RobotParameters(), 0.1), (PALM, 0.002), (GIANT, 2.0)]
+)
+def test_impulses_that_are_offered_are_a_share_of_what_the_rotors_take_up(
+    viewer, robot, step
+) -> None:
+    frame = at(0.0, 0.0, radius=robot.shell_radius, drive=drive_of(robot))
+    viewer._panel.show(frame, 0.5)
+    field = widget(viewer, "impulse [N s]")
+    assert (field.step, field.max, field.value) == pytest.approx((step, 200 * step, 5 * step))
+    assert round(step, field.precision) == step
+    field._impl.value = 3 * step
+    viewer._panel.show(frame, 0.5)
+    assert field.value == 3 * step
+
+
+@pytest.mark.parametrize(("radius", "text"), [(0.3, "every 0.5 m"), (0.0365, "every 0.05 m")])
+def test_legend_has_the_spacing_of_the_grid(viewer, script, radius, text) -> None:
+    script.next = [at(0.0, 0.0, radius=radius)]
+    viewer.tick()
+    assert text in viewer._panel._legend.content
+
+
+def test_initial_view_contains_sphere_and_goal(viewer, script) -> None:
+    goal = make_state((3.0, 4.0), UPRIGHT)
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius, goal=goal)]
+    viewer.tick()
+    camera = viewer._server.initial_camera
+    assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0])
+    assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 5.0
+
+
 @pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])
 def test_plots_have_the_limits_of_the_drives_as_range(viewer, script, robot) -> None:
-    drive = Drive(
-        robot.rotor_axial_inertia, robot.max_rotor_speed, robot.max_rotor_acceleration
-    )
     full = {"speed": robot.max_rotor_speed, "torque": robot.full_torque}
     for time in (0.0, 1.0):
         script.next = [at(
@@ -276,7 +309,7 @@ def test_plots_have_the_limits_of_the_drives_as_range(viewer, script, robot) -> 
             rotor_torques=np.full(2, 0.5 * full["torque"]),
         )]
         viewer.tick()
-    viewer._plots.show(viewer._history, drive)
+    viewer._plots.show(viewer._history, drive_of(robot))
     for chart, (low, high) in viewer._plots._ranges.items():
         if chart.limit in full:
             assert 0.5 * full[chart.limit] <= high == -low < 2.0 * full[chart.limit]

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames from live topics, requests to other nodes, and markers, over DDS."""
 
+import itertools
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,6 +15,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 pytest.importorskip("viser")
 
+from robots import GIANT, PALM
+
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
@@ -166,6 +171,25 @@ def test_missing_messages_of_both_nodes_are_reported(graph, source) -> None:
     graph.until(alive)
     graph.until(lambda: any("no pose for" in it for it in newest(source).alerts))
     graph.until(lambda: any("controller silent for" in it for it in newest(source).alerts))
+
+
+@pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])
+def test_lines_of_the_markers_are_in_the_size_of_the_robot(graph, robot) -> None:
+    graph.add(MarkerNode())
+    radius = robot.shell_radius
+    poses, received = graph.publisher(PoseStamped, "pose"), graph.collect(MarkerArray, "markers")
+    steps = itertools.count()
+
+    def path() -> list[Marker]:
+        step = next(steps)
+        state = START + 0.2 * radius * step * np.eye(6)[0]
+        poses.publish(pose_to_ros(state, step, radius))
+        found = [it for array in received for it in array.markers if it.ns == "path"]
+        return [it for it in found if len(it.points) > 1]
+
+    graph.until(path)
+    assert path()[0].scale.x == pytest.approx(0.012 * radius / 0.3)
+    assert path()[0].points[0].z == pytest.approx(0.003 * radius / 0.3)
 
 
 def test_markers_are_published_to_a_subscriber(graph) -> None:

@@ -22,8 +22,8 @@ PATIENCE = 90.0
 
 
 @contextmanager
-def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subprocess.Popen[str]]:
-    """Run a node in a process of its own; it must end cleanly within `patience` [s]."""
+def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a node in a process of its own; it must end cleanly."""
     code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", code, verb, "--ros-args", *options], stderr=subprocess.PIPE,
@@ -32,7 +32,7 @@ def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subpro
     try:
         yield process
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=patience) == 0
+        assert process.wait(timeout=PATIENCE) == 0
     finally:
         process.kill()
         process.wait()

@@ -38,6 +38,7 @@ STRATEGIES: dict[str, StrategyEntry] = {
 """All strategies by name; an entry added here is a choice of the parameter ``strategy``."""
 
 _SHORTEST_PERIOD = 1e-2
+_SHORTEST_STEP = 1e-3
 _INPUT_WEIGHT = 0.5
 """The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
 _INTEGRATION_STEP = 0.1
@@ -154,6 +155,10 @@ class ControllerSettings:
         if 0.0 < self.sample_period < _SHORTEST_PERIOD:
             raise InvalidParameterError(
                 "sample_period", self.sample_period, f"0 or at least {_SHORTEST_PERIOD:g} s"
+            )
+        if 0.0 < self.integration_step < _SHORTEST_STEP:
+            raise InvalidParameterError(
+                "integration_step", self.integration_step, f"0 or at least {_SHORTEST_STEP:g} s"
             )
 
     def of(self, robot: RobotParameters) -> "ControllerSettings":

@@ -5,7 +5,8 @@
     python bench/documents/holding_figure.py --out docs/momentum.svg
 
 Left: time at an upright goal from rotors at rest until one is at its limit. Right: the plant with
-contact at an upright goal, pushed at rest, and on a slope until a rotor is at its limit.
+contact at an upright goal: pushed at rest after it has rolled there, and on a slope until a rotor
+is at its limit.
 """
 
 import argparse
@@ -40,7 +41,9 @@ SLOPES = np.geomspace(0.03, 3.0, 41)
 OFFSETS = np.geomspace(0.05, 5.0, 41)
 """Distances of the centre of mass from the centre of the sphere [mm]."""
 HEADINGS: Vector = np.radians(np.arange(0.0, 180.0, 15.0))
-PUSH = Push(2.0, (1.0, 0.0))
+START: Vector = np.array([-1.0, 0.5, 1.0, 0.0, 0.0, 0.0])
+"""Start of the run with a push: on the way to the goal the constants of the plant are learnt."""
+PUSH = Push(8.0, (1.0, 0.0))
 SLOPE = math.radians(0.5)
 
 
@@ -62,7 +65,7 @@ def time_out_of_balance(offset: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class HeldRun:
-    """Closed loop of a sphere that starts at its goal.
+    """Closed loop of a sphere that is disturbed at its goal.
 
     Attributes
     ----------
@@ -85,11 +88,13 @@ class HeldRun:
     rest_speeds: Vector
 
 
-def run(duration: float, push: Push | None = None, slope: float = 0.0) -> HeldRun:
-    """Return a run of `duration` [s] on a slope [rad], with the default strategy."""
+def run(
+    duration: float, start: Vector, push: Push | None = None, slope: float = 0.0
+) -> HeldRun:
+    """Return a run of `duration` [s] from `start`, (6,), with the default strategy."""
     settings = ControllerSettings()
-    plant = RigidBodyPlant(ROBOT, GOAL, disturbances=DisturbanceSettings(slope=slope))
-    world = SimulatorSettings(initial_state=tuple(GOAL.tolist()))
+    plant = RigidBodyPlant(ROBOT, start, disturbances=DisturbanceSettings(slope=slope))
+    world = SimulatorSettings(initial_state=tuple(start.tolist()))
     found = run_closed_loop(
         Simulator(world, ROBOT, plant), Controller(settings, ROBOT), GOAL, duration,
         settings.control_period, push=push,
@@ -146,7 +151,7 @@ def draw(pushed: HeldRun, tilted: HeldRun) -> Figure:
         figure = Figure(figsize=(12.0, 6.4), layout="constrained")
         rows = figure.subplots(2, 3)
         draw_times(rows[0, 0], rows[1, 0])
-        draw_run(pushed, rows[0, 1], rows[1, 1], "c: push of 1 N s at 2 s")
+        draw_run(pushed, rows[0, 1], rows[1, 1], f"c: push of 1 N s at {PUSH.time:g} s")
         draw_run(tilted, rows[0, 2], rows[1, 2], "d: slope of 0.5°")
         rows[1, 1].legend(loc="lower right")
     return figure
@@ -158,8 +163,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/momentum.svg"))
     parser.add_argument("--duration", type=float, default=12.0)
     arguments = parser.parse_args()
-    pushed = run(arguments.duration, push=PUSH)
-    tilted = run(arguments.duration, slope=SLOPE)
+    pushed = run(arguments.duration, START, push=PUSH)
+    tilted = run(arguments.duration, GOAL, slope=SLOPE)
     figure = draw(pushed, tilted)
     dated = {"Date": None} if arguments.out.suffix == ".svg" else None
     with styled():

@@ -27,7 +27,7 @@ RAMPS = 10
 
 def scaled(
     radius: float, shell: float, rotor: float, speed: float, acceleration: float,
-    axial: float = 0.0,
+    axial: float = 0.0, offset: float = 0.0,
 ) -> RobotParameters:
     """Return a robot with the inertias of Table 1 over mass and squared radius.
 
@@ -39,11 +39,13 @@ def scaled(
         Limits of the rotors [rad/s, rad/s^2].
     axial : float, optional
         I1 [kg m^2], where it is not that of the scale.
+    offset : float, optional
+        Distance of rotors and counterweights from the centre [m], where it is not half the radius.
     """
     axial = axial or 0.008 / (0.7 * 0.3**2) * rotor * radius**2
     return RobotParameters(
         shell_mass=shell, shell_radius=radius, shell_inertia=shell * radius**2 / 1.5,
-        rotor_offset=0.5 * radius, counterweight_mass=rotor, rotor_mass=rotor,
+        rotor_offset=offset or 0.5 * radius, counterweight_mass=rotor, rotor_mass=rotor,
         rotor_axial_inertia=axial, rotor_transverse_inertia=0.5 * axial,
         counterweight_axial_inertia=axial, counterweight_transverse_inertia=0.5 * axial,
         max_rotor_speed=speed, max_rotor_acceleration=acceleration,

@@ -10,6 +10,7 @@ import numpy as np
 from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.progress import Progress
 from sphere_nmpc.control.rotor_feedback import RotorFeedback
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate, Estimator
@@ -68,6 +69,7 @@ class Controller:
         )
         self._goal: Vector | None = None
         self._arrival = Arrival()
+        self._progress = Progress(robot)
         self._interrupted = False
         """Whether no pose was fresh enough at the last sampling instant with a pose."""
         self.enabled = True
@@ -109,6 +111,7 @@ class Controller:
             return False
         self._goal = wanted
         self._arrival.reset()
+        self._progress.reset()
         if self._searching is None:
             self._reset_strategy()
         return True
@@ -165,6 +168,7 @@ class Controller:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""
         self._estimator.forget()
         self._arrival.reset()
+        self._progress.reset()
         self._commands.sent.clear()
         self.rotor_feedback.reset()
         self._reset_strategy()
@@ -251,6 +255,7 @@ class Controller:
                 self._interrupted = True
                 self._reset_strategy()
                 self._arrival.reset()
+                self._progress.reset()
                 self.rotor_feedback.resume()
             mode = Mode.NO_FRESH_POSE
             return Decision(
@@ -277,7 +282,15 @@ class Controller:
             time, decision.error, settings.goal_tolerance, settings.period
         )
         arrived = reached and mode is Mode.TRACKING
-        return replace(decision, mode=Mode.AT_GOAL) if arrived else decision
+        if goal is None or arrived or not decision.solved:
+            self._progress.reset()
+            return replace(decision, mode=Mode.AT_GOAL) if arrived else decision
+        missing = self._progress.update(
+            time, newest[1], goal, self.speeds_at(time), decision, settings
+        )
+        if not missing:
+            return decision
+        return replace(decision, mode=Mode.NO_PROGRESS, no_progress=missing)
 
     def _estimate(self, time: float) -> tuple[Estimate | None, Exception]:
         """Return the estimate for `time` [s]; where it fails None and the reason."""

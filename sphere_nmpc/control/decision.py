@@ -24,9 +24,12 @@ class Mode(Enum):
     NO_FRESH_POSE = "no fresh pose, ramping to rest"
     TRACKING = "on the way to the goal"
     AT_GOAL = "at the goal"
+    NO_PROGRESS = "no progress towards the goal"
     SATURATED = "the rotors cannot hold the momentum"
     FALLBACK = "solve failed, following the previous plan"
 
+
+_SOLVED = (Mode.TRACKING, Mode.AT_GOAL, Mode.NO_PROGRESS, Mode.SATURATED)
 
 @dataclass(frozen=True, eq=False)
 class Decision:
@@ -51,6 +54,8 @@ class Decision:
         frame]. None where poses are trusted exactly.
     drift : Drift
         Estimated momentum at the sampling instant, with slope and imbalance.
+    no_progress : str
+        For how long the sphere has stood away from its goal, and why; empty where it has not.
     """
 
     mode: Mode
@@ -61,6 +66,7 @@ class Decision:
     pose_age: float = float("inf")
     covariance: Vector | None = None
     drift: Drift = NO_DRIFT
+    no_progress: str = ""
 
     @classmethod
     def with_error(
@@ -90,7 +96,7 @@ class Decision:
     @property
     def solved(self) -> bool:
         """Whether the plan is the solution of the strategy for this instant."""
-        return self.mode in (Mode.TRACKING, Mode.AT_GOAL, Mode.SATURATED)
+        return self.mode in _SOLVED
 
     @property
     def position_deviation(self) -> float:

@@ -18,8 +18,8 @@ from sphere_nmpc.estimation.plant_parameters import (
     ParameterDistribution,
     ParameterScaling,
 )
-from sphere_nmpc.model.drift import DRIFT_SIZE, IMBALANCE, MOMENTUM, SLOPE, Drift
-from sphere_nmpc.model.drift_propagation import propagate_with_drift, state_rates_with_momentum
+from sphere_nmpc.model.drift import DRIFT_SIZE, IMBALANCE, SLOPE, Drift
+from sphere_nmpc.model.drift_propagation import propagate_with_drift, state_rates_with_drift
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 PRIOR = np.array([30.0, 30.0, 1.0, 7.0, 7.0, 3.0, 3.0, 3.0])
@@ -103,7 +103,7 @@ class DriftFilterState(FilterState):
         return replace(self, joint=joint, values=values)
 
     def _rates(self, speeds: Vector, constants: Vector) -> Vector:
-        return state_rates_with_momentum(self.state, self.values[MOMENTUM], speeds, constants)
+        return state_rates_with_drift(self.state, self.drift, speeds, constants)
 
     def _advanced(self, here: Vector, there: Vector, duration: float) -> "DriftFilterState":
         end = propagate_with_drift(

@@ -8,7 +8,7 @@ momentum explains was pushed; one that not even a jump explains (the robot was c
 is left out.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from sphere_nmpc.estimation.plant_parameters import (
 )
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.drift_propagation import propagate_with_drift, state_rates_with_momentum
+from sphere_nmpc.model.drift_propagation import propagate_with_drift, state_rates_with_drift
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector, angle_error
@@ -372,10 +372,11 @@ class DriftFit:
         by_unknowns = np.zeros((ERROR + KNOT, COMMON + KNOT))
         by_unknowns[:8, :4] = end.by_constants * self._scaling.slopes()
         # A longer lag adds motion before the transition and takes motion from its end.
-        rates = state_rates_with_momentum
-        begun = rates(transition.start, drift.momentum, speeds[0], constants)
+        begun = state_rates_with_drift(transition.start, drift, speeds[0], constants)
         by_unknowns[:8, LAG] = LAG_PRIOR * (end.by_start[:, :5] @ begun)
-        by_unknowns[:5, LAG] -= LAG_PRIOR * rates(end.state, end.momentum, speeds[-1], constants)
+        moved = replace(drift, momentum=end.momentum)
+        ended = state_rates_with_drift(end.state, moved, speeds[-1], constants)
+        by_unknowns[:5, LAG] -= LAG_PRIOR * ended
         by_unknowns[:8, IMBALANCE] = end.by_torques[:, 2:]
         by_unknowns[:8, COMMON : COMMON + 3] = end.by_start[:, 5:]
         by_unknowns[:8, COMMON + 3 :] = end.by_torques[:, :2]

@@ -12,7 +12,7 @@ import numpy as np
 
 from sphere_nmpc.estimation.contract import PlantEstimate
 from sphere_nmpc.estimation.drift_fit import EXPLAINED, DriftFit
-from sphere_nmpc.estimation.plant_estimator import EXCITED, PlantEstimator, noise_variance
+from sphere_nmpc.estimation.plant_estimator import EXCITED, PlantEstimator, shown_noise
 from sphere_nmpc.estimation.plant_parameters import (
     LONGEST_LAG,
     ParameterDistribution,
@@ -225,7 +225,7 @@ class DriftingPlantEstimator:
         estimate = PlantEstimate(
             scaling.lumped(parameters.mean),
             significant(scaling.lag(parameters.mean)),
-            float(np.sqrt(noise_variance(self._drifting.errors, 0))),
+            shown_noise(self._drifting.errors),
             scaling.constants(np.sqrt(np.diag(parameters.covariance))),
             self._paper.estimate.acceleration,
         )

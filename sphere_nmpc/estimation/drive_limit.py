@@ -44,10 +44,11 @@ def _followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], l
     """Return times [s] and speeds [rad/s] of the corners of one rotor's motion."""
     now, speed = float(times[0]), float(sent[0])
     corners, speeds = [now], [speed]
-    for end, wanted, slope in zip(
-        times[1:].tolist(), sent[1:].tolist(), (np.diff(sent) / np.diff(times)).tolist(),
-        strict=True,
-    ):
+    ends, wants = times.tolist(), sent.tolist()
+    for begin, end, before, wanted in zip(ends, ends[1:], wants, wants[1:], strict=False):
+        if not end - begin > _SAME:
+            continue
+        slope = (wanted - before) / (end - begin)
         behind = wanted - slope * (end - now) - speed
         while end - now > _SAME:
             if abs(behind) < _SAME:

@@ -230,7 +230,7 @@ class PlantEstimator:
         estimate = PlantEstimate(
             scaling.lumped(mean),
             significant(scaling.lag(mean)),
-            float(np.sqrt(noise_variance(residuals, 0))),
+            shown_noise(residuals),
             scaling.constants(np.sqrt(np.diag(parameters.covariance))),
             share * self._acceleration if share < _ATTAINED else np.inf,
         )
@@ -325,9 +325,23 @@ class PlantEstimator:
         return (residual - self._residual(self._driven(transition, share), at)) / _SHARE_STEP
 
 
-def noise_variance(residuals: Sequence[Vector], fitted: int) -> float:
-    """Return the noise variance shown by residuals after `fitted` parameters were fitted."""
+def shown_noise(residuals: Sequence[Vector]) -> float:
+    """Return the standard deviation of the noise that residuals show, least without any.
+
+    Unlike the variance that weighs transitions it expects none: a dead band that follows from it
+    is widened by what was seen alone.
+    """
+    return float(np.sqrt(noise_variance(residuals, 0, expected=0.0)))
+
+
+def noise_variance(
+    residuals: Sequence[Vector], fitted: int, expected: float = _EXPECTED_NOISE
+) -> float:
+    """Return the noise variance shown by residuals after `fitted` parameters were fitted.
+
+    `expected` is the prior standard deviation.
+    """
     squares = sum(float(r @ r) for r in residuals)
     freedom = max(1, _FREEDOM * len(residuals) - fitted) if residuals else 0
-    expected = _EXPECTED_WEIGHT * _EXPECTED_NOISE**2
-    return max(LEAST_NOISE**2, (squares + expected) / (freedom + _EXPECTED_WEIGHT))
+    prior = _EXPECTED_WEIGHT * expected**2
+    return max(LEAST_NOISE**2, (squares + prior) / (freedom + _EXPECTED_WEIGHT))

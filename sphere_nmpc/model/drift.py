@@ -11,6 +11,7 @@ motion need no further constant of the plant (`sphere_nmpc.model.dynamics`). It 
 
 s the torque of gravity on a slope over I1, horizontal and constant in the world; a = Mt g c / I1
 with c the centre of mass in the body; v and w the velocity of the centre and the angular velocity.
+The centre of mass also enters the inertia about the contact point.
 
 The sphere is at rest with momentum where the rotors hold it: rotor speeds (R^T h)_1,2, if the
 component of h along the body's z axis is zero.

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.dynamics import body_rate_with_momentum, rolling_velocity
+from sphere_nmpc.model.dynamics import rolling_velocity, world_rate_with_momentum
 from sphere_nmpc.model.error_state import ERROR_SIZE
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, cf4_drift_step, steps_for
 from sphere_nmpc.model.state import Vector
@@ -53,11 +53,12 @@ class DriftPropagation:
     by_torques: Vector
 
 
-def state_rates_with_momentum(
-    state: Vector, momentum: Vector, speeds: Vector, constants: Vector
+def state_rates_with_drift(
+    state: Vector, drift: Drift, speeds: Vector, constants: Vector
 ) -> Vector:
-    """Return the rates of `state_rates`, shape (5,), with momentum (3,) [rad/s; world]."""
-    return np.array(_rates_with_momentum()(state, momentum, speeds, constants)).ravel()
+    """Return the rates of `state_rates`, shape (5,), with drift."""
+    found = _rates_with_drift()(state, drift.momentum, drift.imbalance, speeds, constants)
+    return np.array(found).ravel()
 
 
 def propagate_with_drift(
@@ -160,9 +161,10 @@ def _drift_propagation_step() -> ca.Function:
 
 
 @cache
-def _rates_with_momentum() -> ca.Function:
+def _rates_with_drift() -> ca.Function:
     x, u, p = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("p", 4)
-    momentum = ca.SX.sym("momentum", 3)
-    body = body_rate_with_momentum(x[2:6], u, p, momentum)
-    velocity = rolling_velocity(ca.mtimes(rotation_matrix(x[2:6]), body), p[0])
-    return ca.Function("rates", [x, momentum, u, p], [ca.vertcat(velocity, body)])
+    momentum, imbalance = ca.SX.sym("momentum", 3), ca.SX.sym("imbalance", 3)
+    world = world_rate_with_momentum(x[2:6], u, p, momentum, imbalance)
+    body = ca.mtimes(rotation_matrix(x[2:6]).T, world)
+    rates = ca.vertcat(rolling_velocity(world, p[0]), body)
+    return ca.Function("rates", [x, momentum, imbalance, u, p], [rates])

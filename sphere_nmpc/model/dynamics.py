@@ -9,10 +9,11 @@ body's inertia D - m k k^T about that point, k the world vertical in body axes, 
 
 solved for omega by the Sherman-Morrison formula, so that only the four lumped constants
 ``p = [Rs, c1, r1, r3]`` remain. With momentum the right-hand side is I1 (h_b - [u1, u2, 0]^T), h_b
-the momentum over I1 in body axes: the rotors act as if their speeds were lower by h_b, and no
-further constant is needed, as I1 / (It2 + m) = c1 r3 / r1. `sphere_nmpc.model.drift` has the
-equations of the momentum. The paper's Eqs. (4) and (12) carry misprints; see
-``msg_docs/conventions.md``.
+the momentum over I1 in body axes: the rotors act as if their speeds were lower by h_b. A centre of
+mass at c adds Mt Rs (2 (k.c) 1 - c k^T - k c^T) to the inertia. Divided by It1 + m this needs no
+further constant: I1 becomes c1, D becomes diag(1, 1, r1 / r3), m becomes r1, and Mt Rs c becomes
+c1 Rs a / g with the imbalance a = Mt g c / I1. `sphere_nmpc.model.drift` has the equations of the
+momentum. The paper's Eqs. (4) and (12) carry misprints; see ``msg_docs/conventions.md``.
 
 Every function takes and returns CasADi expressions (SX, MX or DM columns).
 """
@@ -48,28 +49,42 @@ def body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
     )
 
 
-def body_rate_with_momentum(
-    q: Expression, u: Expression, p: Expression, momentum: Expression
+def world_rate_with_momentum(
+    q: Expression, u: Expression, p: Expression, momentum: Expression, imbalance: Expression
 ) -> Expression:
-    """Return the angular velocity of the shell [rad/s; body frame], shape (3,).
+    """Return the angular velocity of the shell [rad/s; world frame], shape (3,).
+
+    The balance of the momentum is solved in world axes, in which the vertical is constant.
 
     Parameters
     ----------
     q, u, p
-        As in `body_rate`, which this is without momentum.
+        As in `body_rate`.
     momentum : expression, shape (3,)
         h, the angular momentum about the contact point over I1 [rad/s; world frame].
+    imbalance : expression, shape (3,)
+        a = Mt g c / I1 of a centre of mass at c [rad/s^2; body frame].
     """
-    c1, r1, r3 = p[1], p[2], p[3]
+    radius, c1, r1, r3 = p[0], p[1], p[2], p[3]
     turn = rotation_matrix(q)
-    k = turn[2, :].T
-    held = ca.mtimes(turn.T, momentum)
-    w = ca.vertcat(u[0] - held[0], u[1] - held[1], -r3 / r1 * held[2])
-    along = k[0] * w[0] + k[1] * w[1] + k[2] * w[2]
-    shared = along / (1 - r1 * (k[0] * k[0] + k[1] * k[1]) - r3 * k[2] * k[2])
-    return -c1 * ca.vertcat(
-        w[0] + r1 * k[0] * shared, w[1] + r1 * k[1] * shared, w[2] + r3 * k[2] * shared
-    )
+    z = turn[:, 2]
+    b = ca.mtimes(turn, imbalance) * (c1 * radius / GRAVITY)
+    # diag(1, 1, r1 / r3) turned is 1 + (r1 / r3 - 1) z z^T.
+    along, equal = (r1 / r3 - 1) * z, 1 + 2 * b[2]
+    right = c1 * (momentum - turn[:, 0] * u[0] - turn[:, 1] * u[1])
+    # The elimination of a symmetric definite matrix, row by row: fewer products than its inverse.
+    one = 1 / (equal + along[0] * z[0])
+    m12, m13, m23 = along[0] * z[1], along[0] * z[2] - b[0], along[1] * z[2] - b[1]
+    l12, l13 = m12 * one, m13 * one
+    two = 1 / (equal + along[1] * z[1] - l12 * m12)
+    rest = m23 - l12 * m13
+    l23 = rest * two
+    three = 1 / (1 - r1 + along[2] * z[2] - l13 * m13 - l23 * rest)
+    second = right[1] - l12 * right[0]
+    w3 = (right[2] - l13 * right[0] - l23 * second) * three
+    w2 = second * two - l23 * w3
+    w1 = right[0] * one - l12 * w2 - l13 * w3
+    return ca.vertcat(w1, w2, w3)
 
 
 def momentum_rate(

@@ -16,9 +16,9 @@ import numpy as np
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.dynamics import (
     body_rate,
-    body_rate_with_momentum,
     momentum_rate,
     rolling_velocity,
+    world_rate_with_momentum,
 )
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.symbolic_rotation import (
@@ -110,8 +110,8 @@ def cf4_drift_step(
     def rates(
         quaternion: Expression, u: Expression, held: Expression
     ) -> tuple[Expression, Expression, Expression]:
-        body = body_rate_with_momentum(quaternion, u, p, held)
-        world = ca.mtimes(rotation_matrix(quaternion), body)
+        world = world_rate_with_momentum(quaternion, u, p, held, torques[2:5])
+        body = ca.mtimes(rotation_matrix(quaternion).T, world)
         change = momentum_rate(quaternion, world, p[0], torques)
         return body, rolling_velocity(world, p[0]), change
 

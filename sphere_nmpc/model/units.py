@@ -61,11 +61,15 @@ class RobotUnits:
 
     @property
     def position_scale(self) -> float:
-        """Factor [1/m] on positions in an error that adds them to quaternion components."""
-        return 1.0 / self.length
+        """Factor [1/m] on positions in an error that adds them to quaternion components.
+
+        For larger robots it stays 1: plans end where inputs cost more than what is left of the
+        error, and that has to be within the tolerance of a user in metres.
+        """
+        return 1.0 / min(1.0, self.length)
 
     def scaled(self, state: Vector) -> Vector:
-        """Return a state, shape (6,), with its position in the unit of length."""
+        """Return a state, shape (6,), with its position times `position_scale`."""
         scaled = state.copy()
         scaled[POSITION] *= self.position_scale
         return scaled

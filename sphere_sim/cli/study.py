@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sphere_sim.study.conditions import StudyConditions
     from sphere_sim.study.motion import Motion
 
-_KINDS = ("anywhere", "far", "kilometre", "circle", "half_turn", "upright")
+_KINDS = ("anywhere", "far", "kilometre", "circle", "half_turn", "upright", "typed")
 """Names of `sphere_sim.scenario.draws.DRAWS`, whose import would load NumPy; a test compares."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
 _STEEPEST, _FARTHEST_OFF = 28.0, 30.0  # [degree], [mm]
@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         "--kind", choices=_KINDS, default=_KINDS[0],
         help="kind of random scenarios: positions in +-3 m and any orientations; goals 10 to 60 m "
         "or 1 km away; both contact points on the circle Gamma; half turns in place about any "
-        "axis; goals upright, with any heading",
+        "axis; goals upright, with any heading; round numbers as a person types them",
     )
     parser.add_argument(
         "--seed", type=whole(0), default=0, metavar="S", help="seed of the random scenarios (0)"

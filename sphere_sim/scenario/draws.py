@@ -65,8 +65,26 @@ def upright(rng: np.random.Generator) -> Ends:
     return start, make_state(position, turn)
 
 
+def typed(rng: np.random.Generator) -> Ends:
+    """Return what a person types: round numbers and symmetric directions.
+
+    Starts at the origin, upright, upside down, on a side or with the contact point on the circle
+    Gamma between the rotors; goals at 0 to 10 m straight or diagonally ahead, upright, of
+    headings in steps of 15 degrees.
+    """
+    half = np.sqrt(0.5)
+    starts = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (half, 0, half, 0), (half, half, 0, 0),
+              (0.5, 0.5, 0.5, 0.5))
+    distance = rng.choice([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0])
+    direction = rng.choice([-1, 0, 1], size=2)
+    heading = np.radians(15.0 * rng.integers(24))
+    return make_state((0.0, 0.0), starts[rng.integers(len(starts))]), make_state(
+        distance * direction, (np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading))
+    )
+
+
 DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
-    draw.__name__: draw for draw in (anywhere, far, kilometre, circle, half_turn, upright)
+    draw.__name__: draw for draw in (anywhere, far, kilometre, circle, half_turn, upright, typed)
 }
 """All kinds by name; each takes a generator and returns start and goal."""
 

@@ -54,6 +54,8 @@ _ITERATIONS = 40
 """Cap on the iterations of a solve on a finer grid."""
 _DRIFT_STEPS = 16
 """Steps in which the drift is raised."""
+_DRIFT_VERSION = 1
+"""As `SEARCH_VERSION`, for times with drift alone."""
 _STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
 """Factors of the duration that are tried in turn on a finer grid [-]."""
 _RESOLUTION = 0.01
@@ -231,6 +233,6 @@ def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
     search = (SEARCH_VERSION, SEARCHES, _work(factor), *GRIDS)
     numbers = [*motion.start, *motion.goal, *robot.lumped.as_array(), *limits, *search]
     if motion.speeds.any() or not motion.drift.is_zero:
-        numbers += [*motion.speeds, *motion.drift.as_array(), _DRIFT_STEPS]
+        numbers += [*motion.speeds, *motion.drift.as_array(), _DRIFT_STEPS, _DRIFT_VERSION]
     text = " ".join(f"{float(number):.9g}" for number in numbers)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

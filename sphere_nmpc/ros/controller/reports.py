@@ -31,6 +31,7 @@ from sphere_nmpc.settings import ControllerSettings
 _LEVELS = {
     Mode.TRACKING: OK,
     Mode.AT_GOAL: OK,
+    Mode.NO_PROGRESS: WARN,
     Mode.SATURATED: ERROR,
     Mode.NO_GOAL: OK,
     Mode.NO_CLOCK: STALE,
@@ -40,6 +41,8 @@ _LEVELS = {
     Mode.NO_FRESH_POSE: ERROR,
     Mode.FALLBACK: WARN,
 }
+_NO_PROGRESS = "no progress"
+"""Kind of the fault of a sphere that stands away from its goal."""
 _KEPT = 1000
 """Newest plans whose durations the percentiles are taken of."""
 _STATUS_EVERY = 0.0499
@@ -80,6 +83,7 @@ class ControllerReports:
         monitor: ControllerMonitor,
     ) -> None:
         self._controller = controller
+        self._logger = node.get_logger()
         self._monitor = monitor
         self._schedule = schedule
         self._fault_log = fault_log
@@ -92,6 +96,7 @@ class ControllerReports:
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
         self._ticks = self._ticks_reported = self._failures_reported = 0
+        self._stands = False
         self._last_tick = float("nan")
         self._last_status = (float("-inf"), Mode.NO_POSE)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -167,6 +172,7 @@ class ControllerReports:
         if decision.solved:
             self._solve_times.append(plan.solve_time)
         self._log_failure(decision)
+        self._log_progress(decision)
         self._status_values.update(decision, time)
         self._publish_arrival()
         last, mode = self._last_status
@@ -176,7 +182,10 @@ class ControllerReports:
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         link = self._monitor.pose_link
         self._values |= {"pose_delay_s": link.delay, "pose_loss": link.loss}
-        self._publish_status(decision.mode, plan.message or plan.status.value, self._values)
+        message = plan.message or plan.status.value
+        if decision.no_progress:
+            message = f"{_NO_PROGRESS}: {decision.no_progress}"
+        self._publish_status(decision.mode, message, self._values)
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
@@ -188,6 +197,14 @@ class ControllerReports:
             self._fault_log.report("solve failed", decision.plan.message)
         elif self._controller.failures > failures:
             self._fault_log.report("controller failed", self._controller.last_failure)
+
+    def _log_progress(self, decision: Decision) -> None:
+        """Log when the sphere no longer makes progress towards its goal, and when that is over."""
+        stood, self._stands = self._stands, decision.mode is Mode.NO_PROGRESS
+        if self._stands and not stood:
+            self._fault_log.report(_NO_PROGRESS, decision.no_progress)
+        elif stood and not self._stands:
+            self._logger.info(f"{_NO_PROGRESS}: over")
 
     def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about solve times and failures."""

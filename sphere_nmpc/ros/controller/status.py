@@ -98,6 +98,7 @@ class ControllerStatus:
             **self._plant_values(),
             **drift_values(decision.drift, self._robot, controller.goal),
             "giving_up": plan.given_up,
+            "no_progress": decision.no_progress,
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,

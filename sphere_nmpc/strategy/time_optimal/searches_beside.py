@@ -132,17 +132,21 @@ class SearchesBeside:
         planner: ArrivalPlanner,
         situation: Situation,
         effort: int,
+        growth: float = 1.0,
         from_rest: bool = False,
         strict: bool = False,
         known: FirstOrderHold | None = None,
     ) -> None:
         """Begin a search for a plan from `situation`; one under way is forgotten.
 
-        Parameters as for `SearchTask`; `from_rest` as for `Outcome`.
+        Parameters as for `SearchTask`, effort and longest time times `growth`; `from_rest` as for
+        `Outcome`.
         """
         origin = situation.time if known is None else planner.grid.origin(situation.time)
-        longest = self._tuning.longest_search
-        task = search_task(planner, situation, origin, effort, longest, strict, known)
+        longest = growth * self._tuning.longest_search
+        task = search_task(
+            planner, situation, origin, round(growth * effort), longest, strict, known
+        )
         reply = self._worker.submit(task)
         self._under_way = None
         if reply.pending or reply.ready:

@@ -204,6 +204,10 @@ class TimeOptimalSettings:
     """... with these factors [-] on the time left that are tried in each."""
     improvement_divisor: int = 10
     """Each later sample spends the planning effort over this on an earlier arrival."""
+    largest_growth: float = 64.0
+    """Largest factor [-] on the planning effort, and on the longest wall time, of a search for a
+    plan where there is none: doubled after each search without an arrival. A robot whose sample
+    period is short for it has large problems, and none is found with the effort for Table 1."""
     fruitless_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""
@@ -316,6 +320,10 @@ class TimeOptimalSettings:
             manoeuvre_time=min(max(manoeuvre, self.manoeuvre_time), self.longest_manoeuvre),
             near_distance=near + max(0.0, ramps) * rolling.speed,
         )
+
+    def growth(self, fruitless: int) -> float:
+        """Return the factor [-] on the effort after that many searches without an arrival."""
+        return min(2.0 ** min(fruitless, 60), self.largest_growth)
 
     def stretched(self, duration: float, factor: float) -> float:
         """Return a duration [s] changed by a factor [-] on what of it manoeuvres take at most."""

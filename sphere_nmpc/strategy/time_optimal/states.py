@@ -22,12 +22,17 @@ class Searching:
     strict : bool
         Whether the last search ended with an arrival that does not reach the goal when it is
         solved precisely; the next one is then strict, as it would find the same again.
-    found_none : bool
-        Whether the last search ended without an arrival.
+    fruitless : int
+        Searches in succession that have ended without an arrival.
     """
 
     strict: bool = False
-    found_none: bool = False
+    fruitless: int = 0
+
+    @property
+    def found_none(self) -> bool:
+        """Whether the last search ended without an arrival."""
+        return self.fruitless > 0
 
 
 @dataclass(frozen=True, eq=False)

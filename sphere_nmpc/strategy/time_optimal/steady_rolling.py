@@ -21,6 +21,8 @@ the displacement over them stands for that over all turns."""
 
 _NEARLY = 0.9
 """Share of the speed limit beyond which a rotor counts as being at it."""
+_SAME = 1e-9
+"""Times that count as the same [s]: knots farther apart stay apart, whatever is added to them."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def with_turns(hold: FirstOrderHold, added: float, max_speed: float) -> FirstOrd
         elif times[i] - times[begin] > longest:
             place, longest = 0.5 * (times[begin] + times[i]), times[i] - times[begin]
     corner = np.copysign(max_speed, hold.at(place))
-    before, after = times < place, times > place
+    before, after = times < place - _SAME, times > place + _SAME
     return FirstOrderHold(
         np.concatenate((times[before], [place, place + added], times[after] + added)),
         np.vstack((speeds[before], corner, corner, speeds[after])),

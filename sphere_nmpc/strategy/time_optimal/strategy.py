@@ -214,7 +214,8 @@ class TimeOptimalStrategy:
             )
         planner, now = self._planner_for(situation), situation.time
         task = search_task(
-            planner, situation, self._grid.origin(now), settings.planning_effort,
+            planner, situation, self._grid.origin(now),
+            round(tuning.growth(state.fruitless) * settings.planning_effort),
             deadline - time.perf_counter(), state.strict,
         )
         return self._planned(task(), state, planner, now)
@@ -230,7 +231,7 @@ class TimeOptimalStrategy:
         """Return the state after a search for a plan that begins at `begins` [s]."""
         if result.arrival is None:
             strict = state.strict or not result.found_none
-            return Searching(strict=strict, found_none=result.found_none)
+            return Searching(strict, state.fruitless + 1 if result.found_none else 0)
         return Following(result.arrival, begins, planner)
 
     def _followed(
@@ -312,8 +313,8 @@ class TimeOptimalStrategy:
                 begins = situation.time + beside.ahead
                 start = later(situation, ramp, begins, self._tuning.precise_step)
             beside.begin(
-                Purpose.NEW, self._planner_for(situation), start,
-                settings.planning_effort, from_rest=at_rest, strict=state.strict,
+                Purpose.NEW, self._planner_for(situation), start, settings.planning_effort,
+                self._tuning.growth(state.fruitless), from_rest=at_rest, strict=state.strict,
             )
         return state
 

@@ -76,6 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
         sender = GoalSender(node, lambda: rclpy.spin_once(node, timeout_sec=0.05))
         sender.wait_for_controller(timeout)
         sender.send(goal, RobotParameters().shell_radius, _ANSWER_TIMEOUT)
+        status = node.resolve_topic_name("controller/status")
     except GoalNotAcceptedError as error:
         print(f"{sent}: {error}", file=sys.stderr)
         return 1
@@ -85,5 +86,5 @@ def main(args: Sequence[str] | None = None) -> int:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    print(f"{sent}: in force")
+    print(f"{sent}: in force; {status} reports the progress")
     return 0

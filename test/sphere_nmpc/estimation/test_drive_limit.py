@@ -64,3 +64,12 @@ def test_what_a_rotor_lacks_at_the_start_comes_from_the_lead() -> None:
     assert speeds[0, 0] == pytest.approx(75.0)
     assert durations[0] == pytest.approx(25.0 / LIMIT)
     assert speeds[1, 0] == pytest.approx(100.0) and speeds[-1, 0] == pytest.approx(100.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_piece_shorter_than_the_rounding_of_its_end_changes_nothing() -> None:
+    inputs = np.array([[0.0, 0.0], [10.0, -5.0], [10.0, -5.0], [0.0, 5.0]])
+    durations, speeds = driven_speeds(np.array([0.5, 1e-18, 0.5]), inputs, 100.0)
+    without, expected = driven_speeds(np.array([0.5, 0.5]), inputs[[0, 1, 3]], 100.0)
+    np.testing.assert_array_equal(durations, without)
+    np.testing.assert_array_equal(speeds, expected)

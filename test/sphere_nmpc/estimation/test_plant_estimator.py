@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.plant_estimator import JUMP, PlantEstimator
+from sphere_nmpc.estimation.plant_estimator import JUMP, LEAST_NOISE, PlantEstimator
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -77,6 +77,13 @@ def test_constants_are_not_estimated_at_rest() -> None:
     np.testing.assert_allclose(
         deviations(estimator), 0.1 * NOMINAL.lumped.as_array(), rtol=1e-12
     )
+
+
+def test_no_noise_is_told_before_any_was_seen() -> None:
+    estimator = PlantEstimator(NOMINAL.lumped)
+    assert estimator.estimate.noise == LEAST_NOISE
+    drive(estimator, NOMINAL, 1, 1)
+    assert estimator.estimate.noise == pytest.approx(LEAST_NOISE, rel=0.1)
 
 
 def test_noise_is_distinguished_from_wrong_constants() -> None:

@@ -11,7 +11,7 @@ from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.drift_propagation import (
     DriftPropagation,
     propagate_with_drift,
-    state_rates_with_momentum,
+    state_rates_with_drift,
 )
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.integrator import integrate_with_drift
@@ -72,10 +72,9 @@ def test_derivatives_by_the_torques_are_those_of_differences(index: int) -> None
 
 
 def test_rates_are_those_of_a_short_step() -> None:
-    still = Drift(DRIFT.momentum)
-    end, _ = integrate_with_drift(STATE, still, SPEEDS[1], SPEEDS[1], DIFFERENCE, CONSTANTS)
+    end, _ = integrate_with_drift(STATE, DRIFT, SPEEDS[1], SPEEDS[1], DIFFERENCE, CONSTANTS)
     seen = error_between(STATE, end) / DIFFERENCE
-    found = state_rates_with_momentum(STATE, DRIFT.momentum, SPEEDS[1], CONSTANTS)
+    found = state_rates_with_drift(STATE, DRIFT, SPEEDS[1], CONSTANTS)
     np.testing.assert_allclose(found, seen, atol=1e-5)
 
 

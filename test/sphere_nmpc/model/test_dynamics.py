@@ -10,11 +10,13 @@ import pytest
 from robots import HEAVY_ROTORS
 from scipy.spatial.transform import Rotation
 
+from sphere_nmpc.model.drift import imbalance_of_offset
 from sphere_nmpc.model.dynamics import (
     body_rate,
     rotor_torque,
     state_rate,
     world_rate,
+    world_rate_with_momentum,
 )
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, contact_points
@@ -133,6 +135,31 @@ def test_world_and_body_rate_are_one_vector_in_two_frames() -> None:
         q = ca.DM(x[2:6])
         expected = to_world(x) @ column(body_rate(q, ca.DM(u), p))
         np.testing.assert_allclose(column(world_rate(q, ca.DM(u), p)), expected, atol=1e-11)
+
+
+def test_rate_with_momentum_satisfies_the_balance_of_all_bodies() -> None:
+    """Without momentum and offset of the centre of mass it is the rate of the paper's model."""
+    robot = HEAVY_ROTORS
+    p, mass, radius = robot.lumped.as_array(), robot.total_mass, robot.shell_radius
+    rng, spin_inertia = np.random.default_rng(12), robot.rotor_axial_inertia
+    for x, u in zip(random_states(50, 12), random_speeds(50, 13), strict=True):
+        q, zero = ca.DM(x[2:6]), np.zeros(3)
+        plain = column(world_rate_with_momentum(q, ca.DM(u), p, zero, zero))
+        np.testing.assert_allclose(plain, column(world_rate(q, ca.DM(u), p)), atol=ROUNDING * 10)
+
+        momentum, c = rng.uniform(-40.0, 40.0, 3), rng.uniform(-0.01, 0.01, 3)
+        found = column(
+            world_rate_with_momentum(q, ca.DM(u), p, momentum, imbalance_of_offset(robot, c))
+        )
+        turn = to_world(x)
+        inertia = np.diag([robot.transverse_inertia] * 2 + [robot.axial_inertia])
+        arm, offset = np.array([0.0, 0.0, radius]), turn @ c
+        centre = np.cross(found, arm)
+        total = (
+            turn @ inertia @ turn.T @ found + spin_inertia * (turn @ np.append(u, 0.0))
+            + mass * (np.cross(offset, centre) + np.cross(arm, centre + np.cross(found, offset)))
+        )
+        np.testing.assert_allclose(total, spin_inertia * momentum, atol=1e-12)
 
 
 def test_rate_is_the_same_everywhere_on_the_plane() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state, state_error
@@ -179,3 +180,10 @@ def test_goal_is_aimed_at_itself_again_once_it_is_near() -> None:
     last = with_momentum(goal[POSITION] - 0.9 * REACH * DIRECTION, goal)
     assert goals.aim(last, 10.0) == (last, True)
     assert goals.aim(last, 10.0) == (last, False)
+
+
+def test_turns_are_added_where_a_knot_is_in_the_middle_but_for_rounding() -> None:
+    speeds = np.tile([100.0, 100.0], (3, 1))
+    times = np.array([0.0, np.nextafter(0.5, 1.0), 1.0])
+    rolling = with_turns(FirstOrderHold(times, speeds), 4.0, 100.0)
+    np.testing.assert_array_equal(rolling.times, [0.0, 0.5, 4.5, 5.0])

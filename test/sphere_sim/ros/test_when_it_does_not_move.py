@@ -5,14 +5,17 @@
 import re
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from standing import Standing
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -20,6 +23,8 @@ from sphere_nmpc.ros import graph_faults, graph_monitor
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -199,6 +204,46 @@ def network_after_the_start(graph) -> None:
     ADDRESSES.add("192.0.2.1")
 
 
+def standing(graph, strategy: Standing) -> None:
+    """Make a strategy stand still in front of a goal, in time that runs five times as fast."""
+    def hurried(elapsed: float) -> float:
+        return 1.0 + 5.0 * elapsed
+
+    robot(graph, hurried, hurried)
+    node = controller(graph, use_sim_time=True, strategy="paper")
+    node.controller._strategy = strategy
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
+
+
+def stationary_point(graph) -> None:
+    standing(graph, Standing(message="converged"))
+
+
+def plan_that_is_not_found(graph) -> None:
+    standing(graph, Standing(status=PlanStatus.RAMP_TO_REST, message="no arrival found yet"))
+
+
+def blocked_sphere(graph) -> None:
+    standing(graph, Standing(speed=50.0))
+
+
+def goal_that_cannot_be_held(graph) -> None:
+    standing(graph, Standing(status=PlanStatus.HOLDING, given_up="orientation by 30.0 deg: …"))
+
+
+def plans_that_begin_later(graph) -> None:
+    standing(graph, Later())
+
+
+class Later(Standing):
+    """Strategy whose plans all begin with a rest."""
+
+    def plan(self, situation: Situation) -> Plan:
+        times = situation.time + np.array([0.0, 2.0, 2.5])
+        speeds = np.array([[0.0, 0.0], [0.0, 0.0], [50.0, 0.0]])
+        return replace(super().plan(situation), hold=FirstOrderHold(times, speeds))
+
+
 def lockstep_without_controller(graph) -> None:
     simulator(graph, lockstep=True)
 
@@ -249,6 +294,11 @@ MISTAKES: dict[Callable[..., None], str] = {
     pose_in_another_frame: ": pose refused: frame",
     goal_in_another_frame: ": goal_pose refused: frame",
     network_after_the_start: "expected the one that this node announces",
+    stationary_point: "the plan leaves it where it is",
+    plan_that_is_not_found: "there is no plan",
+    blocked_sphere: "is it blocked",
+    goal_that_cannot_be_held: "the strategy gives up",
+    plans_that_begin_later: "moves it later",
     lockstep_without_controller: "time waits",
     commands_on_another_clock: "rotor_trajectory refused",
     drives_too_weak: "limits: rigid_body.torque_limit",

@@ -85,5 +85,16 @@ def test_upright_goals_are_turned_about_the_vertical_alone() -> None:
         np.testing.assert_array_equal(upright.start, anywhere.start)
 
 
+def test_typed_goals_have_round_numbers_and_all_starts_and_headings_occur() -> None:
+    drawn = draw_scenarios(400, 1, "typed")
+    assert len({tuple(s.start) for s in drawn}) == 6
+    headings = np.degrees(2.0 * np.arctan2([s.goal[5] for s in drawn], [s.goal[2] for s in drawn]))
+    assert set(np.round(headings / 15.0, 9) % 24.0) == set(range(24))
+    for scenario in drawn:
+        x, y = abs(scenario.goal[:2])
+        assert x == y or not x or not y
+        assert max(x, y) <= 10.0
+
+
 def test_the_verb_offers_every_kind() -> None:
     assert tuple(DRAWS) == _KINDS

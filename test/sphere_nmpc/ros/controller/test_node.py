@@ -15,6 +15,7 @@ from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
+from standing import Standing
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
@@ -571,6 +572,29 @@ def test_diagnostics_report_a_clock_that_stands_still(robot) -> None:
     words = "the clock stands still at 1.2"
     robot.graph.until(lambda: reports and reports[-1].status[1].message.startswith(words))
     assert reports[-1].status[1].level == DiagnosticStatus.WARN
+
+
+def test_no_progress_is_reported_until_there_is_another_goal(robot, capfd) -> None:
+    reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
+    robot.node.controller._strategy = Standing(message="converged")
+    robot.send_goal()
+    robot.pass_time(6.0)
+    status = robot.status()
+    assert status["mode"] == "no progress towards the goal"
+    assert status["no_progress"].endswith("the plan leaves it where it is (solved: converged)")
+    assert robot.statuses[-1].level == DiagnosticStatus.WARN
+    assert robot.statuses[-1].message == f"no progress: {status['no_progress']}"
+    printed = capfd.readouterr().err
+    assert printed.count("no progress: given a sphere that has stood") == 1
+    received = len(reports)
+    robot.graph.until(lambda: len(reports) > received)
+    loop = reports[-1].status[1]
+    assert loop.level == DiagnosticStatus.WARN
+    assert {value.key: value.value for value in loop.values}["no progress"] == "1"
+    robot.send_goal(CASE.start)
+    robot.pass_time(1.2)
+    assert robot.status()["mode"] == "at the goal" and robot.status()["no_progress"] == ""
+    assert "no progress: over" in capfd.readouterr().err
 
 
 def test_other_publisher_of_trajectories_is_logged(robot, capfd) -> None:

@@ -98,5 +98,6 @@ def test_goal_is_sent_once_and_its_acceptance_printed(confirms, code, capsys, mo
     assert len(controller.received) == 1
     np.testing.assert_allclose(controller.received[0], parse(["1", "2", "--yaw", "1"])[0])
     printed = capsys.readouterr()
-    assert ("in force" in printed.out) == confirms
+    # What the command knows, and where all else is told.
+    assert ("in force; /controller/status reports the progress" in printed.out) == confirms
     assert ("not confirmed" in printed.err) != confirms

@@ -120,13 +120,12 @@ def test_agrees_with_the_model_with_drift(settings: DisturbanceSettings) -> None
             state, drift, here, there, 0.5, ROBOT.lumped.as_array(), 5e-3
         )
         drift, here = replace(drift, momentum=momentum), there
-    # The model leaves out what the offset changes in the inertia about the contact point, here
-    # up to 2 |c| / Rs = 2 % of the motion (5 mm over a metre or two), and cos(slope) = 1 - 1.5e-4.
-    inexact = any(settings.mass_offset)
-    assert position_error(plant.state, state) < (0.05 if inexact else 1e-3)
-    assert angle_error(plant.state, state) < (0.1 if inexact else 2e-3)
+    # Of a slope the model leaves out the cosine, 1 - 1.5e-4; all else is exact.
+    exact = not settings.slope
+    assert position_error(plant.state, state) < (1e-6 if exact else 1e-3)
+    assert angle_error(plant.state, state) < (1e-6 if exact else 2e-3)
     jump = plant.momentum / ROBOT.rotor_axial_inertia - drift.momentum
-    assert np.max(np.abs(jump)) < (0.5 if inexact else 1e-2)
+    assert np.max(np.abs(jump)) < (1e-5 if exact else 1e-2)
 
 
 @pytest.mark.parametrize("settings", [DisturbanceSettings(), ALL])

@@ -23,8 +23,9 @@ LOOK_AT = (0.9, -1.2, 0.0)
 others are seen from a distance in proportion to their radius [m; world frame]."""
 _SPAN = 12.0
 """Length that the initial view shows over the radius."""
-_SHOWN = 40.0 / 3.0
-"""Distance from the initial look-at point, over the radius, within which a sphere is in view."""
+_SHOWN = 10.0 / 9.0
+"""Distance from the look-at point, over the length that is shown, within which a sphere is in
+view."""
 
 
 class Scene:
@@ -90,8 +91,9 @@ class Scene:
             self._alerts.visible = bool(alerts)
 
     def shows(self, position: Vector) -> bool:
-        """Return whether a position, shape (2,) [m], is within the initial view of the origin."""
-        return bool(np.linalg.norm(position - self._middle) <= _SHOWN * self.radius)
+        """Return whether a position, shape (2,) [m], is within the initial view of a new page."""
+        at, span = self._view
+        return bool(np.linalg.norm(position - at) <= _SHOWN * span)
 
     def look_at(self, places: Vector) -> None:
         """Set the initial view of pages opened from now on to these places, shape (n, 2) [m].
@@ -100,7 +102,8 @@ class Scene:
         """
         low, high = places.min(axis=0), places.max(axis=0)
         span = max(0.5 * _SPAN * self.radius, 1.2 * float(np.linalg.norm(high - low)))
-        self._look(0.5 * (low + high), span, self._server.initial_camera)
+        self._view = 0.5 * (low + high), span
+        self._look(*self._view, self._server.initial_camera)
         self._set_ground(max(self.radius, span / _SPAN))
 
     def find(self, state: Vector) -> None:
@@ -119,13 +122,9 @@ class Scene:
 
     def _look_from_the_start(self) -> None:
         pages = (client.camera for client in self._server.get_clients().values())
+        self._view = np.array(LOOK_AT[:2]) * self.radius / DEFAULT_RADIUS, _SPAN * self.radius
         for camera in (self._server.initial_camera, *pages):
-            self._look(self._middle, _SPAN * self.radius, camera)
-
-    @property
-    def _middle(self) -> Vector:
-        """Point of the floor that the camera looks at from the start, shape (2,) [m]."""
-        return np.array(LOOK_AT[:2]) * self.radius / DEFAULT_RADIUS
+            self._look(*self._view, camera)
 
     def _set_ground(self, size: float) -> None:
         if size != self._ground.size:

@@ -49,7 +49,6 @@ class Viewer:
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
         self._panel_updated = 0.0
-        self._has_view = False
 
     @property
     def url(self) -> str:
@@ -67,14 +66,6 @@ class Viewer:
             for notice in frame.notices:
                 self._notify(notice)
         self._frame = frames[-1]
-        state = self._frame.state
-        if not self._has_view and self._live and state is not None:
-            # A sphere or goal far from the origin would be outside of the initial view.
-            self._has_view = True
-            goal = state if self._frame.goal is None else self._frame.goal
-            places = np.array([state[POSITION], goal[POSITION]])
-            if not all(map(self._scene.shows, places)):
-                self._scene.look_at(places)
         with self._server.atomic():
             self._scene.show(self._frame)
             self._show_goal()
@@ -82,7 +73,9 @@ class Viewer:
         if now > self._panel_updated + _PANEL_PERIOD:
             self._panel_updated = now
             self._panel.show(self._frame, self._scene.cell)
-            if self._server.get_clients():
+            if not self._server.get_clients():
+                self._choose_view()
+            else:
                 self._plots.show(self._history, self._frame.drive)
 
     def look_at(self, places: Vector) -> None:
@@ -92,6 +85,15 @@ class Viewer:
     def close(self) -> None:
         """Close the page."""
         self._server.stop()
+
+    def _choose_view(self) -> None:
+        """Let the page that is opened next show sphere and goal of a live robot."""
+        state = self._frame.state
+        if self._live and state is not None:
+            goal = state if self._frame.goal is None else self._frame.goal
+            places = np.array([state[POSITION], goal[POSITION]])
+            if not all(map(self._scene.shows, places)):
+                self._scene.look_at(places)
 
     def _show_goal(self) -> None:
         frame = self._frame

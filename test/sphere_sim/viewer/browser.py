@@ -92,7 +92,10 @@ class Browser:
         return self
 
     def _attach(self) -> None:
-        self._socket = connect(self._address(), max_size=None, compression=None)
+        # Without pings, which a browser on a busy machine does not answer in time.
+        self._socket = connect(
+            self._address(), max_size=None, compression=None, ping_interval=None
+        )
         # The first target of a browser that starts may not be a page yet.
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         attached = self.call("Target.attachToTarget", targetId=target, flatten=True)

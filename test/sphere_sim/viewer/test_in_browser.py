@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("viser")
 
 from browser import find_browser
-from page_helpers import page_of, pixel, scene_of, wait_for_scene
+from page_helpers import page_of, pixel, scene_of, wait_for_red, wait_for_scene
 from session import CONTROLLER, Session, open_session
 from verb_process import start, stop
 
@@ -46,9 +46,10 @@ def test_page_loads_without_errors_or_other_hosts(session, tmp_path) -> None:
 
 
 def test_sphere_rolls_to_a_goal_that_is_dragged(session, tmp_path) -> None:
-    before = scene_of(session.page, tmp_path / "before.png")
     # Drag the arrow along x by one metre.
     grab, release = (pixel(session.page, (x, 0.0, RADIUS)) for x in (0.5, 1.5))
+    wait_for_red(session.page, tmp_path / "arrow.png", grab)
+    before = scene_of(session.page, tmp_path / "before.png")
     session.page.drag(grab, release)
     session.graph.until(lambda: session.goals)
     goal = session.goal

@@ -291,13 +291,20 @@ def test_legend_has_the_spacing_of_the_grid(viewer, script, radius, text) -> Non
     assert text in viewer._panel._legend.content
 
 
-def test_initial_view_contains_sphere_and_goal(viewer, script) -> None:
-    goal = make_state((3.0, 4.0), UPRIGHT)
+def test_page_that_is_opened_shows_sphere_and_goal(viewer, script) -> None:
+    camera, goal = viewer._server.initial_camera, make_state((3.0, 4.0), UPRIGHT)
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius)]
+    viewer.tick()
+    near = np.linalg.norm(np.subtract(camera.position, camera.look_at))
     script.next = [at(0.0, 0.0, radius=PALM.shell_radius, goal=goal)]
     viewer.tick()
-    camera = viewer._server.initial_camera
+    viewer._choose_view()
     assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0])
-    assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 5.0
+    assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 10.0 * near
+    script.next = [at(0.5, 0.5, radius=PALM.shell_radius, goal=goal)]
+    viewer.tick()
+    viewer._choose_view()
+    assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0]), "still in view"
 
 
 @pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])

@@ -12,10 +12,12 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 from ament_index_python.packages import (
     PackageNotFoundError,
@@ -30,9 +32,11 @@ from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
+from sphere_sim.ros.viewer.rviz_config import scaled_config
 from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
+STATE_PUBLISHER = "robot_state_publisher"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/predicted_path",
@@ -121,17 +125,17 @@ def actions(context: LaunchContext, names: Sequence[str]) -> list:
         Node(package=PACKAGE, executable="simulator", parameters=[params, simulator], **common),
         Node(package=PACKAGE, executable="controller", parameters=[params, controller], **common),
     ]
-    share = Path(get_package_share_directory(PACKAGE))
-    if is_installed("robot_state_publisher"):
-        urdf = share / "urdf" / "sphere.urdf"
+    shown = value["rviz"] in TRUE
+    urdf = robot_description(params, place) if shown or is_installed(STATE_PUBLISHER) else ""
+    if is_installed(STATE_PUBLISHER):
         nodes.append(state_publisher(urdf, {**clock, **prefix}, remapped))
     if value["record"] in TRUE:
         nodes.append(recording(clock, common, place))
     if value["viewer"] in TRUE:
         nodes.append(Node(package=PACKAGE, executable="viewer", **common))
-    if value["rviz"] in TRUE:
+    if shown:
         nodes.append(Node(package=PACKAGE, executable="markers", **common))
-        nodes.append(rviz(share / "rviz" / "sphere.rviz", clock, remapped))
+        nodes.append(rviz(urdf, clock, remapped))
     return nodes
 
 
@@ -205,11 +209,23 @@ def real_time_factor(text: str, clock: str) -> float:
         raise RuntimeError(f"real_time_factor: given {text}, expected a number") from None
 
 
-def state_publisher(urdf: Path, own: dict[str, object], remapped: dict[str, object]) -> Node:
+def robot_description(params: str, place: str) -> str:
+    """Return the model of the simulator's robot with a file of parameters."""
+    done = subprocess.run(
+        [sys.executable, "-m", "sphere_sim.ros.simulator.robot_description", "--ros-args",
+         "--params-file", params, "-r", f"__ns:=/{place}"],
+        capture_output=True, text=True, check=False,
+    )
+    if done.returncode:
+        raise RuntimeError(f"params_file: given {params}: {done.stderr.strip()}")
+    return done.stdout
+
+
+def state_publisher(urdf: str, own: dict[str, object], remapped: dict[str, object]) -> Node:
     # Without a type launch reads the text as YAML, which the colon of a comment makes invalid.
-    text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
+    text = ParameterValue(urdf, value_type=str)
     return Node(
-        package="robot_state_publisher", executable="robot_state_publisher",
+        package=STATE_PUBLISHER, executable=STATE_PUBLISHER,
         parameters=[{"robot_description": text, **own}], **remapped,
     )
 
@@ -228,12 +244,16 @@ def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Nod
     )
 
 
-def rviz(config: Path, clock: dict[str, bool], remapped: dict[str, object]) -> Node | LogInfo:
-    """Return RViz, or a log message that it is not installed."""
+def rviz(urdf: str, clock: dict[str, bool], remapped: dict[str, object]) -> Node | LogInfo:
+    """Return RViz with a view in the size of the robot, or a message that it is not installed."""
     if not is_installed("rviz2"):
         return LogInfo(msg="rviz:=true given, but rviz2 is not installed; it is not started")
+    radius = float(next(ElementTree.fromstring(urdf).iter("sphere")).attrib["radius"])
+    shipped = Path(get_package_share_directory(PACKAGE), "rviz", "sphere.rviz")
+    with tempfile.NamedTemporaryFile("w", suffix=".rviz", delete=False) as config:
+        config.write(scaled_config(shipped.read_text(encoding="utf-8"), radius))
     return Node(
-        package="rviz2", executable="rviz2", arguments=["-d", str(config)], parameters=[clock],
+        package="rviz2", executable="rviz2", arguments=["-d", config.name], parameters=[clock],
         **remapped,
     )
 

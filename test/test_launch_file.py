@@ -5,8 +5,10 @@
 import re
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 from launch_stand_in import LAUNCH, ROOT, Made, declared_arguments, started
 
 from sphere_nmpc.quantity import quantities
@@ -239,6 +241,42 @@ def test_robot_description_is_a_text_to_launch() -> None:
     (node,) = (n for n in started(installed=OTHERS) if n["executable"] == OTHERS[0])
     description = parameters(node)["robot_description"]
     assert description["value_type"] is str and "<robot" in description.values[0]
+
+
+PALM_FILE = """/**:
+  ros__parameters:
+    robot: {shell_mass: 0.05, shell_inertia: 4.4e-5, rotor_mass: 0.02, counterweight_mass: 0.02}
+/second/simulator:
+  ros__parameters: {robot.shell_radius: 0.0365, robot.rotor_offset: 0.015}
+"""
+
+
+@pytest.mark.parametrize(("place", "radius"), [("second", 0.0365), ("third", 0.3)])
+def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path, place, radius) -> None:
+    file = tmp_path / "palm.yaml"
+    file.write_text(PALM_FILE)
+    words = (f"namespace:={place}", f"params_file:={file}", "rviz:=true")
+    found = nodes(started(*words, installed=OTHERS))
+    description = parameters(found["robot_state_publisher"])["robot_description"].values[0]
+    model = ElementTree.fromstring(description.partition("\n")[2])
+    assert float(next(model.iter("sphere")).get("radius")) == radius
+    assert next(model.iter("mass")).get("value") == "0.05"
+    config = yaml.safe_load(Path(found["rviz2"]["arguments"][1]).read_text())
+    view = config["Visualization Manager"]
+    assert view["Views"]["Current"]["Distance"] == pytest.approx(6.5 * radius / 0.3)
+    floor, plan = (
+        next(it for it in view["Displays"] if it["Name"] == name) for name in ("Floor", "Plan")
+    )
+    assert floor["Cell Size"] == pytest.approx(0.5 if radius == 0.3 else 0.05)
+    assert plan["Offset"]["Z"] == pytest.approx(-0.29 * radius / 0.3), "on the floor"
+
+
+def test_file_with_an_impossible_robot_is_refused_in_one_line(tmp_path) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text("/**:\n  ros__parameters: {robot.shell_radius: -1.0}\n")
+    with pytest.raises(RuntimeError, match=r"robot.shell_radius: given -1") as found:
+        started(f"params_file:={file}", installed=OTHERS)
+    assert "\n" not in str(found.value)
 
 
 def test_recording_has_every_documented_topic_except_requested_goals() -> None:

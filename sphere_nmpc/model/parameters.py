@@ -140,6 +140,11 @@ class RobotParameters:
         return self.total_mass * self.shell_radius**2
 
     @property
+    def full_torque(self) -> float:
+        """Torque that accelerates a rotor by `max_rotor_acceleration` [N m]; 3.2 for Table 1."""
+        return self.rotor_axial_inertia * self.max_rotor_acceleration
+
+    @property
     def lumped(self) -> LumpedConstants:
         """Constants of the driftless model."""
         rolling = self.rolling_inertia

@@ -64,6 +64,7 @@ def _replay(bag: Path, namespace: str | None, port: int) -> int:
     for note in run.notes:
         print(f"viewer: {note}", file=sys.stderr, flush=True)
     viewer = Viewer(Replay(run), port, live=False)
+    viewer.tick()  # the view depends on the size of the sphere
     viewer.look_at(run.states[:, POSITION])
     announce(viewer.url)
     try:

@@ -88,15 +88,19 @@ class BagClock:
         -------
         float
             Time of the stamp, if it is plausible for the clock of the poses, else that of the
-            log time. A stamp of 0 comes from a sender without a clock, or one whose clock has not
-            started: it is used only if the run is near its time 0.
+            log time. Plausible are all times of the run: how late a message is logged says
+            nothing, as a simulation that is as fast as possible does not wait for its recorder. A
+            stamp of 0 comes from a sender without a clock, or one whose clock has not started: it
+            is used only if the run is near its time 0.
         """
         tolerance = round(_TOLERANCE * NANOSECONDS)
-        earliest = self.time_of_log(received - tolerance) - _TOLERANCE
+        near = self.time_of_log(received - tolerance)
+        earliest = (min(near, 0.0) if stamp else near) - _TOLERANCE
         if latched and stamp:
             earliest = self.time_of_log(received) - _OTHER_CLOCK
         time = self.time_of_stamp(stamp)
-        latest = self._interpolate(received + tolerance, self._latest) + _TOLERANCE
+        near = self._interpolate(received + tolerance, self._latest)
+        latest = max(near, float(self._latest[-1])) + _TOLERANCE
         return time if earliest <= time <= latest else self.time_of_log(received)
 
     def _interpolate(self, received: int, times: Vector) -> float:

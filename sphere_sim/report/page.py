@@ -12,6 +12,7 @@ import numpy as np
 
 from sphere_nmpc import __version__
 from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
 
 _STYLE = """
@@ -130,4 +131,4 @@ def _figure(caption: str, file: Path) -> str:
 
 
 def _number(value: float, unit: str) -> str:
-    return "not recorded" if math.isnan(value) else f"{value:.3g} {unit}"
+    return "not recorded" if math.isnan(value) else f"{three_digits(value)} {unit}"

@@ -15,6 +15,8 @@ from sphere_sim.viewer.geometry import Mesh, cap, great_circle, octants, sector,
 
 _SLOWDOWN = 10.0
 """Ratio of true to drawn rotor speeds: at full speed the direction of rotation is not visible."""
+_SHADOW_HEIGHT = 1.0 / 300.0
+"""Distance of floor and discs of the shadow over the radius."""
 _PROPORTIONS = RobotParameters()
 _THIN = 0.1
 """Drawn thickness of a rotor over its radius; a rotor with these inertias would be flat."""
@@ -70,10 +72,11 @@ class Ball:
         # Imitation of a shadow on the floor; computed shadows are too slow without a graphics
         # card.
         for i, (size, darkness) in enumerate(((0.55, 0.16), (0.8, 0.12), (1.0, 0.08))):
-            spot = sector(size * radius, 1e-4, 2)
+            spot = sector(size * radius, 3e-4 * radius, 2)
             scene.add_mesh_simple(
                 f"/shadow/{i}", spot.vertices, spot.faces, color=colours.INK, opacity=darkness,
-                position=(0.0, 0.0, 1e-3 * (i + 1)), cast_shadow=False, receive_shadow=False,
+                position=(0.0, 0.0, _SHADOW_HEIGHT * (i + 1) * radius), cast_shadow=False,
+                receive_shadow=False,
             )
         scale = radius / _PROPORTIONS.shell_radius
         self._offset = scale * _PROPORTIONS.rotor_offset

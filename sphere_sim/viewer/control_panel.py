@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Control panel: widgets whose events become requests in a queue.
+"""Control panel: widgets from which requests are taken.
 
-Callbacks of the page run on threads of the server; they only put requests into the queue.
+Buttons call back on threads of the server; the callbacks only put requests into a queue.
 """
 
 import math
@@ -13,9 +13,11 @@ from typing import Any
 
 import viser
 
+from sphere_sim.output.round_numbers import round_down
+from sphere_sim.viewer.choice import Choice
 from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.panel_text import LEGEND, numbers, status_bar
+from sphere_sim.viewer.panel_text import legend, numbers, status_bar
 from sphere_sim.viewer.source import Pause, Push, Request, Reset, Seek, SetSpeed, SetStrategy
 
 PICK = "pick a goal …"
@@ -42,7 +44,10 @@ class ControlPanel:
         self._live = live
         with gui.add_folder("Goal", visible=live):
             gui.add_markdown("Drag the arrows, turn the rings, or pick:")
-            self._preset = gui.add_dropdown("goal", (PICK, *GOAL_PRESETS), initial_value=PICK)
+            self._preset = Choice(
+                gui.add_dropdown("goal", (PICK, *GOAL_PRESETS), initial_value=PICK),
+                lambda name: name if name in GOAL_PRESETS else None,
+            )
             self._at_once = gui.add_checkbox(
                 "send at once", True, hint="Send a goal when the mouse is released, or only with "
                 "the button"
@@ -52,21 +57,30 @@ class ControlPanel:
             # Two buttons, so that a click has the meaning of the label that the user read.
             self._pause = gui.add_button("Pause")
             self._resume = gui.add_button("Resume" if live else "Play", visible=False)
-            self._seek = gui.add_slider("time [s]", 0.0, 1.0, 1e-3, 0.0, visible=False)
-            self._speed = gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1)
+            self._seek = Choice(
+                gui.add_slider("time [s]", 0.0, 1.0, 1e-3, 0.0, visible=False), self._seek_to
+            )
+            self._speed = Choice(
+                gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1),
+                lambda factor: SetSpeed(factor) if math.isfinite(factor) else None,
+            )
             self._reset = gui.add_button("Reset", hint="Return to the start")
         with gui.add_folder("Disturbance", visible=False) as self._disturbance:
-            self._impulse = gui.add_number("impulse [N s]", 0.5, min=0.0, max=20.0, step=0.1)
+            self._impulse = gui.add_number("impulse [N s]", 0.0, min=0.0)
+            self._impulse_step = 0.0
             self._direction = gui.add_number(
                 "direction [°]", 0.0, min=-360.0, max=360.0, step=15.0,
                 hint="From the x axis; 90 is along the y axis",
             )
             push = gui.add_button("Push")
         with gui.add_folder("Strategy", visible=live):
-            self._strategy = gui.add_dropdown("strategy", ("-",), initial_value="-")
+            self._strategy = Choice(
+                gui.add_dropdown("strategy", ("-",), initial_value="-"),
+                lambda name: SetStrategy(name) if name in self._strategy.handle.options else None,
+            )
         find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
         with gui.add_folder("Legend", expand_by_default=False):
-            gui.add_markdown(LEGEND)
+            self._legend = gui.add_markdown("")
         self._sought_at = float("-inf")
         self._capabilities: Capabilities | None = None
         self._on_click(send, lambda: "send")
@@ -75,12 +89,6 @@ class ControlPanel:
         self._on_click(self._resume, lambda: Pause(False))
         self._on_click(self._reset, Reset)
         self._on_click(push, self._make_push)
-        self._on_choice(self._preset, lambda name: name if name in GOAL_PRESETS else None)
-        self._on_choice(self._speed, lambda f: SetSpeed(f) if math.isfinite(f) else None)
-        self._on_choice(
-            self._strategy, lambda it: SetStrategy(it) if it in self._strategy.options else None
-        )
-        self._on_choice(self._seek, self._seek_to)
 
     @property
     def sends_at_once(self) -> bool:
@@ -96,27 +104,40 @@ class ControlPanel:
 
         A text is the name of a goal preset, a phase of a drag (start, update, end), send, or find.
         """
-        taken: list[Request | str] = []
+        choices = (self._preset, self._seek, self._speed, self._strategy)
+        taken = [request for choice in choices if (request := choice.take()) is not None]
         while not self._requests.empty():
             taken.append(self._requests.get())
         return taken
 
     def reset_preset(self) -> None:
         """Clear the selected goal preset, so that it can be selected again."""
-        _set(self._preset, "value", PICK)
+        self._preset.show(PICK)
 
-    def show(self, frame: Frame) -> None:
-        """Update texts and widgets; to be called a few times a second."""
+    def show(self, frame: Frame, cell: float) -> None:
+        """Update texts and widgets; to be called a few times a second.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest frame.
+        cell : float
+            Spacing of the grid on the floor [m].
+        """
         _set(self._status, "content", status_bar(frame, self._live))
         _set(self._numbers, "content", numbers(frame))
+        _set(self._legend, "content", legend(cell))
+        self._offer_impulses(frame)
         capabilities = frame.capabilities
         if capabilities != self._capabilities:
             self._capabilities = capabilities
             self._show_capabilities(capabilities)
+        if capabilities.speed is not None:
+            self._speed.show(capabilities.speed)
         if capabilities.duration is not None and (
             time.monotonic() > self._sought_at + _SEEK_HOLD
         ):
-            _set(self._seek, "value", round(min(frame.time, capabilities.duration), 3))
+            self._seek.show(round(min(frame.time, capabilities.duration), 3))
         self._show_strategy(frame)
 
     def _show_capabilities(self, capabilities: Capabilities) -> None:
@@ -125,23 +146,31 @@ class ControlPanel:
             (self._resume, capabilities.pause and capabilities.paused),
             (self._reset, capabilities.reset),
             (self._disturbance, capabilities.push),
-            (self._speed, capabilities.speed is not None),
-            (self._seek, capabilities.duration is not None),
+            (self._speed.handle, capabilities.speed is not None),
+            (self._seek.handle, capabilities.duration is not None),
         ):
             _set(handle, "visible", visible)
-        if capabilities.speed is not None:
-            _set(self._speed, "value", capabilities.speed)
         if capabilities.duration is not None:
-            _set(self._seek, "max", max(capabilities.duration, 1e-3))
+            _set(self._seek.handle, "max", max(capabilities.duration, 1e-3))
+
+    def _offer_impulses(self, frame: Frame) -> None:
+        """Offer impulses in proportion to what the rotors can take up; at first 0.5 N s."""
+        # A push at the centre has the momentum of the impulse times the radius.
+        step = round_down(0.0375 * frame.drive.momentum / frame.radius)
+        if step != self._impulse_step:
+            self._impulse_step = step
+            digits = max(0, -math.floor(math.log10(step)))
+            for name, value in (("precision", digits), ("step", step), ("max", 200.0 * step),
+                                ("value", 5.0 * step)):
+                _set(self._impulse, name, value)
 
     def _show_strategy(self, frame: Frame) -> None:
         # A strategy that cannot be changed is shown as a list of one.
         options = frame.capabilities.strategies or ((frame.strategy or "-"),)
-        if tuple(self._strategy.options) != options:
-            self._strategy.options = options
+        self._strategy.offer(options)
         if frame.strategy in options:
-            _set(self._strategy, "value", frame.strategy)
-        _set(self._strategy, "disabled", len(options) < 2)
+            self._strategy.show(frame.strategy)
+        _set(self._strategy.handle, "disabled", len(options) < 2)
 
     def _seek_to(self, moment: float) -> Seek | None:
         self._sought_at = time.monotonic()
@@ -160,15 +189,6 @@ class ControlPanel:
                 self.put(request)
 
         button.on_click(click)
-
-    def _on_choice(self, handle: Any, make: Callable[[Any], Request | str | None]) -> None:
-        def choose(event: viser.GuiEvent) -> None:
-            # Updates by this program have no client.
-            request = make(event.target.value) if event.client is not None else None
-            if request is not None:
-                self.put(request)
-
-        handle.on_update(choose)
 
 
 def _set(handle: Any, name: str, value: object) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Floor with a grid of half a metre, and the lights of the scene."""
+"""Floor with a grid, and the lights of the scene."""
 
 import numpy as np
 import viser
@@ -9,17 +9,22 @@ from sphere_nmpc.model.state import Vector
 from sphere_sim.viewer.colours import Colour, linear
 from sphere_sim.viewer.geometry import Mesh
 
-_HALF = 6.0
-"""Half the width of the floor [m]."""
-_CELL = 0.5
-"""Spacing of the grid [m]."""
+_CELLS = 12
+"""Cells of the grid from the middle of the floor to its edge."""
 _PLAIN: Colour = (240, 242, 244)
 _FINE: Colour = (218, 223, 228)
 _COARSE: Colour = (184, 192, 200)
 
 
-def add_floor(scene: viser.SceneApi) -> viser.FrameHandle:
-    """Add the floor, with stronger lines at whole metres.
+def add_floor(scene: viser.SceneApi, cell: float) -> viser.FrameHandle:
+    """Add the floor, with every other line stronger.
+
+    Parameters
+    ----------
+    scene : viser.SceneApi
+        The scene.
+    cell : float
+        Spacing of the grid [m].
 
     Returns
     -------
@@ -27,19 +32,18 @@ def add_floor(scene: viser.SceneApi) -> viser.FrameHandle:
         Frame that moves the floor.
     """
     frame = scene.add_frame("/floor", show_axes=False)
-    plane = _plane(_HALF)
+    half = _CELLS * cell
+    plane = _plane(half)
     scene.add_mesh_simple(
         "/floor/plane", plane.vertices, plane.faces, color=_PLAIN, cast_shadow=False,
-        position=(0.0, 0.0, -0.002), receive_shadow=False,
+        position=(0.0, 0.0, -0.004 * cell), receive_shadow=False,
     )
-    number = round(_HALF / _CELL)
-    places = _CELL * np.arange(-number, number + 1, dtype=np.float64)
-    whole = np.isclose(places, np.round(places))
+    places = cell * np.arange(-_CELLS, _CELLS + 1, dtype=np.float64)
     for name, chosen, colour, width in (
-        ("fine", places[~whole], _FINE, 1.0), ("coarse", places[whole], _COARSE, 1.5)
+        ("fine", places[1::2], _FINE, 1.0), ("coarse", places[::2], _COARSE, 1.5)
     ):
         scene.add_line_segments(
-            f"/floor/{name}", _lines(chosen, _HALF), linear(colour),
+            f"/floor/{name}", _lines(chosen, half), linear(colour),
             thickness=width,
             thickness_units="screen",
         )

@@ -9,7 +9,8 @@ import numpy as np
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 
-DEFAULT_RADIUS = RobotParameters().shell_radius
+_DEFAULT = RobotParameters()
+DEFAULT_RADIUS = _DEFAULT.shell_radius
 """Radius of the shell where it is not known [m]."""
 
 
@@ -19,6 +20,33 @@ def _unknown() -> Vector:
 
 def _no_plan() -> Vector:
     return np.empty((0, STATE_SIZE))
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Limits of a rotor's drive, which are the ranges of plots; those of Table 1 where unknown.
+
+    Attributes
+    ----------
+    inertia : float
+        Inertia of a rotor about its axis [kg m^2].
+    speed, acceleration : float
+        Largest speed [rad/s] and acceleration [rad/s^2].
+    """
+
+    inertia: float = _DEFAULT.rotor_axial_inertia
+    speed: float = _DEFAULT.max_rotor_speed
+    acceleration: float = _DEFAULT.max_rotor_acceleration
+
+    @property
+    def torque(self) -> float:
+        """Torque of the largest acceleration [N m]."""
+        return self.inertia * self.acceleration
+
+    @property
+    def momentum(self) -> float:
+        """Angular momentum of a rotor at its largest speed [N m s]."""
+        return self.inertia * self.speed
 
 
 @dataclass(frozen=True)
@@ -60,6 +88,8 @@ class Frame:
         State of the sphere.
     radius : float
         Radius of the shell [m].
+    drive : Drive
+        Limits of the rotors' drives.
     rotor_speeds, rotor_torques : ndarray, shape (2,)
         Rotor speeds [rad/s] and torques [N m].
     goal : ndarray of shape (6,), or None
@@ -90,6 +120,7 @@ class Frame:
     time: float = 0.0
     state: Vector | None = None
     radius: float = DEFAULT_RADIUS
+    drive: Drive = Drive()
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Vector | None = None

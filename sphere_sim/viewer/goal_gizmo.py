@@ -42,7 +42,8 @@ class GoalGizmo:
     def __init__(
         self, scene: viser.SceneApi, radius: float, on_drag: Callable[[str], object] | None
     ) -> None:
-        self._radius = radius
+        self.radius = radius
+        """Radius of the shell [m]."""
         self._position, self._orientation = self._add_handles(scene, on_drag)
         add_shell(scene, "/goal/turn/shell", 0.98 * radius, colours.GOAL, 0.45)
         self._label = scene.add_label(
@@ -54,17 +55,17 @@ class GoalGizmo:
     def _add_handles(
         self, scene: viser.SceneApi, on_drag: Callable[[str], object] | None
     ) -> tuple[Any, Any]:
-        position = (0.0, 0.0, self._radius)
+        position = (0.0, 0.0, self.radius)
         if on_drag is None:
             frame = scene.add_frame("/goal", show_axes=False, position=position)
             return frame, scene.add_frame("/goal/turn", show_axes=False)
         handles = (
             scene.add_transform_controls(
-                "/goal", scale=2.1 * self._radius, active_axes=(True, True, False),
+                "/goal", scale=2.1 * self.radius, active_axes=(True, True, False),
                 disable_rotations=True, depth_test=False, position=position, line_width=3.5,
             ),
             scene.add_transform_controls(
-                "/goal/turn", scale=1.7 * self._radius, disable_axes=True, disable_sliders=True,
+                "/goal/turn", scale=1.7 * self.radius, disable_axes=True, disable_sliders=True,
                 depth_test=False, line_width=3.0, opacity=0.8,
             ),
         )
@@ -92,7 +93,7 @@ class GoalGizmo:
 
     def move_to(self, goal: Vector) -> None:
         """Move the gizmo to a goal, shape (6,)."""
-        self._position.position = (float(goal[0]), float(goal[1]), self._radius)
+        self._position.position = (float(goal[0]), float(goal[1]), self.radius)
         self._orientation.wxyz = goal[QUATERNION]
 
     def show(self, in_force: Vector | None) -> None:

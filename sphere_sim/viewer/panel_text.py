@@ -9,7 +9,7 @@ from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
 from sphere_sim.viewer.frame import Frame
 
-LEGEND = """
+_LEGEND = """
 - **blue panels**: the sphere; translucent, so that the rotors are visible
 - **orange disc**: rotor 1, about body x; **green disc**: rotor 2, about body y; drawn turning ten
   times slower than they do. Caps of the same colours: ends of their axes; black: body z
@@ -17,7 +17,13 @@ LEGEND = """
 - **black line** on the shell: past contact points
 - **blue line**: path; **light blue**: predicted plan with its knots
 - **pink sphere**: the goal
+- **floor**: a line every {cell:g} m
 """
+
+
+def legend(cell: float) -> str:
+    """Return the legend as Markdown, for a grid of this spacing [m]."""
+    return _LEGEND.format(cell=cell)
 
 
 def status_bar(frame: Frame, live: bool) -> str:

@@ -12,6 +12,7 @@ from viser import uplot
 from sphere_nmpc.model.state import Vector
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
+from sphere_sim.viewer.frame import Drive
 from sphere_sim.viewer.history import History
 
 _SMALLEST = 1e-9
@@ -30,8 +31,9 @@ Range = tuple[float, float]
 class Chart:
     """Series of the history in one plot, with labels and colours.
 
-    `least` is the smallest range of the vertical axis, so that small changes look small. A chart
-    of `disturbances` is only shown while a value is not zero.
+    `least` is the smallest range of the vertical axis, so that small changes look small: over the
+    limit of the drives that `limit` names, if any. A chart of `disturbances` is only shown while a
+    value is not zero.
     """
 
     title: str
@@ -39,25 +41,32 @@ class Chart:
     labels: tuple[str, ...]
     colours: tuple[Colour, ...]
     least: Range
+    limit: str = ""
     logarithmic: bool = False
     disturbances: bool = False
+
+    def least_range(self, drive: Drive) -> Range:
+        """Return the smallest range of the vertical axis for a robot with this drive."""
+        unit = getattr(drive, self.limit) if self.limit else 1.0
+        return self.least[0] * unit, self.least[1] * unit
 
 
 CHARTS = (
     Chart("error, log10: distance [m], angle [rad]", ("distance", "angle"),
-          ("distance", "angle"), (colours.BLUE, colours.VERMILION), (-3.0, 0.0), True),
+          ("distance", "angle"), (colours.BLUE, colours.VERMILION), (-3.0, 0.0),
+          logarithmic=True),
     Chart("rotor speeds [rad/s]", ("speed_1", "speed_2"), ("rotor 1", "rotor 2"),
-          colours.ROTORS, (-100.0, 100.0)),
+          colours.ROTORS, (-1.0, 1.0), "speed"),
     Chart("rotor torques [N m]", ("torque_1", "torque_2"), ("rotor 1", "rotor 2"),
-          colours.ROTORS, (-2.0, 2.0)),
+          colours.ROTORS, (-0.625, 0.625), "torque"),
     Chart("momentum about the contact point, world [N m s]",
           ("momentum_x", "momentum_y", "momentum_z"), ("x", "y", "z"),
-          (colours.BLUE, colours.VERMILION, colours.INK), (-0.2, 0.2),
+          (colours.BLUE, colours.VERMILION, colours.INK), (-0.25, 0.25), "momentum",
           disturbances=True),
     Chart("value of the control problem: time to go [s]", ("to_go",), ("time to go",),
           (colours.BLUE,), (0.0, 2.0)),
     Chart("value of the control problem, log10", ("cost",), ("value",), (colours.BLUE,),
-          (0.0, 2.0), True),
+          (0.0, 2.0), logarithmic=True),
     Chart("solve time [ms]", ("solve_ms",), ("solve",), (colours.INK,), (0.0, 1.0)),
 )
 
@@ -80,22 +89,23 @@ class Plots:
         self._drawn: dict[Chart, viser.GuiUplotHandle] = {}
         self._ranges: dict[Chart, Range] = {}
 
-    def show(self, history: History) -> None:
-        """Draw the history; plots without any value are hidden."""
+    def show(self, history: History, drive: Drive) -> None:
+        """Draw the history of a robot with this drive; plots without any value are hidden."""
         series = history.series()
         times = series["time"]
         for order, chart in enumerate(CHARTS):
             lines = [_drawable(series[name], chart) for name in chart.names]
             has_values = len(times) >= 2 and any(_is_shown(line, chart) for line in lines)
+            wanted = axis_range(lines, chart.least_range(drive))
             handle = self._drawn.get(chart)
             if handle is None:
                 # Created only with values: a plot that is created hidden keeps a width of 0.
                 if has_values:
                     with self._tab:
+                        self._ranges[chart] = wanted
                         self._drawn[chart] = self._add(chart, order, (times, *lines))
                 continue
             if has_values:
-                wanted = axis_range(lines, chart.least)
                 if wanted != self._ranges[chart]:
                     self._ranges[chart] = wanted
                     handle.scales = _scales(wanted)
@@ -104,7 +114,6 @@ class Plots:
                 handle.visible = has_values
 
     def _add(self, chart: Chart, order: int, data: tuple[Vector, ...]) -> viser.GuiUplotHandle:
-        self._ranges[chart] = axis_range(data[1:], chart.least)
         lines = tuple(
             uplot.Series(label=label, stroke=css(colour), width=2)
             for label, colour in zip(chart.labels, chart.colours, strict=True)

@@ -12,7 +12,7 @@ from sphere_nmpc.model.integrator import integrate, integrate_with_drift
 from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.controller_status import HOLDING
 from sphere_sim.recording.run import Run
-from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.source import Pause, Request, Reset, Seek, SetSpeed
 
 _LINE_DURATION = 60.0
@@ -35,6 +35,10 @@ class Replay:
         self._goals = run.goals_in_force
         self._duration = float(run.times[-1])
         self._constants = run.robot.lumped.as_array()
+        self._drive = Drive(
+            run.robot.rotor_axial_inertia, run.robot.max_rotor_speed,
+            run.robot.max_rotor_acceleration,
+        )
         self._time = 0.0
         self._speed = 1.0
         self._paused = False
@@ -91,6 +95,7 @@ class Replay:
             time=moment,
             state=run.states[at],
             radius=run.robot.shell_radius,
+            drive=self._drive,
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
             goal=goal if np.all(np.isfinite(goal)) else None,

@@ -11,20 +11,21 @@ import viser
 from sphere_nmpc.model.state import POSITION, Vector, contact_points
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import Ball
-from sphere_sim.viewer.floor import add_floor, add_lights
-from sphere_sim.viewer.frame import Frame
-from sphere_sim.viewer.geometry import arc, without_repeats
+from sphere_sim.viewer.floor import add_lights
+from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
+from sphere_sim.viewer.geometry import arc
+from sphere_sim.viewer.ground import Ground
 from sphere_sim.viewer.trail import Trail
 
 CAMERA = (4.0, -4.4, 2.7)
 LOOK_AT = (0.9, -1.2, 0.0)
-"""Initial position of the camera, and the point it looks at [m; world frame]."""
-_ON_FLOOR = 0.004
-"""Height of lines on the floor [m]."""
-_FLOOR_MARGIN = 3.5
-"""Distance of the sphere from the middle of the floor from which on the floor follows [m]."""
-_SPAN = 3.6
-"""Length that the initial view shows [m]."""
+"""Initial position of the camera, and the point it looks at, for a sphere of `DEFAULT_RADIUS`;
+others are seen from a distance in proportion to their radius [m; world frame]."""
+_SPAN = 12.0
+"""Length that the initial view shows over the radius."""
+_SHOWN = 10.0 / 9.0
+"""Distance from the look-at point, over the length that is shown, within which a sphere is in
+view."""
 
 
 class Scene:
@@ -37,101 +38,101 @@ class Scene:
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
         self._scene = server.scene
-        self._look((LOOK_AT[0], LOOK_AT[1]), _SPAN, server.initial_camera)
         server.initial_camera.fov = np.radians(45.0)
         add_lights(self._scene)
-        self._server = server
-        self._floor = add_floor(self._scene)
-        self._scene.add_frame(
-            "/world", axes_length=0.25, axes_radius=0.008, origin_radius=0.012,
-            position=(0.0, 0.0, _ON_FLOOR),
-        )
-        self._path = Trail(self._scene, "/path", colours.PATH, 0.012, 0.01)
-        self._plan = self._scene.add_spline_catmull_rom(
-            "/plan/line", np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), color=colours.PLAN,
-            thickness=0.02, visible=False,
-        )
-        self._knots = self._scene.add_point_cloud(
-            "/plan/knots", np.zeros((1, 3)), colours.PLAN, point_size=0.035,
-            point_shape="circle", precision="float32", visible=False,
-        )
         self._alerts = self._scene.add_label(
             "/alerts", "", anchor="bottom-center", visible=False, font_screen_scale=1.1
         )
         self._ball: Ball | None = None
         self._trace: Trail | None = None
-        self._drawn_plan: Vector | None = None
+        self.radius = DEFAULT_RADIUS
+        """Radius of the sphere [m]; the default one before the first frame with a state."""
+        self._ground = Ground(self._scene, self.radius)
+        self._look_from_the_start()
+
+    @property
+    def cell(self) -> float:
+        """Spacing of the grid on the floor [m]."""
+        return self._ground.cell
 
     def extend_lines(self, frame: Frame) -> None:
         """Extend the lines to a frame, which itself need not be shown."""
         if frame.restarted:
-            self._path.clear()
+            self._ground.clear_path()
             if self._trace is not None:
                 self._trace.clear()
         if frame.state is None:
             return
-        if self._ball is None or abs(self._ball.radius - frame.radius) > 1e-3 * frame.radius:
-            self._create_ball(frame.radius)
-        self._path.add(np.array([*frame.state[POSITION], _ON_FLOOR]))
-        trace = self._trace
-        if trace is not None:
-            touching = contact_points(frame.state, 1.008 * frame.radius)
-            start = touching if trace.last is None else trace.last
-            for point in arc(start, touching, 0.1 * frame.radius):
-                trace.add(point)
+        if abs(self.radius - frame.radius) > 1e-3 * frame.radius:
+            self._set_radius(frame.radius)
+        if self._ball is None or self._trace is None:
+            self._ball = Ball(self._scene, self.radius)
+            thin = 0.03 * self.radius
+            self._trace = Trail(self._scene, "/sphere/trace", colours.TRACE, thin, thin)
+        self._ground.extend_path(frame.state[POSITION])
+        touching = contact_points(frame.state, 1.008 * self.radius)
+        start = touching if self._trace.last is None else self._trace.last
+        for point in arc(start, touching, 0.1 * self.radius):
+            self._trace.add(point)
 
     def show(self, frame: Frame) -> None:
         """Show a frame, after `extend_lines` with it."""
         if frame.state is not None and self._ball is not None and self._trace is not None:
-            self._move_floor(frame.state[POSITION])
+            self._ground.show(frame.state[POSITION], frame.plan)
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)
-            self._path.draw()
             self._trace.draw()
-            above = (float(frame.state[0]), float(frame.state[1]), 2.3 * frame.radius)
+            above = (float(frame.state[0]), float(frame.state[1]), 2.3 * self.radius)
             self._alerts.position = above
         alerts = "; ".join(frame.alerts)
         if alerts != self._alerts.text:
             self._alerts.text = alerts
             self._alerts.visible = bool(alerts)
-        if frame.plan is not self._drawn_plan:
-            self._drawn_plan = frame.plan
-            self._show_plan(frame.plan)
+
+    def shows(self, position: Vector) -> bool:
+        """Return whether a position, shape (2,) [m], is within the initial view of a new page."""
+        at, span = self._view
+        return bool(np.linalg.norm(position - at) <= _SHOWN * span)
 
     def look_at(self, places: Vector) -> None:
-        """Set the initial view of pages opened from now on to these places, shape (n, 2) [m]."""
+        """Set the initial view of pages opened from now on to these places, shape (n, 2) [m].
+
+        Where the sphere is small in that view, floor and lines are of the size of the view.
+        """
         low, high = places.min(axis=0), places.max(axis=0)
-        span = max(0.5 * _SPAN, 1.2 * float(np.linalg.norm(high - low)))
-        self._look(0.5 * (low + high), span, self._server.initial_camera)
+        span = max(0.5 * _SPAN * self.radius, 1.2 * float(np.linalg.norm(high - low)))
+        self._view = 0.5 * (low + high), span
+        self._look(*self._view, self._server.initial_camera)
+        self._set_ground(max(self.radius, span / _SPAN))
 
     def find(self, state: Vector) -> None:
         """Point the camera of all pages at the sphere."""
         for client in self._server.get_clients().values():
-            self._look(state[POSITION], 0.5 * _SPAN, client.camera)
+            self._look(state[POSITION], 0.5 * _SPAN * self.radius, client.camera)
+
+    def _set_radius(self, radius: float) -> None:
+        """Remove the sphere, set the radius, and look at the origin from the distance it needs."""
+        self.radius = radius
+        if self._trace is not None:
+            self._trace.clear()
+        self._ball = self._trace = None
+        self._set_ground(radius)
+        self._look_from_the_start()
+
+    def _look_from_the_start(self) -> None:
+        pages = (client.camera for client in self._server.get_clients().values())
+        self._view = np.array(LOOK_AT[:2]) * self.radius / DEFAULT_RADIUS, _SPAN * self.radius
+        for camera in (self._server.initial_camera, *pages):
+            self._look(*self._view, camera)
+
+    def _set_ground(self, size: float) -> None:
+        if size != self._ground.size:
+            self._ground.clear_path()
+            self._ground = Ground(self._scene, size)
 
     def _look(self, at: Sequence[float] | Vector, span: float, camera: Any) -> None:
         place = np.array((at[0], at[1], 0.0))
-        camera.position = place + span / _SPAN * np.subtract(CAMERA, LOOK_AT)
+        distance = span / (_SPAN * DEFAULT_RADIUS)
+        camera.position = place + distance * np.subtract(CAMERA, LOOK_AT)
         camera.look_at = place
-
-    def _move_floor(self, position: Vector) -> None:
-        """Move the floor by whole metres when the sphere is near its edge."""
-        if np.max(np.abs(position - self._floor.position[:2])) > _FLOOR_MARGIN:
-            self._floor.position = np.append(np.round(position), 0.0)
-
-    def _create_ball(self, radius: float) -> None:
-        if self._trace is not None:
-            self._trace.clear()
-        self._ball = Ball(self._scene, radius)
-        self._trace = Trail(self._scene, "/sphere/trace", colours.TRACE, 0.03 * radius,
-                            0.03 * radius)
-
-    def _show_plan(self, plan: Vector) -> None:
-        floor = np.full((len(plan), 1), 1.5 * _ON_FLOOR)
-        # A curve needs distinct points, which a plan at its goal does not have.
-        points = without_repeats(np.hstack((plan[:, POSITION], floor)), 2e-3)
-        drawable = len(points) >= 2
-        if drawable:
-            self._plan.points = points.astype(np.float32)
-            self._knots.points = points[1:].astype(np.float32)
-        self._plan.visible = self._knots.visible = drawable

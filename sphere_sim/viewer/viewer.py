@@ -13,7 +13,7 @@ from sphere_sim.viewer.goal_gizmo import GoalGizmo
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
 from sphere_sim.viewer.history import History
 from sphere_sim.viewer.plots import Plots
-from sphere_sim.viewer.scene import LOOK_AT, Scene
+from sphere_sim.viewer.scene import Scene
 from sphere_sim.viewer.server import LocalServer
 from sphere_sim.viewer.source import Request, SetGoal, Source
 
@@ -21,8 +21,6 @@ FRAME_PERIOD = 0.04
 """Time between two frames [s]."""
 _PANEL_PERIOD = 0.2
 """Time between two updates of plots and panel [s]."""
-_INITIAL_VIEW = 4.0
-"""Distance from the initial look-at point within which the sphere needs no other view [m]."""
 
 
 class Viewer:
@@ -51,7 +49,6 @@ class Viewer:
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
         self._panel_updated = 0.0
-        self._has_view = False
 
     @property
     def url(self) -> str:
@@ -69,21 +66,17 @@ class Viewer:
             for notice in frame.notices:
                 self._notify(notice)
         self._frame = frames[-1]
-        state = self._frame.state
-        if not self._has_view and self._live and state is not None:
-            # A sphere far from the origin would be outside of the initial view.
-            self._has_view = True
-            if np.linalg.norm(state[POSITION] - LOOK_AT[:2]) > _INITIAL_VIEW:
-                self._scene.look_at(state[None, POSITION])
         with self._server.atomic():
             self._scene.show(self._frame)
             self._show_goal()
         now = time.monotonic()
         if now > self._panel_updated + _PANEL_PERIOD:
             self._panel_updated = now
-            self._panel.show(self._frame)
-            if self._server.get_clients():
-                self._plots.show(self._history)
+            self._panel.show(self._frame, self._scene.cell)
+            if not self._server.get_clients():
+                self._choose_view()
+            else:
+                self._plots.show(self._history, self._frame.drive)
 
     def look_at(self, places: Vector) -> None:
         """Set the initial view of the page to these places, shape (n, 2) [m]."""
@@ -93,14 +86,23 @@ class Viewer:
         """Close the page."""
         self._server.stop()
 
+    def _choose_view(self) -> None:
+        """Let the page that is opened next show sphere and goal of a live robot."""
+        state = self._frame.state
+        if self._live and state is not None:
+            goal = state if self._frame.goal is None else self._frame.goal
+            places = np.array([state[POSITION], goal[POSITION]])
+            if not all(map(self._scene.shows, places)):
+                self._scene.look_at(places)
+
     def _show_goal(self) -> None:
         frame = self._frame
-        if self._goal is None:
+        if self._goal is None or self._goal.radius != self._scene.radius:
             # The gizmo needs the radius of the sphere. A recording without a goal has none.
             if frame.state is None or (frame.goal is None and not self._live):
                 return
             on_drag = self._panel.put if self._live else None
-            self._goal = GoalGizmo(self._server.scene, frame.radius, on_drag)
+            self._goal = GoalGizmo(self._server.scene, self._scene.radius, on_drag)
         self._goal.show(frame.goal)
 
     def _handle(self, request: Request | str) -> None:

@@ -22,8 +22,8 @@ PATIENCE = 90.0
 
 
 @contextmanager
-def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subprocess.Popen[str]]:
-    """Run a node in a process of its own; it must end cleanly within `patience` [s]."""
+def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a node in a process of its own; it must end cleanly."""
     code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", code, verb, "--ros-args", *options], stderr=subprocess.PIPE,
@@ -32,7 +32,7 @@ def started(verb: str, *options: str, patience: float = 20.0) -> Iterator[subpro
     try:
         yield process
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=patience) == 0
+        assert process.wait(timeout=PATIENCE) == 0
     finally:
         process.kill()
         process.wait()
@@ -47,26 +47,29 @@ class Graph:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.probe)
         self._nodes: list[Node] = [self.probe]
-        self._busy: list[RunnableNode] = []
+        self._busy: dict[RunnableNode, SingleThreadedExecutor] = {}
 
     def close(self) -> None:
         for node in self._nodes:
             node.destroy_node()
-        self._executor.shutdown()
+        for executor in (self._executor, *self._busy.values()):
+            executor.shutdown()
         rclpy.try_shutdown()
 
-    def add(self, node: RunnableNode) -> None:
-        """Spin `node` too, and call its own `work` if it has any (the simulator)."""
-        self._executor.add_node(node)
+    def add(self, node: Node) -> None:
+        """Spin `node` too, by its own `work` if it has any (the simulator)."""
+        executor = self._executor
+        if isinstance(node, RunnableNode) and type(node).work is not RunnableNode.work:
+            # A change of time-out makes an executor forget which callbacks it has found ready and
+            # begin again with its first node: in one executor the last nodes might have no turn.
+            executor = self._busy[node] = SingleThreadedExecutor()
+        executor.add_node(node)
         self._nodes.append(node)
-        if type(node).work is not RunnableNode.work:
-            self._busy.append(node)
 
-    def remove(self, node: RunnableNode) -> None:
+    def remove(self, node: Node) -> None:
         """Destroy a node, as when its process ends."""
-        self._executor.remove_node(node)
+        self._busy.pop(node, self._executor).remove_node(node)
         self._nodes.remove(node)
-        self._busy = [busy for busy in self._busy if busy is not node]
         node.destroy_node()
 
     def collect(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
@@ -103,6 +106,6 @@ class Graph:
             self.spin()
 
     def spin(self) -> None:
-        for node in self._busy:
-            node.work(self._executor)
+        for node, executor in self._busy.items():
+            node.work(executor)
         self._executor.spin_once(timeout_sec=0.0 if self._busy else 0.01)

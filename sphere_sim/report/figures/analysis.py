@@ -12,6 +12,7 @@ from sphere_sim.evaluation.metrics import (
     position_errors,
     state_errors,
 )
+from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import (
     COLOURS,
@@ -23,9 +24,6 @@ from sphere_sim.report.figures.style import (
     mark_missing,
     styled,
 )
-
-PAPER_TORQUE = 3.2
-"""Bound on all torques that the paper states [N m]."""
 
 
 def error_over_time(run: Run) -> Figure:
@@ -57,7 +55,11 @@ def error_over_time(run: Run) -> Figure:
 
 
 def rotor_torques(run: Run) -> Figure:
-    """Draw the rotor torques (Eqs. 44 to 46) with the bound that the paper states."""
+    """Draw the rotor torques (Eqs. 44 to 46), and the torque of the largest acceleration.
+
+    For Table 1 that is the bound on all torques that the paper states.
+    """
+    bound = run.robot.full_torque
     with styled():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         axes = figure.subplots()
@@ -66,11 +68,11 @@ def rotor_torques(run: Run) -> Figure:
             for i in range(2):
                 axes.plot(run.joint_times, run.rotor_torques[:, i], DASHES[i], color=COLOURS[i],
                           label=f"$M_{i + 1}$")
-            for side in (-PAPER_TORQUE, PAPER_TORQUE):
+            for side in (-bound, bound):
                 axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
-            axes.annotate(f"{PAPER_TORQUE:g} N m, the paper's bound", (0.995, PAPER_TORQUE),
-                          xycoords=("axes fraction", "data"), color=GREY, fontsize=8, ha="right",
-                          va="bottom")
+            axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
+                          (0.995, bound), xycoords=("axes fraction", "data"), color=GREY,
+                          fontsize=8, ha="right", va="bottom")
             axes.set_xlabel("time [s]")
             axes.set_ylabel("torque [N m]")
             axes.set_xlim(0.0, max(float(run.joint_times[-1]), 1e-3))
@@ -97,7 +99,8 @@ def solve_times(run: Run) -> Figure:
             histogram.hist(durations[known], bins="auto", color=COLOURS[0], alpha=0.85)
             for percent, colour, name in ((50, ORANGE, "median"), (99, VERMILION, "p99")):
                 value = float(np.percentile(durations[known], percent))
-                histogram.axvline(value, color=colour, label=f"{name} {value:.3g} ms")
+                label = f"{name} {three_digits(value)} ms"
+                histogram.axvline(value, color=colour, label=label)
             histogram.set_xlabel("solve time [ms]")
             histogram.set_ylabel("solves")
             histogram.yaxis.set_major_locator(MaxNLocator(integer=True))

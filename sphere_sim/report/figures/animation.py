@@ -3,6 +3,7 @@
 """Animation (GIF) of a recorded run."""
 
 import io
+import math
 from pathlib import Path
 
 import matplotlib as mpl
@@ -16,6 +17,7 @@ from sphere_sim.evaluation.metrics import (
     settling_index,
 )
 from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.floor_view import Camera, paint_ball
 from sphere_sim.report.figures.style import BLUE, GREY, VERMILION
@@ -28,8 +30,10 @@ _FRAME_RATE = 20.0
 _LAST_FRAME = 1.2
 """Duration of the last frame [s]."""
 _COLOURS = 128
-_ARM = 0.06
-"""Half length of the crosses that mark start and goal [m]."""
+_ARM = 0.2
+"""Half length of the crosses that mark start and goal over the radius."""
+_MOST_RADII = 40.0
+"""Width of the picture over the radius from which on grid and crosses become larger."""
 _BACKGROUND, _LINES, _INK = "#ffffff", "#e4e4e4", "#222222"
 
 
@@ -73,13 +77,14 @@ def _end_of_interest(run: Run) -> float:
 
 
 def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
-    """Return the background: tiles of half a metre, and the goal as a translucent sphere."""
+    """Return the background: tiles, half a metre for 0.3 m, and the translucent goal."""
     picture = Image.new("RGB", camera.size, _BACKGROUND)
     draw = ImageDraw.Draw(picture)
-    (left, right), (near, far) = camera.floor_extent(0.5)
-    for x in np.arange(left, right + 0.25, 0.5):
+    tile = grid_cell(_drawn_size(camera, radius))
+    (left, right), (near, far) = camera.floor_extent(tile)
+    for x in np.arange(left, right + 0.5 * tile, tile):
         draw.line(camera.project([(x, near, 0.0), (x, far, 0.0)]), fill=_LINES, width=2)
-    for y in np.arange(near, far + 0.25, 0.5):
+    for y in np.arange(near, far + 0.5 * tile, tile):
         draw.line(camera.project([(left, y, 0.0), (right, y, 0.0)]), fill=_LINES, width=2)
     if run.goal is not None:
         place = (*run.goal[POSITION], radius)
@@ -97,24 +102,33 @@ def _frame(
     if len(past) > 1:
         draw.line(camera.project(np.column_stack((past, np.zeros(len(past))))), fill=BLUE,
                   width=3 * _OVERSAMPLING, joint="curve")
-    _cross(draw, camera, run.states[0, POSITION], GREY)
+    arm = _ARM * _drawn_size(camera, radius)
+    _cross(draw, camera, run.states[0, POSITION], arm, GREY)
     if run.goal is not None:
-        _cross(draw, camera, run.goal[POSITION], VERMILION)
+        _cross(draw, camera, run.goal[POSITION], arm, VERMILION)
     x, y = run.states[index, POSITION]
     paint_ball(picture, camera, (x, y, radius), run.states[index, QUATERNION], radius)
-    _caption(ImageDraw.Draw(picture), run, index)
+    _caption(ImageDraw.Draw(picture), run, index, radius)
     return picture.resize(_SIZE, Image.Resampling.LANCZOS)
 
 
-def _cross(draw: ImageDraw.ImageDraw, camera: Camera, place: Vector, colour: str) -> None:
+def _drawn_size(camera: Camera, radius: float) -> float:
+    """Return the radius for which grid and crosses are drawn [m]; tiny ones would be unseen."""
+    return max(radius, camera.size[0] / camera.scale / _MOST_RADII)
+
+
+def _cross(
+    draw: ImageDraw.ImageDraw, camera: Camera, place: Vector, arm: float, colour: str
+) -> None:
     """Draw a cross on the floor."""
-    for arm in ((_ARM, 0.0), (0.0, _ARM)):
-        ends = [(*(place - arm), 0.0), (*(place + arm), 0.0)]
+    for way in ((arm, 0.0), (0.0, arm)):
+        ends = [(*(place - way), 0.0), (*(place + way), 0.0)]
         draw.line(camera.project(ends), fill=colour, width=3 * _OVERSAMPLING)
 
 
-def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int) -> None:
-    """Draw time and distance to the goal."""
+def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int, radius: float) -> None:
+    """Draw time and distance to the goal, to a thirtieth of the radius or finer."""
+    digits = max(0, math.ceil(-math.log10(radius / 30.0) - 1e-9))
     font = ImageFont.truetype(
         str(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), 13 * _OVERSAMPLING
     )
@@ -123,5 +137,5 @@ def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int) -> None:
         state = run.states[index : index + 1]
         distance = float(position_errors(state, run.goal)[0])
         angle = float(np.degrees(angle_errors(state, run.goal)[0]))
-        text += f"     to the goal: {distance:.2f} m, {angle:.0f}\N{DEGREE SIGN}"
+        text += f"     to the goal: {distance:.{digits}f} m, {angle:.0f}\N{DEGREE SIGN}"
     draw.text((12 * _OVERSAMPLING, 10 * _OVERSAMPLING), text, fill=_INK, font=font)

@@ -19,9 +19,6 @@ from sphere_sim.report.figures.style import (
     styled,
 )
 
-_SMALLEST_VIEW = 0.3
-"""Smallest length that the panel of the path shows [m]."""
-
 
 def paper_panels(run: Run, title: str | None = None) -> Figure:
     """Draw the four panels of a run.
@@ -77,9 +74,10 @@ def draw_path(axes: Axes, run: Run) -> None:
     goal = run.goal
     if goal is not None:
         axes.plot(goal[0], goal[1], "*", color=VERMILION, markersize=13, label="goal", zorder=3)
-    # Motions of millimetres must not fill the panel.
+    # Motions that are small beside the sphere must not fill the panel: it shows a radius at least.
     middle = 0.5 * np.array((x.min() + x.max(), y.min() + y.max()))
-    axes.update_datalim((middle - _SMALLEST_VIEW / 2.0, middle + _SMALLEST_VIEW / 2.0))
+    half = 0.5 * run.robot.shell_radius
+    axes.update_datalim((middle - half, middle + half))
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("c: path on the plane")

@@ -31,8 +31,8 @@ _PERIOD = 0.1
 """Wall time between two messages [s]."""
 _PATH_POINTS = 2000
 """Most points of the path."""
-_SPACING = 0.02
-"""Least distance of two points of the path [m]."""
+_SPACING = 1.0 / 15.0
+"""Least distance of two points of the path over the radius."""
 
 
 class MarkerNode(RunnableNode):
@@ -57,7 +57,8 @@ class MarkerNode(RunnableNode):
     def _take_pose(self, message: PoseStamped) -> None:
         self._pose = message
         place = (message.pose.position.x, message.pose.position.y)
-        if not self._path or np.hypot(*np.subtract(place, self._path[-1])) > _SPACING:
+        spacing = _SPACING * _radius(message)
+        if not self._path or np.hypot(*np.subtract(place, self._path[-1])) > spacing:
             self._path.append(place)
 
     def _take_goal(self, message: PoseStamped) -> None:
@@ -69,19 +70,25 @@ class MarkerNode(RunnableNode):
     def _publish(self) -> None:
         if self._pose is None or self._markers.get_subscription_count() == 0:
             return
-        radius = self._pose.pose.position.z or DEFAULT_RADIUS
+        radius = _radius(self._pose)
         markers = [
             _shell("sphere", self._pose, radius, colours.BLUE, 0.3),
             _line("gamma", great_circle(1.005 * radius), 0.02 * radius, colours.GAMMA),
-            _line("path", ((*place, 0.003) for place in self._path), 0.012, colours.PATH),
-            _line("plan", ((p.pose.position.x, p.pose.position.y, 0.006)
-                           for p in self._plan.poses), 0.02, colours.PLAN),
+            _line("path", ((*place, 0.01 * radius) for place in self._path), 0.04 * radius,
+                  colours.PATH),
+            _line("plan", ((p.pose.position.x, p.pose.position.y, 0.02 * radius)
+                           for p in self._plan.poses), radius / 15.0, colours.PLAN),
         ]
         # Gamma is given in the body frame, so its marker has the pose of the sphere.
         markers[1].pose = self._pose.pose
         if self._goal is not None:
             markers.append(_shell("goal", self._goal, radius, colours.GOAL, 0.3))
         self._markers.publish(MarkerArray(markers=markers))
+
+
+def _radius(pose: PoseStamped) -> float:
+    """Return the radius of the shell, the height of its centre [m]; the default one without it."""
+    return float(pose.pose.position.z) or DEFAULT_RADIUS
 
 
 def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:

@@ -1,9 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter of another node, polled and set without waiting."""
+"""Parameter of another node, polled and set without waiting, with others that are only read."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -28,18 +29,25 @@ class RemoteParameter:
         Name of the parameter.
     on_refusal : callable
         Called with the reason if the node refuses a value.
+    read_only : sequence of str, optional
+        Names of further parameters that are polled with it.
     """
 
     def __init__(
-        self, node: Node, remote: str, name: str, on_refusal: Callable[[str], object]
+        self, node: Node, remote: str, name: str, on_refusal: Callable[[str], object],
+        read_only: Sequence[str] = (),
     ) -> None:
         self._name = name
+        self._read_only = tuple(read_only)
         self._on_refusal = on_refusal
         self._client = AsyncParameterClient(node, remote)
         self._polled = -_PERIOD
+        self._changes = 0
         self._descriptor = ParameterDescriptor(read_only=True)
         self.value: Any = None
         """Value; None while the node or the parameter is not available."""
+        self.others: tuple[Any, ...] = ()
+        """Values of `read_only`; empty while they are not available."""
 
     @property
     def writable(self) -> bool:
@@ -61,18 +69,23 @@ class RemoteParameter:
         if not self._client.services_are_ready():
             self.value = None
             return
-        self._client.get_parameters([self._name], callback=self._take_value)
+        take_value = partial(self._take_value, self._changes)
+        self._client.get_parameters([self._name, *self._read_only], callback=take_value)
         self._client.describe_parameters([self._name], callback=self._take_descriptor)
 
     def set(self, value: Any) -> None:
         """Request another value."""
         self.value, self._polled = value, time.monotonic()
+        self._changes += 1
         wanted = [Parameter(self._name, value=value)]
         self._client.set_parameters(wanted, callback=self._take_answer)
 
-    def _take_value(self, future: Any) -> None:
-        values = getattr(future.result(), "values", None) or [None]
-        self.value = None if values[0] is None else parameter_value_to_python(values[0])
+    def _take_value(self, changes: int, future: Any) -> None:
+        if changes != self._changes:
+            return  # the value before the newest change
+        values = getattr(future.result(), "values", None) or ()
+        found = [parameter_value_to_python(value) for value in values]
+        self.value, self.others = (found[0] if found else None), tuple(found[1:])
 
     def _take_descriptor(self, future: Any) -> None:
         descriptors = getattr(future.result(), "descriptors", None)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Live topics of one robot as a source of frames."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
-from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.source import (
     Pause,
     Push,
@@ -23,6 +24,9 @@ from sphere_sim.viewer.source import (
     SetSpeed,
     SetStrategy,
 )
+
+_DRIVE = ("robot.rotor_axial_inertia", "robot.max_rotor_speed", "robot.max_rotor_acceleration")
+"""Parameters of the controller that are the fields of `Drive`."""
 
 
 class TopicSource:
@@ -44,7 +48,7 @@ class TopicSource:
         self._notices: list[str] = []
         notify = self._notices.append
         self._speed = RemoteParameter(node, "simulator", "real_time_factor", notify)
-        self._strategy = RemoteParameter(node, "controller", "strategy", notify)
+        self._strategy = RemoteParameter(node, "controller", "strategy", notify, _DRIVE)
 
     def frames(self) -> Sequence[Frame]:
         """Return the newest frame."""
@@ -52,7 +56,7 @@ class TopicSource:
         self._strategy.refresh()
         frame = replace(
             self.subscriptions.newest(), capabilities=self._capabilities(),
-            notices=tuple(self._notices),
+            drive=self._drive(), notices=tuple(self._notices),
         )
         self._notices.clear()
         # The parameter is newer than the status, which is not published while time is paused.
@@ -93,6 +97,13 @@ class TopicSource:
         answer = future.result()
         if answer is not None and not answer.success:
             self._notices.append(answer.message)
+
+    def _drive(self) -> Drive:
+        values = self._strategy.others
+        known = len(values) == len(_DRIVE) and all(
+            isinstance(value, float) and 0.0 < value < math.inf for value in values
+        )
+        return Drive(*values) if known else Drive()
 
     def _capabilities(self) -> Capabilities:
         speed, strategy = self._speed, self._strategy

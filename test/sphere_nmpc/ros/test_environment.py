@@ -3,7 +3,6 @@
 """Unusable ROS environments end a node with one line; a missing log file does not end it."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from other_user import as_user
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
 
@@ -156,22 +156,13 @@ def test_shared_memory_of_other_users_selects_udp(tmp_path) -> None:
         assert unchanged == before
 
 
-def another_user(user: str) -> tuple[str, ...]:
-    # Reading everywhere is left to them: this interpreter may lie in root's home.
-    reading = "+dac_read_search"
-    return ("setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups",
-            f"--inh-caps={reading}", f"--ambient-caps={reading}")
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
-@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
 def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
     graph, lines = Graph(), []
     environment = {"ROS_LOG_DIR": None, "HOME": NOWHERE, "SPHERE_NMPC_CACHE": str(tmp_path)}
-    node = controller(environment, another_user("65534"))
+    node = controller(environment, as_user(65534))
     try:
         while not lines or "reachable" not in lines[-1]:  # the solver may have to be built first
             lines.append(node.stderr.readline())
@@ -188,14 +179,12 @@ def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
-@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv, of util-linux")
-@pytest.mark.parametrize("user", ["65534", "54321"], ids=["nobody", "without a passwd entry"])
+@pytest.mark.parametrize("user", [65534, 54321], ids=["nobody", "without a passwd entry"])
 def test_node_of_another_user_starts_after_one_of_root(user, tmp_path) -> None:
     cache = tmp_path / "roots"
     lines_until_up(controller({"SPHERE_NMPC_CACHE": str(cache)}))
     environment = {"SPHERE_NMPC_CACHE": str(cache), "ROS_LOG_DIR": None, "HOME": None}
-    lines = lines_until_up(controller(environment, another_user(user)))
+    lines = lines_until_up(controller(environment, as_user(user)))
     assert not any("Traceback" in line for line in lines)
     assert sum("log file: given ~/.ros/log" in line or "log file: given /nonexistent" in line
                for line in lines) == 1, lines

@@ -115,7 +115,7 @@ def test_signal_wakes_a_node_that_waits_in_the_middleware(number, own_handlers) 
 )
 def test_wrong_parameter_ends_the_node_with_one_line(arguments, code, words) -> None:
     node = start(CONTROLLER, *arguments)
-    _, errors = node.communicate(timeout=20)
+    _, errors = node.communicate(timeout=PATIENCE)
     assert node.returncode == code
     assert len(errors.strip().splitlines()) == 1
     assert re.search(words, errors)
@@ -124,7 +124,7 @@ def test_wrong_parameter_ends_the_node_with_one_line(arguments, code, words) -> 
 def test_unknown_argument_is_named() -> None:
     done = subprocess.run(
         [sys.executable, "-c", CONTROLLER, "horizon:=3"],
-        capture_output=True, text=True, timeout=20, check=False,
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
     )
     assert done.returncode == 2
     assert "horizon:=3: not understood" in done.stderr
@@ -133,7 +133,7 @@ def test_unknown_argument_is_named() -> None:
 def test_help_lists_topics_without_starting() -> None:
     done = subprocess.run(
         [sys.executable, "-c", CONTROLLER, "--help"],
-        capture_output=True, text=True, timeout=20, check=False,
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
     )
     assert done.returncode == 0
     assert "goal_pose" in done.stdout and "--ros-args" in done.stdout

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from other_user import as_user
 
 from sphere_nmpc import cache as places
 from sphere_nmpc.control.goal_memory import GoalMemory
@@ -34,15 +35,8 @@ solution = another.solve(problem, np.zeros((4, 2)))
 print(solver.backend, f"{solution.cost:.12e}")
 """
 
-AS_USER_WITHOUT_HOME = """
-import importlib.readers  # while the interpreter's own files can still be read
-import os
-import sphere_nmpc.solver.native.codegen
+WHERE_IT_IS_KEPT = """
 import sphere_nmpc.solver.native.library as native
-del os.environ["HOME"]
-os.setgroups([])
-os.setresgid(54321, 54321, 54321)
-os.setresuid(54321, 54321, 54321)
 print(native.cache_folder())
 print(native.load_library()._name)
 """
@@ -55,16 +49,15 @@ print(library._content_key(library.c_sources()))
 GOAL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 QUICK = Path(__file__).with_name("quick_cc.sh")
 """A compiler that does not optimise."""
-needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 
 
-def solve_elsewhere(cache, code=SOLVE, **environment):
+def solve_elsewhere(cache, code=SOLVE, within=(), **environment):
     """Solve in a child process, whose solver is compiled without optimisation by default."""
     inherited = {k: v for k, v in os.environ.items() if k not in ("CC", "XDG_CACHE_HOME")}
     if "PATH" not in environment:
         inherited["CC"] = str(QUICK)
     return subprocess.Popen(
-        [sys.executable, "-c", code],
+        [*within, sys.executable, "-c", code],
         env={
             **inherited, places.CACHE_VARIABLE: str(cache), "TMPDIR": str(cache.parent),
             **environment,
@@ -323,14 +316,18 @@ def test_temporary_folder_that_other_users_can_write_to_is_not_used(tmp_path):
     assert f"is kept in {tmp_path}/sphere_nmpc-" in err
 
 
-@needs_root
-def test_user_without_a_home_builds_in_the_temporary_folder():
-    # Not in pytest's own folder, which only root may enter.
+def test_user_without_a_home_builds_in_the_temporary_folder(monkeypatch):
+    user = as_user(54321)
+    monkeypatch.delenv("HOME", raising=False)
+    # Not in pytest's own folder, which only root may enter; the compiler too must be found here.
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
         base.chmod(0o1777)
-        environment = {places.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": name}
-        out, err = answer(solve_elsewhere(base / "x", AS_USER_WITHOUT_HOME, **environment))
+        environment = {
+            places.CACHE_VARIABLE: "", "XDG_CACHE_HOME": "", "TMPDIR": name,
+            "CC": shutil.copy(QUICK, base),
+        }
+        out, err = answer(solve_elsewhere(base / "x", WHERE_IT_IS_KEPT, user, **environment))
         assert out[0] == str(base / "sphere_nmpc-54321")
         assert out[1].startswith(out[0]) and err.count("\n") == 1
 

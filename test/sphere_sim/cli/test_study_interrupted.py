@@ -41,7 +41,7 @@ def stop(
         _, message = process.communicate(timeout=150.0)
     finally:
         process.kill()
-    _, alive = psutil.wait_procs(children, timeout=20.0)
+    _, alive = psutil.wait_procs(children, timeout=60.0)
     assert children and not alive
     return message
 

@@ -90,6 +90,14 @@ def test_plausible_stamps_are_used(stamp, log, latched, time) -> None:
     assert found == pytest.approx(time)
 
 
+@pytest.mark.parametrize(("stamp", "log"), [(2_100, 7_500), (7_900, 2_100)])
+def test_stamp_of_the_run_is_used_however_late_or_early_it_is_logged(stamp, log) -> None:
+    # The recorder takes up what has arrived for each topic after it was held up for a while.
+    clock = clock_of(*((t, t) for t in range(2_000, 8_000, 10)))
+    time = (stamp - 2_000) / 1e3
+    assert clock.time_of_message(stamp * MS, NOW + log * MS) == pytest.approx(time)
+
+
 def test_stamp_of_zero_is_used_at_the_start_of_simulated_time() -> None:
     clock = clock_of((0, 0), (300, 0), (310, 10), (320, 20))
     assert clock.time_of_message(0, NOW + 315 * MS) == 0.0

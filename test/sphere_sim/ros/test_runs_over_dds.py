@@ -34,7 +34,7 @@ def processes(**parameters: dict[str, object]) -> Iterator[None]:
         for name, given in parameters.items():
             options = [f"{key}:={str(value).lower()}" for key, value in given.items()]
             arguments = (part for item in options for part in ("-p", item))
-            nodes.enter_context(started(name, *arguments, patience=10.0))
+            nodes.enter_context(started(name, *arguments))
         yield
 
 

@@ -92,7 +92,10 @@ class Browser:
         return self
 
     def _attach(self) -> None:
-        self._socket = connect(self._address(), max_size=None, compression=None)
+        # Without pings, which a browser on a busy machine does not answer in time.
+        self._socket = connect(
+            self._address(), max_size=None, compression=None, ping_interval=None
+        )
         # The first target of a browser that starts may not be a page yet.
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
@@ -153,15 +156,12 @@ class Browser:
             )
             time.sleep(0.05)
 
-    def settle(self, patience: float = PATIENCE) -> None:
-        """Wait until the page draws regularly, after the compilation of its shaders."""
-        end = time.monotonic() + patience
-        while True:
-            before = self.evaluate("window.drawn")
-            time.sleep(1.5)
-            if self.evaluate("window.drawn") >= before + 5:
-                return
+    def settle(self) -> None:
+        """Wait until the page has drawn some frames, after the compilation of its shaders."""
+        end, before = time.monotonic() + PATIENCE, self.evaluate("window.drawn")
+        while self.evaluate("window.drawn") < before + 5:
             assert time.monotonic() < end, "the page does not draw"
+            time.sleep(0.1)
 
     def click_button(self, label: str) -> None:
         """Click the button with this label."""

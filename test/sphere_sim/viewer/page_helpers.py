@@ -53,6 +53,18 @@ def scene_of(page: Browser, path: Path) -> np.ndarray:
     return np.asarray(picture.crop((left, top, left + width, top + height)), dtype=float)
 
 
+def wait_for_red(page: Browser, path: Path, place: tuple[float, float]) -> None:
+    """Wait until a pixel of the page is red, as arrows along x are once they are drawn."""
+    left, top, _, _ = map(int, canvas(page))
+    end = time.monotonic() + PATIENCE
+    while True:
+        red, green, _ = scene_of(page, path)[int(place[1]) - top, int(place[0]) - left]
+        if red - green > 100.0:
+            return
+        assert time.monotonic() < end, "no arrow is drawn there"
+        time.sleep(0.5)
+
+
 def wait_for_scene(page: Browser, path: Path) -> None:
     """Wait until the scene is drawn."""
     end = time.monotonic() + PATIENCE

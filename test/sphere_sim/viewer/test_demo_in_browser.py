@@ -58,7 +58,7 @@ class Terminal:
     def close(self) -> None:
         if self.process.poll() is None:
             self.process.terminate()
-            self.process.wait(20.0)
+            self.process.wait(90.0)
         os.close(self._own)
 
 
@@ -106,7 +106,7 @@ def test_demo_shows_the_run_and_then_accepts_goals_from_the_page(
             _pick_a_goal(page)
             assert page.console == []
         terminal.enter()
-        assert terminal.process.wait(30.0) == 0, terminal.output
+        assert terminal.process.wait(90.0) == 0, terminal.output
     finally:
         terminal.close()
     assert not [child for child in children if child.is_running()]

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("viser")
 
 from browser import find_browser
-from page_helpers import page_of, pixel, scene_of, wait_for_scene
+from page_helpers import page_of, pixel, scene_of, wait_for_red, wait_for_scene
 from session import CONTROLLER, Session, open_session
 from verb_process import start, stop
 
@@ -46,9 +46,10 @@ def test_page_loads_without_errors_or_other_hosts(session, tmp_path) -> None:
 
 
 def test_sphere_rolls_to_a_goal_that_is_dragged(session, tmp_path) -> None:
-    before = scene_of(session.page, tmp_path / "before.png")
     # Drag the arrow along x by one metre.
     grab, release = (pixel(session.page, (x, 0.0, RADIUS)) for x in (0.5, 1.5))
+    wait_for_red(session.page, tmp_path / "arrow.png", grab)
+    before = scene_of(session.page, tmp_path / "before.png")
     session.page.drag(grab, release)
     session.graph.until(lambda: session.goals)
     goal = session.goal
@@ -79,14 +80,9 @@ def test_speed_and_strategy_can_be_changed(session) -> None:
             lambda after=after: session.statuses and session.status["strategy"] == after
         )
 
-    def type_speed(factor: float) -> bool:
-        # A page that updates the field meanwhile discards the number; a user then types it again.
-        session.page.type_number("speed", str(factor))
-        session.graph.spin_for(2.0)
-        return session.real_time_factor() == factor
-
     for factor in (0.5, 2.0):
-        session.graph.until(lambda factor=factor: type_speed(factor))
+        session.page.type_number("speed", str(factor))
+        session.graph.until(lambda factor=factor: session.real_time_factor() == factor)
 
 
 def test_goal_can_be_selected_from_the_list(session) -> None:

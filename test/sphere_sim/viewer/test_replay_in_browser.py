@@ -56,7 +56,7 @@ def page(tmp_path_factory) -> Iterator[Browser]:
     home.mkdir()
     viewer = start(folder, "viewer", "--port", "0", "--replay", str(bag))
     try:
-        end = time.monotonic() + 40.0
+        end = time.monotonic() + PATIENCE
         while not page_of(folder):
             log = (folder / "viewer.log").read_text()
             assert time.monotonic() < end and viewer.poll() is None, log

@@ -6,6 +6,7 @@ import itertools
 import socket
 import urllib.request
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -13,11 +14,14 @@ import pytest
 
 pytest.importorskip("viser")
 
+from robots import GIANT, PALM
+
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.viewer.access import HOST
-from sphere_sim.viewer.frame import Capabilities, Frame
+from sphere_sim.viewer.frame import DEFAULT_RADIUS, Capabilities, Drive, Frame
 from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.source import Pause, Push, Request, SetGoal
+from sphere_sim.viewer.source import Pause, Push, Request, SetGoal, SetSpeed, SetStrategy
 from sphere_sim.viewer.trail import Trail
 from sphere_sim.viewer.viewer import Viewer
 
@@ -57,7 +61,7 @@ def at(x: float, y: float, **more) -> Frame:
 
 def test_page_is_served_to_this_machine_only(viewer) -> None:
     assert viewer.url.startswith(f"http://{HOST}:")
-    with urllib.request.urlopen(viewer.url, timeout=10.0) as page:
+    with urllib.request.urlopen(viewer.url, timeout=60.0) as page:
         assert page.status == 200
     port = urlsplit(viewer.url).port
     with socket.socket() as other:
@@ -124,6 +128,55 @@ def test_other_requests_are_passed_to_the_source(viewer, script) -> None:
     assert script.requests == [Pause(True)]
 
 
+def widget(viewer: Viewer, label: str):
+    handles = viewer._server.gui._gui_input_handle_from_uuid.values()
+    return next(handle for handle in handles if handle.label == label)
+
+
+def in_force(speed: float, strategy: str) -> Frame:
+    offered = Capabilities(speed=speed, strategies=("paper", "time_optimal"))
+    return replace(at(1.0, 2.0, strategy=strategy), capabilities=offered)
+
+
+@pytest.mark.parametrize(
+    ("label", "chosen", "request_"),
+    [("strategy", "paper", SetStrategy("paper")), ("speed", 0.5, SetSpeed(0.5)),
+     ("goal", "upside down, here", "upside down, here")],
+)
+def test_choice_on_the_page_is_neither_overwritten_nor_lost_nor_repeated(
+    viewer, label, chosen, request_
+) -> None:
+    panel, before = viewer._panel, in_force(2.0, "time_optimal")
+    panel.show(before, 0.5)
+    assert panel.take() == [], "what the program shows is no request"
+    # As the server does on its own thread when the page sends the value.
+    widget(viewer, label)._impl.value = chosen
+    panel.show(replace(before, capabilities=replace(before.capabilities, paused=True)), 0.5)
+    assert panel.take() == [request_] and panel.take() == []
+
+
+def test_refused_choice_is_replaced_by_what_is_in_force(viewer) -> None:
+    panel = viewer._panel
+    panel.show(in_force(2.0, "time_optimal"), 0.5)
+    widget(viewer, "strategy")._impl.value = "paper"
+    widget(viewer, "speed")._impl.value = 0.5
+    assert len(panel.take()) == 2
+    panel.show(in_force(2.0, "time_optimal"), 0.5)
+    assert widget(viewer, "strategy").value == "time_optimal"
+    assert widget(viewer, "speed").value == 2.0
+    assert panel.take() == []
+
+
+@pytest.mark.parametrize(
+    ("label", "invalid"), [("strategy", "none"), ("speed", np.nan), ("goal", "none")]
+)
+def test_invalid_choice_is_taken_back(viewer, label, invalid) -> None:
+    viewer._panel.show(in_force(2.0, "time_optimal"), 0.5)
+    before = widget(viewer, label).value
+    widget(viewer, label)._impl.value = invalid
+    assert viewer._panel.take() == [] and widget(viewer, label).value == before
+
+
 def test_push_has_the_impulse_and_the_direction_of_its_fields(viewer, script) -> None:
     panel = viewer._panel
     panel._impulse.value, panel._direction.value = 2.0, 90.0
@@ -142,7 +195,7 @@ def test_push_of_a_number_that_is_not_finite_is_not_sent(viewer, name, value) ->
 
 def test_momentum_is_plotted_only_where_there_is_any(viewer, script) -> None:
     def charts() -> list[bool]:
-        viewer._plots.show(viewer._history)
+        viewer._plots.show(viewer._history, Drive())
         return [handle.visible for chart, handle in viewer._plots._drawn.items()
                 if chart.disturbances]
 
@@ -167,13 +220,115 @@ def test_sphere_of_another_radius_is_created_anew(viewer, script) -> None:
     assert viewer._scene._ball.radius == 0.5
 
 
+def lengths(viewer: Viewer) -> np.ndarray:
+    """Return lengths of the view, of what lies on the floor and of the goal [m]."""
+    scene, camera = viewer._scene, viewer._server.initial_camera
+    ground = scene._ground
+    return np.array([
+        *camera.position, *camera.look_at, ground._plan.thickness, ground._knots.point_size,
+        ground._path._thickness, ground._path._spacing, scene._trace._thickness,
+        viewer._goal._position.scale, viewer._goal._position.position[2],
+    ])
+
+
+@pytest.mark.parametrize("robot", [PALM, GIANT])
+def test_robots_of_other_sizes_are_shown_as_that_of_the_paper_at_another_scale(
+    viewer, script, robot
+) -> None:
+    script.next = [at(0.0, 0.0)]
+    viewer.tick()
+    before = lengths(viewer)
+    script.next = [at(0.0, 0.0, radius=robot.shell_radius)]
+    viewer.tick()
+    np.testing.assert_allclose(lengths(viewer), before * robot.shell_radius / DEFAULT_RADIUS)
+
+
+@pytest.mark.parametrize(("radius", "cell"), [(0.0365, 0.05), (0.3, 0.5), (1.0, 1.0)])
+def test_floor_follows_the_sphere_by_whole_cells(viewer, script, radius, cell) -> None:
+    for x in (0.0, 100.3 * radius):
+        script.next = [at(x, 0.0, radius=radius)]
+        viewer.tick()
+    x, y, _ = viewer._scene._ground._floor.position
+    strong_lines = x / (2.0 * cell)
+    assert strong_lines == pytest.approx(round(strong_lines), abs=1e-9) and y == 0.0
+    assert abs(x - 100.3 * radius) <= cell
+
+
+def test_grid_and_lines_of_a_long_recording_suit_its_view_rather_than_the_sphere(
+    viewer, script
+) -> None:
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius)]
+    viewer.tick()
+    for length, size in ((0.1, PALM.shell_radius), (3.0, 0.3)):
+        viewer.look_at(np.array([[0.0, 0.0], [length, 0.0]]))
+        assert viewer._scene._ground.size == pytest.approx(size)
+
+
+def drive_of(robot: RobotParameters) -> Drive:
+    return Drive(robot.rotor_axial_inertia, robot.max_rotor_speed, robot.max_rotor_acceleration)
+
+
+@pytest.mark.parametrize(
+    ("robot", "step"), [(RobotParameters(), 0.1), (PALM, 0.002), (GIANT, 2.0)]
+)
+def test_impulses_that_are_offered_are_a_share_of_what_the_rotors_take_up(
+    viewer, robot, step
+) -> None:
+    frame = at(0.0, 0.0, radius=robot.shell_radius, drive=drive_of(robot))
+    viewer._panel.show(frame, 0.5)
+    field = widget(viewer, "impulse [N s]")
+    assert (field.step, field.max, field.value) == pytest.approx((step, 200 * step, 5 * step))
+    assert round(step, field.precision) == step
+    field._impl.value = 3 * step
+    viewer._panel.show(frame, 0.5)
+    assert field.value == 3 * step
+
+
+@pytest.mark.parametrize(("radius", "text"), [(0.3, "every 0.5 m"), (0.0365, "every 0.05 m")])
+def test_legend_has_the_spacing_of_the_grid(viewer, script, radius, text) -> None:
+    script.next = [at(0.0, 0.0, radius=radius)]
+    viewer.tick()
+    assert text in viewer._panel._legend.content
+
+
+def test_page_that_is_opened_shows_sphere_and_goal(viewer, script) -> None:
+    camera, goal = viewer._server.initial_camera, make_state((3.0, 4.0), UPRIGHT)
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius)]
+    viewer.tick()
+    near = np.linalg.norm(np.subtract(camera.position, camera.look_at))
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius, goal=goal)]
+    viewer.tick()
+    viewer._choose_view()
+    assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0])
+    assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 10.0 * near
+    script.next = [at(0.5, 0.5, radius=PALM.shell_radius, goal=goal)]
+    viewer.tick()
+    viewer._choose_view()
+    assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0]), "still in view"
+
+
+@pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])
+def test_plots_have_the_limits_of_the_drives_as_range(viewer, script, robot) -> None:
+    full = {"speed": robot.max_rotor_speed, "torque": robot.full_torque}
+    for time in (0.0, 1.0):
+        script.next = [at(
+            0.0, 0.0, time=time, rotor_speeds=np.full(2, 0.5 * full["speed"]),
+            rotor_torques=np.full(2, 0.5 * full["torque"]),
+        )]
+        viewer.tick()
+    viewer._plots.show(viewer._history, drive_of(robot))
+    for chart, (low, high) in viewer._plots._ranges.items():
+        if chart.limit in full:
+            assert 0.5 * full[chart.limit] <= high == -low < 2.0 * full[chart.limit]
+
+
 def test_plans_at_one_point_are_not_drawn(viewer, script) -> None:
     still = np.tile(make_state((1.0, 1.0), UPRIGHT), (5, 1))
     moving = still + np.linspace(0.0, 1.0, 5)[:, None] * np.eye(6)[0]
     for plan, there in ((still, False), (moving, True), (np.empty((0, 6)), False)):
         script.next = [at(1.0, 1.0, plan=plan)]
         viewer.tick()
-        assert viewer._scene._plan.visible is there
+        assert viewer._scene._ground._plan.visible is there
 
 
 def test_trail_is_connected_and_of_limited_length(viewer) -> None:

@@ -121,7 +121,7 @@ class RigidBodySettings:
         return replace(
             self,
             drive_bandwidth=self.drive_bandwidth or _BANDWIDTH / time_scale(robot),
-            torque_limit=self.torque_limit or full_torque(robot),
+            torque_limit=self.torque_limit or robot.full_torque,
             contact_time_constant=given or max(scale * _CONTACT_TIME_CONSTANT, 2.0 * step),
             time_step=step,
         )
@@ -131,15 +131,10 @@ class RigidBodySettings:
 
         A `max_rotor_torque` that the drives can give makes up for it: plans then respect it.
         """
-        limit, needed = self.for_robot(robot).torque_limit, full_torque(robot)
+        limit, needed = self.for_robot(robot).torque_limit, robot.full_torque
         why = f"for robot.max_rotor_acceleration = {robot.max_rotor_acceleration:g} rad/s^2"
         if 0.0 < robot.max_rotor_torque < needed:
             needed, why = robot.max_rotor_torque, "as robot.max_rotor_torque"
         if limit >= needed * (1.0 - 1e-9):
             return None
         return f"rigid_body.torque_limit: given {limit:g} N m, expected {needed:g} N m {why}"
-
-
-def full_torque(robot: RobotParameters) -> float:
-    """Return the torque that accelerates a rotor by `max_rotor_acceleration` [N m]."""
-    return robot.rotor_axial_inertia * robot.max_rotor_acceleration

@@ -2,18 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of a complete run, and of one that has poses only."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from robots import GIANT, PALM
 
 from sphere_nmpc.model.drift import NO_DRIFT
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.run import Momentum, Run, Solves
-from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures import analysis, animation
 from sphere_sim.report.figures.contact_locus import contact_locus
+from sphere_sim.report.figures.floor_view import Camera
 from sphere_sim.report.figures.momentum import momentum_over_time
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
+from sphere_sim.report.page import results
 
 FIGURES = {
     "panels": paper_panels,
@@ -84,3 +89,46 @@ def test_equal_runs_give_equal_files(tmp_path) -> None:
     for name in ("one", "two"):
         save(paper_panels(make_run()), tmp_path, name)
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("robot", "bound"), [(RobotParameters(), 3.2), (PALM, 0.017), (GIANT, 45.0)]
+)
+def test_torques_are_drawn_with_those_of_the_largest_acceleration(robot, bound) -> None:
+    (axes,) = analysis.rotor_torques(replace(make_run(), robot=robot)).axes
+    limits = [line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":"]
+    np.testing.assert_allclose(limits, [-bound, bound], rtol=1e-3)
+    (label,) = (text.get_text() for text in axes.texts)
+    assert label.startswith(f"{bound:g} N m")
+
+
+@pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])
+def test_path_panel_shows_a_radius_where_the_sphere_hardly_moves(robot) -> None:
+    run = make_run()
+    still = run.states * np.array([1e-6, 1e-6, 1.0, 1.0, 1.0, 1.0])
+    path = paper_panels(replace(run, states=still, goals=still[:1], robot=robot)).axes[2]
+    least = min(np.ptp(path.get_xlim()), np.ptp(path.get_ylim()))
+    assert robot.shell_radius <= least <= 1.5 * robot.shell_radius
+
+
+def test_animation_of_a_robot_of_a_tenth_is_that_of_the_robot_a_tenth_away() -> None:
+    def frame(scale: float) -> np.ndarray:
+        robot = replace(
+            RobotParameters(), shell_radius=0.3 * scale, rotor_offset=0.15 * scale
+        )
+        states = make_run().states * np.array([scale, scale, 1.0, 1.0, 1.0, 1.0])
+        run = replace(make_run(), states=states, robot=robot)
+        camera = Camera.on(states[:, :2], robot.shell_radius, (640, 300))
+        floor = animation._floor(camera, run, robot.shell_radius)
+        picture = animation._frame(camera, floor, run, 30, robot.shell_radius)
+        return np.asarray(picture, dtype=float)[40:]  # without the caption
+
+    # Edges of lines may be rounded to other pixels.
+    assert np.mean(np.abs(frame(0.1) - frame(1.0)) > 8.0) < 0.005
+
+
+@pytest.mark.parametrize(("speed", "text"), [(1000.0, "1000 rad/s"), (99.7, "99.7 rad/s")])
+def test_largest_rotor_speed_is_written_without_an_exponent(speed, text) -> None:
+    run = make_run()
+    speeds = np.full_like(run.rotor_speeds, speed)
+    assert dict(results(replace(run, rotor_speeds=speeds)))["largest rotor speed"] == text

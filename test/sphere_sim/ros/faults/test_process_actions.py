@@ -73,9 +73,9 @@ def test_stopped_process_continues_at_the_end(tmp_path) -> None:
         controller = session.processes["controller"]
         controller.start()
         action.begin(session)
-        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) == "T", 30.0)
+        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) == "T", 60.0)
         action.end(session)
-        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) != "T", 30.0)
+        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) != "T", 60.0)
 
 
 def limit_of(process: ChildProcess) -> int:

@@ -35,11 +35,11 @@ def killed_bag(graph, tmp_path) -> Path:
         goals.publish(goal)
         graph.until(lambda: committed_duration(bag) > 5.0, 60.0)
         nodes[0].send_signal(signal.SIGKILL)
-        nodes[0].wait(10.0)
+        nodes[0].wait(60.0)
     finally:
         for node in nodes:
             node.kill()
-            node.wait(10.0)
+            node.wait(60.0)
     return bag
 
 
@@ -69,4 +69,4 @@ def test_killed_recording_can_be_reported_and_replayed(killed_bag, tmp_path, cap
             time.sleep(0.1)
     finally:
         viewer.send_signal(signal.SIGINT)
-        viewer.wait(20.0)
+        viewer.wait(60.0)

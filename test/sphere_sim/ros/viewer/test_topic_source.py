@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames from live topics, requests to other nodes, and markers, over DDS."""
 
+import itertools
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,6 +15,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 pytest.importorskip("viser")
 
+from robots import GIANT, PALM
+
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
@@ -20,6 +25,7 @@ from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.topic_source import TopicSource
+from sphere_sim.viewer.frame import Drive
 from sphere_sim.viewer.source import Pause, Push, Reset, SetGoal, SetSpeed, SetStrategy
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
@@ -29,8 +35,7 @@ GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
 @pytest.fixture
 def source(graph) -> TopicSource:
     node = Node("viewer")
-    graph._nodes.append(node)
-    graph._executor.add_node(node)
+    graph.add(node)
     return TopicSource(node)
 
 
@@ -59,8 +64,7 @@ def test_late_viewer_shows_pose_goal_and_rotor_speeds(graph, source) -> None:
     goals.publish(pose_to_ros(GOAL, 0, 0.3))
     graph.until(lambda: controller.controller.goal is not None)
     late = Node("late")
-    graph._nodes.append(late)
-    graph._executor.add_node(late)
+    graph.add(late)
     other = TopicSource(late)
     graph.until(lambda: newest(other).state is not None and newest(other).goal is not None)
     frame = newest(other)
@@ -111,6 +115,14 @@ def test_refused_request_gives_one_notice(graph, source) -> None:
     assert notices == ["the lid is open"] and newest(source).notices == ()
 
 
+def test_drive_is_that_of_the_controller(graph, source) -> None:
+    assert newest(source).drive == Drive()
+    robot = (("rotor_axial_inertia", 0.9), ("max_rotor_speed", 60.0),
+             ("max_rotor_acceleration", 50.0))
+    graph.add(ControllerNode([Parameter(f"robot.{name}", value=it) for name, it in robot]))
+    graph.until(lambda: newest(source).drive == Drive(0.9, 60.0, 50.0))
+
+
 def test_strategy_can_be_selected(graph, source) -> None:
     node = ControllerNode()
     graph.add(node)
@@ -159,6 +171,25 @@ def test_missing_messages_of_both_nodes_are_reported(graph, source) -> None:
     graph.until(alive)
     graph.until(lambda: any("no pose for" in it for it in newest(source).alerts))
     graph.until(lambda: any("controller silent for" in it for it in newest(source).alerts))
+
+
+@pytest.mark.parametrize("robot", [RobotParameters(), PALM, GIANT])
+def test_lines_of_the_markers_are_in_the_size_of_the_robot(graph, robot) -> None:
+    graph.add(MarkerNode())
+    radius = robot.shell_radius
+    poses, received = graph.publisher(PoseStamped, "pose"), graph.collect(MarkerArray, "markers")
+    steps = itertools.count()
+
+    def path() -> list[Marker]:
+        step = next(steps)
+        state = START + 0.2 * radius * step * np.eye(6)[0]
+        poses.publish(pose_to_ros(state, step, radius))
+        found = [it for array in received for it in array.markers if it.ns == "path"]
+        return [it for it in found if len(it.points) > 1]
+
+    graph.until(path)
+    assert path()[0].scale.x == pytest.approx(0.012 * radius / 0.3)
+    assert path()[0].points[0].z == pytest.approx(0.003 * radius / 0.3)
 
 
 def test_markers_are_published_to_a_subscriber(graph) -> None:

@@ -6,9 +6,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from robot_description import FILE, make_urdf
+from robot_description_file import FILE
+from robots import GIANT, PALM
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.world.robot_description import make_urdf
 
 ROBOT = RobotParameters()
 
@@ -19,10 +21,12 @@ def numbers(element, name):
 
 def test_shipped_file_is_what_the_generator_writes():
     expected = make_urdf(ROBOT)
-    assert FILE.read_text() == expected, "run python bench/documents/robot_description.py"
+    assert FILE.read_text() == expected, "run python bench/documents/robot_description_file.py"
 
 
-@pytest.mark.parametrize("robot", [ROBOT, RobotParameters(rotor_mass=0.8, shell_inertia=0.05)])
+@pytest.mark.parametrize(
+    "robot", [ROBOT, RobotParameters(rotor_mass=0.8, shell_inertia=0.05), PALM, GIANT]
+)
 def test_masses_and_inertias_add_up(robot):
     root = ElementTree.fromstring(make_urdf(robot).partition("\n")[2])
     place = {"base_link": np.zeros(3)}
@@ -44,9 +48,11 @@ def test_masses_and_inertias_add_up(robot):
         ]
         inertia += m * (r @ r * np.eye(3) - np.outer(r, r))
     assert mass == pytest.approx(robot.total_mass)
-    np.testing.assert_allclose(moment, 0.0, atol=1e-8)
+    np.testing.assert_allclose(moment, 0.0, atol=1e-8 * mass)
     expected = [robot.transverse_inertia, robot.transverse_inertia, robot.axial_inertia]
-    np.testing.assert_allclose(inertia, np.diag(expected), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        inertia, np.diag(expected), rtol=1e-6, atol=1e-7 * robot.transverse_inertia
+    )
 
 
 def test_joints_have_the_names_of_the_joint_states():
@@ -61,3 +67,16 @@ def test_links_make_one_tree_below_the_base():
     children = [joint.find("child").get("link") for joint in root.iter("joint")]
     assert len(children) == len(set(children))
     assert links - set(children) == {"base_link"}
+
+
+@pytest.mark.parametrize("robot", [ROBOT, PALM, GIANT])
+def test_all_shapes_lie_within_the_shell(robot):
+    root = ElementTree.fromstring(make_urdf(robot).partition("\n")[2])
+    for joint in root.iter("joint"):
+        offset = np.linalg.norm(numbers(joint.find("origin"), "xyz"))
+        name = joint.find("child").get("link")
+        (link,) = (link for link in root.iter("link") if link.get("name") == name)
+        for disc in link.iter("cylinder"):
+            radius, length = float(disc.get("radius")), float(disc.get("length"))
+            assert np.hypot(radius, offset + 0.5 * length) < robot.shell_radius
+            assert length < 0.5 * radius, "rotors look like discs"

@@ -36,6 +36,7 @@ ALLOWED = {
     "sphere_sim/ros/faults/trial_process.py": {"multiprocessing"},
     "sphere_sim/ros/faults/trial_processes.py": {"multiprocessing"},
     "bench/documents/momentum_holding.py": {"ProcessPoolExecutor"},
+    "bench/documents/strategies_of_robots.py": {"ProcessPoolExecutor"},
     # A cluster of Dask, which the user has started and named with --scheduler.
     "sphere_sim/study/cluster.py": {"distributed"},
 }

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Goals that each strategy reaches with robots from 3 cm to 1 m, drawn at random.
 
-Prints the table of ``docs/results.md``, robot by robot:
+Prints a table, robot by robot:
 
     python bench/documents/strategies_of_robots.py --robots 12 --goals 20 --seed 1
 """

@@ -27,7 +27,7 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.stationary_point import (
     NO_PROGRESS,
     SETTLED_COST,
-    Progress,
+    Descent,
     loops,
 )
 
@@ -70,7 +70,7 @@ class PaperStrategy:
         self._plans: tuple[FirstOrderHold | None, FirstOrderHold | None] = (None, None)
         self._followed = 0
         self._origin: float | None = None
-        self._progress = Progress(self._settled_cost)
+        self._descent = Descent(self._settled_cost)
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
@@ -111,7 +111,7 @@ class PaperStrategy:
         starts = [self._warm_start(plan, times[1:], rest) for plan in self._plans]
         best = self._solve(problem, (starts[0], starts[1]), self._followed, time_budget)
         solve_time, message = best.solve_time, ""
-        if self._progress.has_ended(float(times[-1]), best.solution):
+        if self._descent.has_ended(float(times[-1]), best.solution):
             message = NO_PROGRESS
             for guess in loops(problem):
                 left = time_budget - solve_time

@@ -49,7 +49,7 @@ def loops(problem: HoldProblem) -> list[Vector]:
     return guesses
 
 
-class Progress:
+class Descent:
     """Decrease of the cost from one sample period to the next.
 
     Parameters

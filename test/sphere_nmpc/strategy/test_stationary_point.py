@@ -14,7 +14,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
-from sphere_nmpc.strategy.stationary_point import NO_PROGRESS, SETTLED_COST, Progress, loops
+from sphere_nmpc.strategy.stationary_point import NO_PROGRESS, SETTLED_COST, Descent, loops
 
 STRATEGIES = ("paper", "plan_keeping")
 ROBOT = RobotParameters()
@@ -109,7 +109,7 @@ def test_no_loop_is_the_mirror_image_of_itself_or_another_one(make_problem, kind
 def test_progress_ends_where_the_cost_stays_from_one_period_to_the_next(make_problem) -> None:
     solution = HoldSolver().solve(make_problem("paper"), np.zeros((4, 2)))
     assert solution.cost > SETTLED_COST
-    progress = Progress(SETTLED_COST)
+    progress = Descent(SETTLED_COST)
     assert not progress.has_ended(2.0, solution)
     assert not progress.has_ended(2.0, solution)  # solved again before the next knot
     assert progress.has_ended(2.5, solution)
@@ -121,6 +121,6 @@ def test_progress_ends_where_the_cost_stays_from_one_period_to_the_next(make_pro
 
 def test_progress_ends_nowhere_within_the_settled_cost(make_problem) -> None:
     solution = HoldSolver().solve(make_problem("paper"), np.zeros((4, 2)))
-    progress = Progress(settled_cost=solution.cost)
+    progress = Descent(settled_cost=solution.cost)
     assert not progress.has_ended(2.0, solution)
     assert not progress.has_ended(2.5, solution)

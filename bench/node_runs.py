@@ -38,7 +38,7 @@ from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
 
-PATIENCE = 60.0
+PATIENCE = 600.0
 """How long nodes on a busy machine may take to be ready [s]."""
 _SPIN = 0.01
 """Wall time between two looks at what was received [s]."""

@@ -8,6 +8,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.worker.channel import Channel, encoded
@@ -19,8 +20,8 @@ _MOST_BYTES = 150_000
 """Their bytes: what a socket of Linux takes in any case, so that sending never blocks; a
 transition has some 60 000 at 1 kHz."""
 _PATIENCE = 3.0
-"""Wall time [s] without a result after which a worker that has a task is replaced: a search takes
-a tenth of it at most."""
+"""Time without a result after which a worker that has a task is replaced [s]: a search takes a
+tenth of it at most. Processor time where it waits for a processor, otherwise wall time."""
 _FIRST_PATIENCE = 20.0
 """The same for the first result of a process [s], which has to be loaded first."""
 _RESTART_EVERY = 1.0
@@ -98,6 +99,7 @@ class WorkerProcess:
             while self._pending:
                 result, error = connection.receive()
                 self._heard, self._patience = time.monotonic(), _PATIENCE
+                self._used = None
                 reply, _ = self._pending.popleft(), self._sizes.popleft()
                 reply.result, reply.error, reply.ready = result, error, not error
                 if error:
@@ -112,7 +114,7 @@ class WorkerProcess:
             self._replace(f"given a result that cannot be read: {error}")
             return
         silent = time.monotonic() - self._heard
-        if self._pending and silent > self._patience:
+        if self._pending and silent > self._patience and not self._waits_for_a_processor():
             self._replace(f"given no result for {silent:.1f} s, expected {self._patience:g} s")
 
     def close(self) -> None:
@@ -132,6 +134,7 @@ class WorkerProcess:
         """Start a process; it ends when the other end of its connection is closed."""
         self._started = self._heard = time.monotonic()
         self._patience = _FIRST_PATIENCE
+        self._used: float | None = None
         try:
             here, there = Channel.pair()
         except OSError as error:
@@ -153,6 +156,20 @@ class WorkerProcess:
             self._on_fault(f"worker not started: {error}")
         finally:
             there.close()
+
+    def _waits_for_a_processor(self) -> bool:
+        """Return whether the process would work but for other processes, on Linux.
+
+        It is ready to run, and has had little processor time since this was asked first. On a busy
+        machine another process would only have to be loaded as well.
+        """
+        try:
+            fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return False
+        used = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        self._used = used if self._used is None else self._used
+        return fields[0] == "R" and used - self._used < self._patience
 
     def _replace(self, why: str) -> None:
         """Start another process unless one was started just now; `submit` does it later then."""

@@ -11,14 +11,12 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
+from patience import PATIENCE
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from sphere_nmpc.ros.lifetime import RunnableNode
-
-PATIENCE = 90.0
-"""Time-out for a message on a busy machine [s]; only failing tests wait that long."""
 
 
 @contextmanager
@@ -92,9 +90,9 @@ class Graph:
         self.until(future.done)
         return future.result()
 
-    def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> None:
-        """Spin until `condition` holds; fail after `patience` of wall time [s]."""
-        end = time.monotonic() + patience
+    def until(self, condition: Callable[[], Any]) -> None:
+        """Spin until `condition` holds; fail after `PATIENCE` of wall time."""
+        end = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < end, "time-out"
             self.spin()

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from geometry_msgs.msg import PoseStamped
 from other_user import as_user
+from patience import PATIENCE
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
 
@@ -31,7 +32,6 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOWHERE = "/proc/nonexistent"
 """Folder that not even root can create."""
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
-PATIENCE = 60.0
 
 
 def controller(

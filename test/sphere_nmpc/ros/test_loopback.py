@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from xml.etree import ElementTree
 
 import pytest
+from patience import PATIENCE
 
 from sphere_nmpc.ros.loopback import (
     DISCOVERY_RANGE,
@@ -24,8 +25,6 @@ from sphere_nmpc.ros.loopback import (
 psutil = pytest.importorskip("psutil")
 
 VERBS = ("simulator", "controller", "recorder", "markers", "viewer")
-PATIENCE = 60.0
-"""Time-out for the start of five nodes on a busy machine [s]."""
 OF_FAST_DDS = 3
 """Fewest ports that Fast DDS opens: for discovery, for data, and one to send from."""
 

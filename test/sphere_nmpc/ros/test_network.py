@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from ros_graph import PATIENCE
+from patience import PATIENCE
 
 from sphere_nmpc.ros.graph_faults import network_fault
 from sphere_nmpc.ros.loopback import (

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 from sphere_nmpc.cache import CACHE_VARIABLE
 
@@ -62,7 +63,7 @@ def run(sanitizers, tmp_path, *fault):
             # The interpreter frees little of its memory at its end.
             "ASAN_OPTIONS": "detect_leaks=0",
         },
-        capture_output=True, text=True, timeout=300, check=False,
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
     )
 
 

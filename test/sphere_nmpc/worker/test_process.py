@@ -10,18 +10,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from operator import methodcaller
+from operator import contains, methodcaller
 from pathlib import Path
 from select import select
 
 import pytest
+from patience import PATIENCE
 
 from sphere_nmpc.worker import process
 from sphere_nmpc.worker.contract import Reply
 from sphere_nmpc.worker.process import WorkerProcess
-
-PATIENCE = 60.0
-"""How long a busy machine may take for what takes a moment [s]."""
 
 
 @pytest.fixture
@@ -110,6 +108,45 @@ def test_process_that_does_not_answer_is_replaced(
     assert "no result" in reply.error and "replaced" in faults[0]
     until(lambda: not is_running(stopped))
     assert complete(worker, worker.submit(len)) == 0
+
+
+def test_process_with_an_endless_task_is_replaced(
+    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
+    monkeypatch.setattr(process, "_PATIENCE", 0.2)
+    assert complete(worker, worker.submit(len)) == 0
+    reply = worker.submit(partial(contains, range(10**12)))
+    until(lambda: bool(worker.poll() or reply.error))
+    assert "no result" in reply.error and "replaced" in faults[0]
+    assert complete(worker, worker.submit(len)) == 0
+
+
+def test_process_that_waits_for_a_processor_is_kept(
+    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "_PATIENCE", 0.2)
+    assert complete(worker, worker.submit(len)) == 0
+    # One processor for both; the worker has some thousandths of it.
+    processor = {min(os.sched_getaffinity(0))}
+    os.sched_setaffinity(worker.pid, processor)
+    os.sched_setscheduler(worker.pid, os.SCHED_IDLE, os.sched_param(0))
+    endless = "print(flush=True)\nwhile True: pass"
+    other = subprocess.Popen([sys.executable, "-c", endless], stdout=subprocess.PIPE)
+    os.sched_setaffinity(other.pid, processor)
+    try:
+        assert other.stdout is not None and other.stdout.readline()
+        # Some 30 ms of work.
+        reply = worker.submit(partial(contains, range(1_000_000)))
+        began = time.monotonic()
+        while reply.pending and time.monotonic() - began < 1.0:
+            worker.poll()
+            time.sleep(2e-3)
+    finally:
+        other.kill()
+        other.wait()
+    assert complete(worker, reply) is False
+    assert faults == []
 
 
 def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: WorkerProcess) -> None:

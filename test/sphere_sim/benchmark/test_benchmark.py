@@ -15,6 +15,8 @@ import pytest
 pytest.importorskip("rich")
 pytest.importorskip("matplotlib")
 
+from patience import PATIENCE
+
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.reference.objective import cost
@@ -240,7 +242,7 @@ def test_interrupt_ends_the_benchmark_during_any_solver(tmp_path, delay):
             time.sleep(0.05)
         time.sleep(delay)
         process.send_signal(signal.SIGINT)
-        _, message = process.communicate(timeout=60)  # of 15 s that each of several solvers has
+        _, message = process.communicate(timeout=PATIENCE)  # the benchmark takes longer
     finally:
         process.kill()
     assert process.returncode == 130 and "interrupted" in message and "Traceback" not in message

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from patience import PATIENCE
 from rosbags.typesys import Stores, get_typestore
 
 from sphere_nmpc.model.drift import NO_DRIFT
@@ -165,7 +166,7 @@ def report(*arguments: str, limit: int | None = None, **environment: str):
 
     return subprocess.run(
         verb_command("report", *arguments),
-        capture_output=True, text=True, timeout=120.0, preexec_fn=restrict,
+        capture_output=True, text=True, timeout=PATIENCE, preexec_fn=restrict,
         # Bytecode that the limit truncates would break each later import.
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **environment},
     )

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from patience import PATIENCE
 
 from sphere_nmpc.cache import CACHE_VARIABLE
 
@@ -38,10 +39,10 @@ def stop(
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
         (os.killpg if all_of_them else os.kill)(process.pid, number)
-        _, message = process.communicate(timeout=150.0)
+        _, message = process.communicate(timeout=PATIENCE)
     finally:
         process.kill()
-    _, alive = psutil.wait_procs(children, timeout=60.0)
+    _, alive = psutil.wait_procs(children, timeout=PATIENCE)
     assert children and not alive
     return message
 
@@ -103,7 +104,7 @@ def test_study_on_a_full_disk_keeps_its_runs_and_continues(tmp_path) -> None:
             # Bytecode that the limit truncates would break each later import.
             env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         )
-        _, message = process.communicate(timeout=150.0)
+        _, message = process.communicate(timeout=PATIENCE)
         assert "Traceback" not in message and "Exception ignored" not in message
         return process.returncode, [line for line in message.splitlines() if "study:" in line]
 

@@ -18,6 +18,7 @@ pytest.importorskip("rclpy")
 
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from patience import PATIENCE
 from rosbags.rosbag2 import Reader
 
 from sphere_nmpc.cache import cache_folder
@@ -35,8 +36,6 @@ EVERY_TOPIC = {
 }
 STORED_GOAL = cache_folder() / "goals" / f"{os.environ['ROS_DOMAIN_ID']}.controller.json"
 """Goal that a controller of this domain keeps for the next one."""
-PATIENCE = 120.0
-"""How long a busy machine may take [s]."""
 
 
 def wait_for_progress(process: subprocess.Popen[str], least: float) -> float:
@@ -100,8 +99,8 @@ def lockstep_run(tmp_path_factory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("demo") / "out [/b]"
     STORED_GOAL.unlink(missing_ok=True)
     done = subprocess.run(
-        [*DEMO, "--rtf", "0", "--out", str(folder)], capture_output=True, text=True, timeout=120,
-        check=False,
+        [*DEMO, "--rtf", "0", "--out", str(folder)], capture_output=True, text=True,
+        timeout=PATIENCE, check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return folder, done.stdout
@@ -143,7 +142,7 @@ def test_fast_run_is_recorded_to_its_end(tmp_path) -> None:
     fast = ["--rtf", "0", "--case", "3", "--strategy", "paper", "--no-compare"]
     done = subprocess.run(
         [*DEMO, *fast, "--out", str(tmp_path / "out")], capture_output=True, text=True,
-        timeout=120, check=False,
+        timeout=PATIENCE, check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     with Reader(tmp_path / "out" / "bag") as reader:
@@ -203,6 +202,6 @@ def test_nodes_end_with_a_demo_that_is_killed(tmp_path) -> None:
 def test_existing_bag_is_refused(tmp_path) -> None:
     (tmp_path / "bag").mkdir()
     done = subprocess.run([*DEMO, "--out", str(tmp_path)], capture_output=True, text=True,
-                          timeout=60, check=False)
+                          timeout=PATIENCE, check=False)
     assert done.returncode == 1
     assert "exists already" in done.stderr and "Traceback" not in done.stderr

@@ -19,6 +19,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from patience import PATIENCE
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -46,7 +47,7 @@ def own(tmp_path_factory) -> Path:
     subprocess.run(
         [*DEMO, "--rtf", "0", "--case", "3", "--strategy", "paper", "--no-compare",
          "--out", str(folder)],
-        check=True, capture_output=True, timeout=120,
+        check=True, capture_output=True, timeout=PATIENCE,
     )
     return folder / "bag"
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from patience import PATIENCE
 
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.processes import TRIES, Processes
@@ -21,9 +22,9 @@ import threading, time
 from sphere_sim.study.processes import Processes
 if __name__ == "__main__":
     # This thread may take a signal, which is then handled in the main thread.
-    threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
+    threading.Thread(target=time.sleep, args=(3600,), daemon=True).start()
     with Processes(2) as processes:
-        list(processes.run(time.sleep, [(i, (600,)) for i in range(9)], "nap"))
+        list(processes.run(time.sleep, [(i, (3600,)) for i in range(9)], "nap"))
 """
 
 WITHOUT_DESCRIPTORS = """
@@ -103,7 +104,7 @@ def test_process_that_cannot_be_started_is_one_error(tmp_path) -> None:
     (tmp_path / "full.py").write_text(WITHOUT_DESCRIPTORS)
     done = subprocess.run(
         [sys.executable, str(tmp_path / "full.py")], capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}, timeout=60,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}, timeout=PATIENCE,
     )
     assert done.stderr.splitlines()[-1].endswith(
         "WorkersError: no process can be started (Too many open files); --jobs 1 needs none"
@@ -113,7 +114,7 @@ def test_process_that_cannot_be_started_is_one_error(tmp_path) -> None:
 def test_interrupt_ends_all_processes_and_only_the_parent_reports(napping) -> None:
     children = workers(psutil.Process(napping.pid))
     os.killpg(napping.pid, signal.SIGINT)
-    _, message = napping.communicate(timeout=60)  # of 600 s that the calls take
+    _, message = napping.communicate(timeout=PATIENCE)  # of the hour that the calls take
     assert message.count("Traceback") == 1 and message.endswith("KeyboardInterrupt\n")
     assert not any(child.is_running() for child in children)
 
@@ -125,12 +126,12 @@ def test_interrupt_while_processes_start_is_one_traceback(starting, attempt) -> 
     while len(children.read_text().split()) < 2:
         assert starting.poll() is None
     os.killpg(starting.pid, signal.SIGINT)
-    _, message = starting.communicate(timeout=60)
+    _, message = starting.communicate(timeout=PATIENCE)
     assert message.count("Traceback") == 1 and message.endswith("KeyboardInterrupt\n")
 
 
 def test_no_process_outlives_a_killed_parent(napping) -> None:
     children = workers(psutil.Process(napping.pid))
     napping.kill()
-    _, alive = psutil.wait_procs(children, timeout=60)
+    _, alive = psutil.wait_procs(children, timeout=PATIENCE)
     assert not alive

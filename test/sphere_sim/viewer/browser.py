@@ -12,10 +12,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from patience import PATIENCE
 from websockets.sync.client import connect
 
-PATIENCE = 180.0
-"""Time-out for a page that is drawn without a graphics card on a busy machine [s]."""
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = (
     "--headless", "--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync",

@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from browser import PATIENCE, Browser
+from browser import Browser
+from patience import PATIENCE
 from PIL import Image
 
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT

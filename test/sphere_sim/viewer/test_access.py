@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("viser")
 
 import viser
+from patience import PATIENCE
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -54,7 +55,7 @@ def get(url: str, host: str = "") -> tuple[int, str]:
     """Return status and body of a page."""
     request = urllib.request.Request(url, headers={"Host": host} if host else {})
     try:
-        with urllib.request.urlopen(request, timeout=60.0) as answer:
+        with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -64,7 +65,7 @@ def get(url: str, host: str = "") -> tuple[int, str]:
 def test_own_page_is_accepted_under_both_names(server, host) -> None:
     origin = f"http://{host}:{server.get_port()}"
     with shake_hands(server.url, origin, host) as page:
-        assert len(page.recv(timeout=60.0)) > 0
+        assert len(page.recv(timeout=PATIENCE)) > 0
 
 
 def test_program_with_the_token_is_accepted(server) -> None:
@@ -113,13 +114,13 @@ def test_page_of_another_version_has_to_be_reloaded(server) -> None:
 
 
 def test_page_is_redirected_to_its_websocket(server) -> None:
-    with urllib.request.urlopen(server.url, timeout=60.0) as page:
+    with urllib.request.urlopen(server.url, timeout=PATIENCE) as page:
         page_url = page.url
         assert page.status == 200 and b"<html" in page.read()
     assert f"ws://127.0.0.1:{server.get_port()}/?token=" in page_url
     # A page with the address of another WebSocket is redirected to the own one.
     lured = f"{server.url}&websocket=ws://evil.example"
-    with urllib.request.urlopen(lured, timeout=60.0) as page:
+    with urllib.request.urlopen(lured, timeout=PATIENCE) as page:
         assert page.url == page_url
 
 
@@ -146,7 +147,7 @@ def test_no_free_port_is_an_error_of_one_line(tmp_path) -> None:
         "except ServerError as error:\n    sys.exit(str(error))\n"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", source], capture_output=True, text=True, timeout=60.0
+        [sys.executable, "-c", source], capture_output=True, text=True, timeout=PATIENCE
     )
     assert ended.stderr == "no port of 127.0.0.1 for the page: too many open files\n"
     assert ended.returncode == 1

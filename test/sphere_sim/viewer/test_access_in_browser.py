@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("viser")
 
 from browser import Browser, find_browser
+from patience import PATIENCE
 from test_access import PROTOCOL
 
 from sphere_sim.viewer.server import LocalServer
@@ -53,7 +54,7 @@ def test_page_loads_and_reloads_under_both_names(server, page) -> None:
         page.wait_for("this is the panel")
         page.evaluate("document.body.append('stale')")
         page.call("Page.reload")
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + PATIENCE
         while "stale" in page.text or "this is the panel" not in page.text:
             assert time.monotonic() < end, page.text
             time.sleep(0.1)

@@ -16,6 +16,7 @@ pytest.importorskip("viser")
 
 from browser import Browser, find_browser
 from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
 
@@ -43,9 +44,9 @@ class Terminal:
         os.close(other)
         self.output = ""
 
-    def wait_for(self, pattern: str, patience: float) -> re.Match:
+    def wait_for(self, pattern: str) -> re.Match:
         """Return the match of a pattern in the output, once there is one."""
-        end = time.monotonic() + patience
+        end = time.monotonic() + PATIENCE
         while not (found := re.search(pattern, self.output)):
             assert time.monotonic() < end and self.process.poll() is None, self.output
             if select.select([self._own], [], [], 0.1)[0]:
@@ -58,7 +59,7 @@ class Terminal:
     def close(self) -> None:
         if self.process.poll() is None:
             self.process.terminate()
-            self.process.wait(90.0)
+            self.process.wait(PATIENCE)
         os.close(self._own)
 
 
@@ -91,13 +92,13 @@ def test_demo_shows_the_run_and_then_accepts_goals_from_the_page(
     home = tmp_path / "browser"
     home.mkdir()
     try:
-        domain = terminal.wait_for(r"ROS domain (\d+)", 90.0).group(1)
+        domain = terminal.wait_for(r"ROS domain (\d+)").group(1)
         monkeypatch.setenv("ROS_DOMAIN_ID", domain)
         page_named = r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])"
-        address = terminal.wait_for(page_named, 90.0).group()
+        address = terminal.wait_for(page_named).group()
         children = psutil.Process(terminal.process.pid).children(recursive=True)
         assert len(children) == 5, "four nodes, and the controller's worker"
-        terminal.wait_for("the nodes run on", 120.0)
+        terminal.wait_for("the nodes run on")
         assert (tmp_path / "out" / "summary.json").exists()
         with Browser(BROWSER, home) as page:
             page.open(address)
@@ -106,7 +107,7 @@ def test_demo_shows_the_run_and_then_accepts_goals_from_the_page(
             _pick_a_goal(page)
             assert page.console == []
         terminal.enter()
-        assert terminal.process.wait(90.0) == 0, terminal.output
+        assert terminal.process.wait(PATIENCE) == 0, terminal.output
     finally:
         terminal.close()
     assert not [child for child in children if child.is_running()]

@@ -21,6 +21,7 @@ import pytest
 pytest.importorskip("viser")
 
 from page_helpers import page_of
+from patience import PATIENCE
 from test_access import PROTOCOL, shake_hands
 from test_replay_in_browser import write_bag
 from verb_process import stop
@@ -87,7 +88,7 @@ def send_broken_frames(port: int, query: str, junk: bytes) -> None:
         port, query, "Connection: Upgrade", f"Sec-WebSocket-Key: {key}",
         f"Sec-WebSocket-Protocol: {PROTOCOL}", "Sec-WebSocket-Version: 13",
     )
-    with socket.create_connection(("127.0.0.1", port), timeout=60.0) as end:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as end:
         end.sendall(hello)
         assert end.recv(12) == b"HTTP/1.1 101"
         end.sendall(junk)
@@ -107,7 +108,7 @@ class Process:
             self.process = subprocess.Popen(command, stdout=log, stderr=log, preexec_fn=limit)
 
     def __enter__(self) -> "Process":
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + PATIENCE
         while not self.url:
             assert self.process.poll() is None and time.monotonic() < end, self.log
             time.sleep(0.1)
@@ -126,7 +127,7 @@ class Process:
 
     def serves(self) -> bool:
         with shake_hands(self.url) as page:
-            return len(page.recv(timeout=60.0)) > 0
+            return len(page.recv(timeout=PATIENCE)) > 0
 
 
 @pytest.fixture
@@ -161,7 +162,7 @@ def test_too_many_connections_cause_one_line_and_service_resumes(tmp_path) -> No
     with Process(tmp_path, limit) as viewer:
         port = urlsplit(viewer.url).port
         held = [socket.create_connection(("127.0.0.1", port)) for _ in range(60)]
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + PATIENCE
         while "too many open files" not in viewer.log:
             assert time.monotonic() < end, viewer.log
             time.sleep(0.1)
@@ -217,7 +218,7 @@ def test_invalid_values_do_not_end_the_viewer(capfd) -> None:
                 page.send(pack(CAMERA))
                 while messages:
                     page.send(pack(messages.popleft()))
-                    answered, end = page.ping(), time.monotonic() + 60.0
+                    answered, end = page.ping(), time.monotonic() + PATIENCE
                     while not answered.wait(0.0):
                         assert time.monotonic() < end, "no answer"
                         with suppress(TimeoutError):
@@ -226,7 +227,7 @@ def test_invalid_values_do_not_end_the_viewer(capfd) -> None:
                     viewer._panel.put("send")
             viewer.tick()
         with shake_hands(viewer.url) as page:
-            assert len(page.recv(timeout=60.0)) > 0
+            assert len(page.recv(timeout=PATIENCE)) > 0
     finally:
         viewer.close()
     goals = [request.goal for request in script.requests if isinstance(request, SetGoal)]

@@ -12,8 +12,9 @@ import pytest
 
 pytest.importorskip("viser")
 
-from browser import PATIENCE, Browser, find_browser
+from browser import Browser, find_browser
 from page_helpers import page_of, scene_of, wait_for_scene
+from patience import PATIENCE
 from rosbags.typesys import Stores, get_typestore
 from verb_process import start, stop
 
@@ -73,8 +74,8 @@ def shown(page: Browser) -> float:
     return float(re.search(r"t = ([\d.]+) s", page.text).group(1))
 
 
-def wait_until(condition, patience: float = PATIENCE) -> None:
-    end = time.monotonic() + patience
+def wait_until(condition) -> None:
+    end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "time-out"
         time.sleep(0.1)

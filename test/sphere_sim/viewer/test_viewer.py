@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("viser")
 
+from patience import PATIENCE
 from robots import GIANT, PALM
 
 from sphere_nmpc.model.parameters import RobotParameters
@@ -61,7 +62,7 @@ def at(x: float, y: float, **more) -> Frame:
 
 def test_page_is_served_to_this_machine_only(viewer) -> None:
     assert viewer.url.startswith(f"http://{HOST}:")
-    with urllib.request.urlopen(viewer.url, timeout=60.0) as page:
+    with urllib.request.urlopen(viewer.url, timeout=PATIENCE) as page:
         assert page.status == 200
     port = urlsplit(viewer.url).port
     with socket.socket() as other:

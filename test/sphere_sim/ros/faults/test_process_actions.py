@@ -16,6 +16,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from patience import PATIENCE
+
 from sphere_sim.ros.faults.fault_session import SessionError
 from sphere_sim.ros.faults.process_actions import DiskFull, Hogs, SecondController, Stop
 from sphere_sim.ros.session.child_process import ChildProcess
@@ -73,9 +75,9 @@ def test_stopped_process_continues_at_the_end(tmp_path) -> None:
         controller = session.processes["controller"]
         controller.start()
         action.begin(session)
-        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) == "T", 60.0)
+        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) == "T", PATIENCE)
         action.end(session)
-        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) != "T", 60.0)
+        assert serve_until(lambda: time.sleep(0.01), lambda: state_of(controller) != "T", PATIENCE)
 
 
 def limit_of(process: ChildProcess) -> int:

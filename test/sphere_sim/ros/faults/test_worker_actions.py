@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from patience import PATIENCE
+
 from sphere_nmpc.worker.process import WorkerProcess
 from sphere_sim.ros.faults.worker_actions import SignalWorker, worker_of
 from sphere_sim.ros.session.serving import serve_until
-
-PATIENCE = 60.0
 
 
 @pytest.fixture

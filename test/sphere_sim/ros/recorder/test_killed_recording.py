@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
 from ruamel.yaml import YAML
 from verb_process import start
 
@@ -29,17 +30,17 @@ def killed_bag(graph, tmp_path) -> Path:
     try:
         poses = graph.collect(PoseStamped, "pose", 100)
         goals = graph.publisher(PoseStamped, "goal_pose")
-        graph.until(lambda: (bag / "metadata.yaml").exists() and poses, 60.0)
+        graph.until(lambda: (bag / "metadata.yaml").exists() and poses)
         goal = PoseStamped()
         goal.header.frame_id, goal.pose.position.x, goal.pose.orientation.w = "world", 0.5, 1.0
         goals.publish(goal)
-        graph.until(lambda: committed_duration(bag) > 5.0, 60.0)
+        graph.until(lambda: committed_duration(bag) > 5.0)
         nodes[0].send_signal(signal.SIGKILL)
-        nodes[0].wait(60.0)
+        nodes[0].wait(PATIENCE)
     finally:
         for node in nodes:
             node.kill()
-            node.wait(60.0)
+            node.wait(PATIENCE)
     return bag
 
 
@@ -63,10 +64,10 @@ def test_killed_recording_can_be_reported_and_replayed(killed_bag, tmp_path, cap
     assert figures["metrics"]["final_error"] is not None
     viewer = start(tmp_path, "viewer", "--port", "0", "--replay", str(killed_bag))
     try:
-        log, end = tmp_path / "viewer.log", time.monotonic() + 60.0
+        log, end = tmp_path / "viewer.log", time.monotonic() + PATIENCE
         while not re.search(r"http://", log.read_text(encoding="utf-8")):
             assert viewer.poll() is None and time.monotonic() < end, log.read_text()
             time.sleep(0.1)
     finally:
         viewer.send_signal(signal.SIGINT)
-        viewer.wait(60.0)
+        viewer.wait(PATIENCE)

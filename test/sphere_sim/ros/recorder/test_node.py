@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Odometry
+from patience import PATIENCE
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
@@ -62,7 +63,7 @@ class Recording:
     def end(self, number: int = signal.SIGINT) -> str:
         """Send a signal and return the output of the node."""
         self.process.send_signal(number)
-        output, _ = self.process.communicate(timeout=60.0)
+        output, _ = self.process.communicate(timeout=PATIENCE)
         return output
 
 
@@ -184,7 +185,7 @@ def test_start_and_stop_make_separate_bags(graph, record) -> None:
 def test_existing_folder_ends_the_node_with_one_line(tmp_path, record) -> None:
     (tmp_path / "bag").mkdir()
     recording = record()
-    output, _ = recording.process.communicate(timeout=60.0)
+    output, _ = recording.process.communicate(timeout=PATIENCE)
     assert recording.process.returncode == 1
     assert "exists already" in output and "Traceback" not in output
 

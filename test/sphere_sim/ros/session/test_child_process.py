@@ -14,6 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from patience import PATIENCE
 
 from sphere_sim.ros.session.child_process import (
     ChildEndedError,
@@ -23,8 +24,6 @@ from sphere_sim.ros.session.child_process import (
 )
 from sphere_sim.ros.session.process_set import ProcessSet
 
-PATIENCE = 60.0
-"""How long a busy machine may take to start a process [s]."""
 WAITING = """
 import signal, subprocess, sys, time
 parent, *words = sys.argv[1:]

@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
 from ros_graph import Graph, started
 from rosgraph_msgs.msg import Clock
 
@@ -51,7 +52,7 @@ def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
     # The duration of a search is measured, not tested: a busy machine may need more.
     monkeypatch.setattr(other_publishers, "_SEARCHES", {True: (10.0,), False: (10.0,)})
     with started("simulator", "-p", "start_paused:=true") as process:
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + PATIENCE
         while not find_publishers():
             assert time.monotonic() < end
         yield process

@@ -1,0 +1,6 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How long a test waits for what has to happen in the end."""
+
+PATIENCE = 600.0
+"""Time-out [s]: thirty times what an idle machine takes; only failing tests wait that long."""

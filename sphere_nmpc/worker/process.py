@@ -49,6 +49,7 @@ class WorkerProcess:
         self._sizes: deque[int] = deque()
         self._connection: Channel | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._used: float | None = None
         self._start()
 
     @property
@@ -134,7 +135,7 @@ class WorkerProcess:
         """Start a process; it ends when the other end of its connection is closed."""
         self._started = self._heard = time.monotonic()
         self._patience = _FIRST_PATIENCE
-        self._used: float | None = None
+        self._used = None
         try:
             here, there = Channel.pair()
         except OSError as error:

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calls of every function of the compiled solver, ordinary ones and edge cases.
 
-    sanitized_runs.py [FILE TEXT REPLACEMENT]
+    sanitized_runs.py [FAULT]
 
-Run by ``test_sanitizers.py``. With arguments the C source is changed before it is built.
+Run by ``test_sanitizers.py``. With an argument that fault is in the solver.
 """
 
+import os
 import sys
 import threading
 from dataclasses import replace
@@ -106,21 +107,42 @@ def edge_cases(n: int) -> None:
     roll_out_compiled(state, DRIFT, inputs * np.nan, problem.durations, constants, 0.1)
 
 
-def change_source(file: str, text: str, replacement: str) -> None:
-    """Build the solver from sources in which a text is replaced."""
-    original = library.c_sources
+FAULTS = {
+    "part too short": ("workspace.h", "take(base, &used, {})", "m + 2", "m"),
+    "interval past the last": ("shooting.h", "m = {}; m-- > 0", "n", "n + 1"),
+    "index past a row": ("shooting.h", "[k][{}] = 1.0", "2 + k", "6 + k"),
+}
+"""File, text with a place for an expression, the expression, and the faulty one."""
+SWITCH = """
+#include <stdlib.h>
+static int has_fault(char number)
+{
+    const char *chosen = getenv("SOLVER_FAULT");
+    return chosen && *chosen == number;
+}
+"""
 
-    def changed() -> dict[str, str]:
-        sources = original()
-        assert text in sources[file]
-        return {**sources, file: sources[file].replace(text, replacement)}
 
-    library.c_sources = changed
+def add_faults() -> None:
+    """Build the solver from sources with all faults; a variable selects one of them at run time.
+
+    So there is one build for all of them, which takes much longer than the calls.
+    """
+    sources = library.c_sources()
+    for number, (file, text, right, wrong) in enumerate(FAULTS.values()):
+        original = text.format(right)
+        assert original in sources[file]
+        either = text.format(f"has_fault('{number}') ? {wrong} : {right}")
+        sources[file] = sources[file].replace(original, either)
+    first = '#include "problem.h"'
+    sources["solver.c"] = sources["solver.c"].replace(first, SWITCH + first)
+    library.c_sources = lambda: sources
 
 
 def main() -> None:
+    add_faults()
     if len(sys.argv) > 1:
-        change_source(*sys.argv[1:])
+        os.environ["SOLVER_FAULT"] = str(list(FAULTS).index(sys.argv[1]))
     for n in HORIZONS:
         ordinary_calls(n)
         steady_rolling(n)

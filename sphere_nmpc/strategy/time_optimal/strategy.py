@@ -215,7 +215,7 @@ class TimeOptimalStrategy:
         planner, now = self._planner_for(situation), situation.time
         task = search_task(
             planner, situation, self._grid.origin(now),
-            round(tuning.growth(state.fruitless) * settings.planning_effort),
+            round(self._growth(state, situation, at_rest) * settings.planning_effort),
             deadline - time.perf_counter(), state.strict,
         )
         return self._planned(task(), state, planner, now)
@@ -224,6 +224,12 @@ class TimeOptimalStrategy:
         """Return the planner with the limit of acceleration that the floor allows."""
         slippery = situation.noise > self._tuning.slip_noise
         return self._slippery if slippery else self._full
+
+    def _growth(self, state: Searching, situation: Situation, at_rest: bool) -> float:
+        """Return the factor [-] on the effort of a search for a plan where there is none."""
+        # In motion the next search has another problem, which may be easier.
+        stands = at_rest and situation.drift.is_zero
+        return self._tuning.growth(state.fruitless) if stands else 1.0
 
     def _planned(
         self, result: SearchResult, state: Searching, planner: ArrivalPlanner, begins: float
@@ -314,7 +320,7 @@ class TimeOptimalStrategy:
                 start = later(situation, ramp, begins, self._tuning.precise_step)
             beside.begin(
                 Purpose.NEW, self._planner_for(situation), start, settings.planning_effort,
-                self._tuning.growth(state.fruitless), from_rest=at_rest, strict=state.strict,
+                self._growth(state, situation, at_rest), at_rest, state.strict,
             )
         return state
 

@@ -2,18 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Searches that follow searches without an arrival."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from robots import GIANT
 
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_nmpc.strategy.time_optimal.searches_beside import Purpose, SearchesBeside
+from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, SearchTask
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
+from sphere_nmpc.worker import process
 from sphere_nmpc.worker.contract import Reply
 
 # Short for this robot, whose turn of the shell takes 25 s: a plan has forty knots.
@@ -37,28 +39,35 @@ def test_robot_with_many_knots_gets_a_plan_after_searches_without_an_arrival() -
     assert statuses[-1] is PlanStatus.SOLVED
 
 
-class RecordingWorker:
-    """Worker that keeps its tasks and never answers."""
+class FruitlessWorker:
+    """Worker that keeps its tasks and finds no arrival."""
 
     available = True
 
     def __init__(self) -> None:
-        self.tasks = []
+        self.tasks: list[SearchTask] = []
 
     def submit(self, task):
         self.tasks.append(task)
-        return Reply()
+        return Reply(result=SearchResult(found_none=True), ready=True)
 
     def poll(self) -> None:
         pass
 
 
-def test_effort_and_longest_time_double_up_to_a_limit() -> None:
-    tuning = dataclasses.replace(TimeOptimalSettings(), largest_growth=4.0)
-    assert [tuning.growth(n) for n in (0, 1, 2, 3, 10_000)] == [1.0, 2.0, 4.0, 4.0, 4.0]
-    worker, strategy = RecordingWorker(), TimeOptimalStrategy(SETTINGS, GIANT)
-    beside = SearchesBeside(worker, tuning)
-    for growth in (1.0, 2.0):
-        beside.begin(Purpose.NEW, strategy._full, situation(0.0), 1000, growth)
-    first, second = worker.tasks
-    assert (second.effort, second.longest) == (2 * first.effort, 2.0 * first.longest)
+@pytest.mark.parametrize("speed", [0.0, 30.0])
+def test_effort_and_longest_time_double_at_rest_up_to_a_limit(speed: float) -> None:
+    worker = FruitlessWorker()
+    strategy = TimeOptimalStrategy(SETTINGS, GIANT)
+    strategy.search_beside(worker)
+    for k in range(40):
+        strategy.plan(replace(situation(0.25 * k), input_in_force=np.full(2, speed)))
+    tasks = worker.tasks[:6]
+    expected = (1, 2, 4, 8, 8, 8) if speed == 0.0 else (1, 1, 1, 1, 1, 1)
+    assert tuple(task.effort // tasks[0].effort for task in tasks) == expected
+    assert [task.longest / tasks[0].longest for task in tasks] == [*expected]
+
+
+def test_longest_search_ends_before_the_worker_is_replaced() -> None:
+    tuning = TimeOptimalSettings()
+    assert tuning.largest_growth * tuning.longest_search < 0.6 * process._PATIENCE

@@ -11,7 +11,7 @@ from simulated_link import LinkedLoop, LinkSettings, random_goals
 from sphere_nmpc.model.parameters import RobotParameters
 
 NO_LINK = LinkSettings(delay=0.0, jitter=0.0)
-GOALS = 10
+GOALS = 6
 LARGEST_NOISE = 1e-3
 """Residual of predictions [m, -]: up to 5e-4 with measured rotor speeds, up to 1.5e-2 without."""
 
@@ -55,7 +55,7 @@ def alone() -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("loss", "ratio"), [(0.0, 1.05), (0.01, 1.1), (0.05, 1.15), (0.2, 1.4)])
+@pytest.mark.parametrize(("loss", "ratio"), [(0.0, 1.05), (0.05, 1.15), (0.2, 1.4)])
 def test_goals_are_reached_about_as_early_as_without_a_link(
     loss: float, ratio: float, alone: float
 ) -> None:

@@ -106,14 +106,12 @@ def test_metrics_are_those_of_the_own_recorder(
 def test_report_has_the_same_metrics(
     own, entries, rosbag2, on_system_clock, tmp_path
 ) -> None:
-    kinds = ("sqlite3", "mcap")
-    bags = [own, *(rosbag2(on_system_clock(entries), kind, "file", name=kind) for kind in kinds)]
+    bags = [own, rosbag2(on_system_clock(entries), "sqlite3", "file", name="other")]
     assert main([*map(str, bags), "--out", str(tmp_path / "out")]) == 0
     reports = list(json.loads((tmp_path / "out" / "summary.json").read_text()).values())
     assert reports[0]["metrics"]["settled"] and len(reports[0]["metrics"]) == 9
-    for of_others in reports[1:]:
-        assert same(of_others["metrics"], reports[0]["metrics"])
-        assert of_others["notes"] == []
+    assert same(reports[1]["metrics"], reports[0]["metrics"])
+    assert reports[1]["notes"] == []
 
 
 @pytest.mark.parametrize("clock", ["system", "simulated"])

@@ -16,6 +16,7 @@ from sphere_sim.study import fingerprint as fingerprint_module
 from sphere_sim.study.imported_modules import imported_modules
 
 ROOT = Path(__file__).parents[3]
+UNOPTIMISED = ROOT / "test" / "sphere_nmpc" / "solver" / "quick_cc.sh"
 
 DIGEST = """
 from sphere_sim.study.conditions import StudyConditions
@@ -29,7 +30,10 @@ import json, sys
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
-settings = [("controller.strategy", sys.argv[1]), ("simulator.plant", sys.argv[2])]
+settings = [
+    ("controller.strategy", sys.argv[1]), ("simulator.plant", sys.argv[2]),
+    ("controller.planning_effort", "3000"),
+]
 conditions = StudyConditions(duration=0.5).with_settings(settings)
 record = run_scenario(conditions, draw_scenarios(1, 0)[0])
 assert "crash" not in record.results, record.results
@@ -103,7 +107,9 @@ def test_all_modules_that_a_run_loads_are_covered(strategy, plant) -> None:
 
 def test_no_modules_are_covered_but_those_that_a_run_may_load(tmp_path) -> None:
     """With a compiler and without one, each with an empty cache, a run loads all of them."""
-    compiled = loaded_in_a_run("time_optimal", "rolling", SPHERE_NMPC_CACHE=str(tmp_path / "a"))
+    compiled = loaded_in_a_run(
+        "time_optimal", "rolling", SPHERE_NMPC_CACHE=str(tmp_path / "a"), CC=str(UNOPTIMISED)
+    )
     without_compiler = loaded_in_a_run(
         "time_optimal", "rolling", SPHERE_NMPC_CACHE=str(tmp_path / "b"), PATH="", CC="/no/cc"
     )

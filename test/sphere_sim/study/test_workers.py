@@ -18,7 +18,7 @@ from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import Workers, cores
 
-SCENARIOS = draw_scenarios(12, 3)
+SCENARIOS = draw_scenarios(6, 3)
 CONDITIONS = StudyConditions(duration=3.0, perturbation=3.0, latency=0.02).with_settings(
     [("process_noise", "1e-3"), ("position_noise", "1e-3"), ("orientation_noise", "1e-3")]
 )

@@ -9,7 +9,7 @@ VENV := .venv
 COLCON_VENV := .venv-colcon
 # Tests of running nodes mostly wait, hence more processes than a small machine has cores. Tests of
 # one file share the nodes that they have started.
-SPREAD := --numprocesses 3 --dist loadfile
+SPREAD := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 # The ROS wheels set these two in every process they start; a child that is started with another
 # virtual environment's Python would load the wrong libraries.

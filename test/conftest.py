@@ -49,6 +49,12 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that have slow tests, so that none is alone at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture
 def graph(request: pytest.FixtureRequest) -> Iterator["Graph"]:
     """Return a new graph of nodes; a parameter, if there is one, is the arguments for rclpy."""

@@ -31,13 +31,15 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOWHERE = "/proc/nonexistent"
 """Folder that not even root can create."""
+COMPILER = Path(__file__).parents[1] / "solver" / "quick_cc.sh"
+"""One that does not optimise, for nodes that build the solver."""
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 
 
 def controller(
     environment: dict[str, str | None], within: tuple[str, ...] = ()
 ) -> subprocess.Popen:
-    whole = os.environ | {"PYTHONUNBUFFERED": "1"} | environment
+    whole = os.environ | {"PYTHONUNBUFFERED": "1", "CC": str(COMPILER)} | environment
     return subprocess.Popen(
         [*within, sys.executable, "-c", CONTROLLER],
         env={name: value for name, value in whole.items() if value is not None},

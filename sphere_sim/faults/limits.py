@@ -74,10 +74,13 @@ class LimitCheck:
             self._check_slew("rotor_trajectory", float(np.max(changes / durations)))
 
     def delivered(self, hold: FirstOrderHold, now: float = -np.inf) -> None:
-        """Check a hold that reaches the drives at `now` [s] against the one that it replaces.
+        """Check a hold that reaches the drives by `now` [s] against the one that it replaces.
 
         After a hold that was late the rotors are still between the one that they left and that.
+        A copy of the hold in force replaces nothing.
         """
+        if self._hold is not None and _is_copy(hold, self._hold):
+            return
         (before, left), self._hold = (self._hold, self._left), hold
         self._left = before if now > hold.start + _LATE else None
         if before is None or hold.start < before.start or not self.continuous:
@@ -124,3 +127,7 @@ class LimitCheck:
     def _report(self, what: str) -> None:
         if len(self.broken) < _KEPT:
             self.broken.append(what)
+
+
+def _is_copy(hold: FirstOrderHold, other: FirstOrderHold) -> bool:
+    return np.array_equal(hold.times, other.times) and np.array_equal(hold.speeds, other.speeds)

@@ -107,6 +107,7 @@ class ControllerReports:
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
+        self._message = Mode.NO_POSE.value
         self._status_at = perf_counter()
         self._publish_arrival()
 
@@ -132,7 +133,8 @@ class ControllerReports:
         # Nothing was solved since: the last solve time must not be counted again.
         values = {"time_s": f"{self._monitor.time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
-        self._publish_status(mode, mode.value, values)
+        message = self._message if mode is self._last_status[1] else mode.value
+        self._publish_status(mode, message, values)
 
     def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
         """Publish a status; a fault around the node takes precedence over `message`."""
@@ -182,10 +184,10 @@ class ControllerReports:
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         link = self._monitor.pose_link
         self._values |= {"pose_delay_s": link.delay, "pose_loss": link.loss}
-        message = plan.message or plan.status.value
+        self._message = plan.message or plan.status.value
         if decision.no_progress:
-            message = f"{_NO_PROGRESS}: {decision.no_progress}"
-        self._publish_status(decision.mode, message, self._values)
+            self._message = f"{_NO_PROGRESS}: {decision.no_progress}"
+        self._publish_status(decision.mode, self._message, self._values)
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
             self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))

@@ -67,6 +67,7 @@ class FaultMonitor:
         """The run to the goal, judged by the undisturbed poses."""
         self.time = 0.0
         """Simulated time since the start, continued when the simulator is restarted [s]."""
+        self._spacing = 0.0
         self.moving_until = 0.0
         """Time at which a rotor last turned [s]."""
         self.messages: list[str] = []
@@ -97,7 +98,8 @@ class FaultMonitor:
 
     def pose(self, message: Any) -> None:
         """Take an undisturbed pose."""
-        self.time = self._pose_time.of(stamp_from_ros(message.header.stamp))
+        before, self.time = self.time, self._pose_time.of(stamp_from_ros(message.header.stamp))
+        self._spacing = self.time - before
         if self.run is None:
             return
         try:
@@ -113,7 +115,9 @@ class FaultMonitor:
 
     def _take_delivered(self, message: Any) -> None:
         with suppress(InvalidInputError):  # reported when it was sent
-            self.limits.delivered(hold_from_trajectory(message, 0), self.time)
+            # Between two poses time is known no better than to their spacing.
+            latest = self.time + self._spacing
+            self.limits.delivered(hold_from_trajectory(message, 0), latest)
 
     def _take_command(self, message: Any) -> None:
         self.limits.command(np.array(message.data, dtype=float))

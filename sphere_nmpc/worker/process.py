@@ -21,7 +21,7 @@ _MOST_BYTES = 150_000
 transition has some 60 000 at 1 kHz."""
 _PATIENCE = 3.0
 """Time without a result after which a worker that has a task is replaced [s]: a search takes a
-tenth of it at most. Processor time where it waits for a processor, otherwise wall time."""
+tenth of it at most. Processor time where it waits for processor or disk, otherwise wall time."""
 _FIRST_PATIENCE = 20.0
 """The same for the first result of a process [s], which has to be loaded first."""
 _RESTART_EVERY = 1.0
@@ -96,6 +96,9 @@ class WorkerProcess:
         connection = self._connection
         if connection is None or not self._pending:
             return
+        # Before the results are taken: it may have finished since.
+        silent, awaited = time.monotonic() - self._heard, self._pending[0]
+        stuck = silent > self._patience and not self._waits()
         try:
             while self._pending:
                 result, error = connection.receive()
@@ -114,8 +117,7 @@ class WorkerProcess:
             # Whatever cannot be read must not reach the control loop.
             self._replace(f"given a result that cannot be read: {error}")
             return
-        silent = time.monotonic() - self._heard
-        if self._pending and silent > self._patience and not self._waits_for_a_processor():
+        if stuck and awaited.pending:
             self._replace(f"given no result for {silent:.1f} s, expected {self._patience:g} s")
 
     def close(self) -> None:
@@ -134,7 +136,7 @@ class WorkerProcess:
     def _start(self) -> None:
         """Start a process; it ends when the other end of its connection is closed."""
         self._started = self._heard = time.monotonic()
-        self._patience = _FIRST_PATIENCE
+        self._patience: float = _FIRST_PATIENCE
         self._used = None
         try:
             here, there = Channel.pair()
@@ -158,11 +160,11 @@ class WorkerProcess:
         finally:
             there.close()
 
-    def _waits_for_a_processor(self) -> bool:
+    def _waits(self) -> bool:
         """Return whether the process would work but for other processes, on Linux.
 
-        It is ready to run, and has had little processor time since this was asked first. On a busy
-        machine another process would only have to be loaded as well.
+        It waits for a processor or the disk, and has had little processor time since this was
+        asked first. On a busy machine another process would only have to be loaded as well.
         """
         try:
             fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
@@ -170,7 +172,7 @@ class WorkerProcess:
             return False
         used = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
         self._used = used if self._used is None else self._used
-        return fields[0] == "R" and used - self._used < self._patience
+        return fields[0] in "RD" and used - self._used < self._patience
 
     def _replace(self, why: str) -> None:
         """Start another process unless one was started just now; `submit` does it later then."""

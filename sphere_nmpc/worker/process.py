@@ -50,6 +50,7 @@ class WorkerProcess:
         self._connection: Channel | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._used: float | None = None
+        self._patience = _FIRST_PATIENCE
         self._start()
 
     @property
@@ -136,7 +137,7 @@ class WorkerProcess:
     def _start(self) -> None:
         """Start a process; it ends when the other end of its connection is closed."""
         self._started = self._heard = time.monotonic()
-        self._patience: float = _FIRST_PATIENCE
+        self._patience = _FIRST_PATIENCE
         self._used = None
         try:
             here, there = Channel.pair()

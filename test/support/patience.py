@@ -4,3 +4,6 @@
 
 PATIENCE = 600.0
 """Time-out [s]: thirty times what an idle machine takes; only failing tests wait that long."""
+LOCKSTEP = {"lockstep": True, "lockstep_timeout": PATIENCE}
+"""Parameters of a simulator whose clock waits as long, also for a controller that a busy machine
+holds up."""

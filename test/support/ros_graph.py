@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS graph of nodes under test and a probe node, all in this process and spun explicitly."""
 
+import math
 import signal
 import subprocess
 import sys
@@ -57,6 +58,9 @@ class Graph:
     def add(self, node: Node) -> None:
         """Spin `node` too, by its own `work` if it has any (the simulator)."""
         executor = self._executor
+        faults = getattr(node, "_fault_log", None)
+        if faults is not None:
+            faults._period = math.inf  # logged once, however long a busy machine takes
         if isinstance(node, RunnableNode) and type(node).work is not RunnableNode.work:
             # A change of time-out makes an executor forget which callbacks it has found ready and
             # begin again with its first node: in one executor the last nodes might have no turn.

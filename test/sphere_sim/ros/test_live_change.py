@@ -4,6 +4,7 @@
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -29,9 +30,11 @@ SAMPLE = round(STRATEGIES["time_optimal"].sample_period * 1e9)
 CHANGED_AT = 8 * SAMPLE
 COMPARED_UNTIL = 20 * SAMPLE
 """Before the arrival, at which a run ends [ns]."""
-LOCKSTEP = ("-p", "lockstep:=true")
-SIMULATOR = (*LOCKSTEP, "-p", "start_paused:=true", "-p", "real_time_factor:=0.0")
-CONTROLLER = (*LOCKSTEP, "-p", "use_sim_time:=true")
+SIMULATOR = (
+    "-p", "lockstep:=true", "-p", f"lockstep_timeout:={PATIENCE}", "-p", "start_paused:=true",
+    "-p", "real_time_factor:=0.0",
+)
+CONTROLLER = ("-p", "lockstep:=true", "-p", "use_sim_time:=true")
 
 
 def run_to_goal(graph, **change: object) -> dict[int, list]:

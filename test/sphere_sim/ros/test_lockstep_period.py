@@ -3,6 +3,7 @@
 """Lockstep of both nodes: the controller tells its period, and every sample is answered."""
 
 import pytest
+from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
@@ -16,7 +17,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def simulator(graph, **settings) -> SimulatorNode:
-    given = {"lockstep": True, "real_time_factor": 0.0, **settings}
+    given = {**LOCKSTEP, "real_time_factor": 0.0, **settings}
     node = SimulatorNode([Parameter(name, value=value) for name, value in given.items()])
     graph.add(node)
     return node
@@ -44,7 +45,7 @@ def controller(graph, **settings) -> ControllerNode:
 )
 def test_every_instant_of_the_controller_is_waited_for(graph, of_simulator, of_controller) -> None:
     sent = graph.collect(JointTrajectory, "rotor_trajectory")
-    world = simulator(graph, lockstep_timeout=60.0, **of_simulator)
+    world = simulator(graph, **of_simulator)
     period = round(1e9 * controller(graph, **of_controller)._settings.control_period)
     graph.until(lambda: world.simulator.now >= 6 * period)
     assert world._simulated_clock.timeouts == 0
@@ -53,7 +54,7 @@ def test_every_instant_of_the_controller_is_waited_for(graph, of_simulator, of_c
 
 
 def test_controller_of_another_period_is_waited_for_after_a_restart(graph) -> None:
-    world = simulator(graph, lockstep_timeout=60.0)
+    world = simulator(graph)
     first = controller(graph, strategy="time_optimal")
     graph.until(lambda: world.simulator.now == 250_000_000)
     graph.remove(first)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3
+from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.control.decision import Mode
@@ -26,7 +27,7 @@ class Run:
 
     def __init__(self, graph) -> None:
         self.graph = graph
-        given = {"initial_state": START.tolist(), "lockstep": True, "real_time_factor": 0.0}
+        given = {"initial_state": START.tolist(), "real_time_factor": 0.0, **LOCKSTEP}
         self.simulator = SimulatorNode([Parameter(k, value=v) for k, v in given.items()])
         given = {"use_sim_time": True, "lockstep": True, "goal_memory": 0.0}
         self.controller = ControllerNode([Parameter(k, value=v) for k, v in given.items()])

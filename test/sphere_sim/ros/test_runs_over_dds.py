@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from patience import LOCKSTEP
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
 from std_srvs.srv import SetBool
@@ -73,7 +74,7 @@ def run(
 def test_lockstep_repeats_itself_at_any_pace_and_the_run_without_ros(graph, strategy) -> None:
     noisy = {"process_noise": 1e-3, "seed": 5}
     sample = round(STRATEGIES[strategy].sample_period * 1e9)
-    settings = {"lockstep": True, "pose_rate": 20.0, **noisy}
+    settings = {**LOCKSTEP, "pose_rate": 20.0, **noisy}
     # As fast as possible, and at three times real time.
     first, again = (
         run(graph, 6.0, strategy, real_time_factor=pace, **settings) for pace in (0.0, 3.0)

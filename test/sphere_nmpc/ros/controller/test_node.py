@@ -74,8 +74,6 @@ class Robot:
         self.graph = graph
         settings = {"use_sim_time": True, "strategy": "paper", **settings}
         self.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
-        # Each kind of fault is logged once, however long a test takes.
-        self.node._fault_log._period = math.inf
         graph.add(self.node)
         self.trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
         self.commands = graph.collect(Float64MultiArray, "rotor_commands")

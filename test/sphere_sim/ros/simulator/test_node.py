@@ -10,6 +10,7 @@ from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry
+from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -200,7 +201,7 @@ def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> Non
 
 
 def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
-    node = simulator(graph, lockstep=True, real_time_factor=0.0)
+    node = simulator(graph, **LOCKSTEP, real_time_factor=0.0)
     poses = graph.collect(PoseStamped, "pose")
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     graph.until(lambda: poses)  # repeated, as there was no subscriber for the first one
@@ -228,7 +229,7 @@ def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_logged(graph,
 
 
 def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
-    node = simulator(graph, lockstep=True)
+    node = simulator(graph, **LOCKSTEP)
     joints = graph.collect(JointState, "joint_states")
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     answer = trajectory((0.0, (0.0, 0.0)), (0.5, (100.0, 0.0)))

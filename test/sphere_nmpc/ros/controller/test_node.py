@@ -144,7 +144,9 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
     status = robot.status()
     assert robot.reported[-1].level == DiagnosticStatus.OK
     assert status["strategy"] == "paper" and status["plan"] == "solved"
-    assert float(status["error"]) > 1.0 and float(status["solve_time_s"]) > 0.0
+    assert float(status["error"]) > 1.0
+    # A status that is repeated on a busy machine has none.
+    assert any(float(values_of(one)["solve_time_s"]) > 0.0 for one in robot.reported)
     assert status["missed_ticks"] == "0"
 
 

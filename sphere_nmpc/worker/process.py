@@ -50,7 +50,7 @@ class WorkerProcess:
         self._connection: Channel | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._used: float | None = None
-        self._patience = _FIRST_PATIENCE
+        self._patience: float
         self._start()
 
     @property

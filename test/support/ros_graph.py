@@ -12,12 +12,18 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from patience import PATIENCE
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from sphere_nmpc.ros.lifetime import RunnableNode
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status by key."""
+    return {pair.key: pair.value for pair in status.values}
 
 
 @contextmanager
@@ -57,10 +63,10 @@ class Graph:
 
     def add(self, node: Node) -> None:
         """Spin `node` too, by its own `work` if it has any (the simulator)."""
-        executor = self._executor
         faults = getattr(node, "_fault_log", None)
         if faults is not None:
             faults._period = math.inf  # logged once, however long a busy machine takes
+        executor = self._executor
         if isinstance(node, RunnableNode) and type(node).work is not RunnableNode.work:
             # A change of time-out makes an executor forget which callbacks it has found ready and
             # begin again with its first node: in one executor the last nodes might have no turn.

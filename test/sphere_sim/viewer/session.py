@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from page_helpers import page_of
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_graph import Graph
+from ros_graph import Graph, values_of
 from verb_process import start, stop
 
 from sphere_nmpc.model.state import Vector, state_error
@@ -57,7 +57,7 @@ class Session:
     @property
     def status(self) -> dict[str, str]:
         """Values of the newest status of the controller."""
-        return {pair.key: pair.value for pair in self.statuses[-1].values}
+        return values_of(self.statuses[-1])
 
     def real_time_factor(self) -> float:
         """Return the parameter of the simulator."""

@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
 from standing import Standing
 from std_msgs.msg import Bool, Float64MultiArray
@@ -51,10 +52,6 @@ def _own_goal_files(monkeypatch, tmp_path) -> None:
         "sphere_nmpc.ros.controller.stored_goal.goal_file",
         lambda node: tmp_path / node.get_name(),
     )
-
-
-def values_of(status: DiagnosticStatus) -> dict[str, str]:
-    return {value.key: value.value for value in status.values}
 
 
 class NoPlanningTime:
@@ -572,7 +569,7 @@ def test_diagnostics_report_solver_and_loop(robot) -> None:
     robot.graph.until(lambda: reports)
     names = [status.name for status in reports[-1].status]
     assert names == ["controller: solver", "controller: loop"]
-    values = {value.key: value.value for value in reports[-1].status[0].values}
+    values = values_of(reports[-1].status[0])
     assert values["failures"] == "0" and float(values["median ms"]) > 0.0
 
 
@@ -607,7 +604,7 @@ def test_no_progress_is_reported_until_there_is_another_goal(robot, capfd) -> No
     robot.graph.until(lambda: len(reports) > received)
     loop = reports[-1].status[1]
     assert loop.level == DiagnosticStatus.WARN
-    assert {value.key: value.value for value in loop.values}["no progress"] == "1"
+    assert values_of(loop)["no progress"] == "1"
     robot.send_goal(CASE.start)
     robot.pass_time(1.2)
     assert robot.status()["mode"] == "at the goal" and robot.status()["no_progress"] == ""

@@ -12,6 +12,7 @@ from geometry_msgs.msg import PoseStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry
 from patience import LOCKSTEP
 from rclpy.parameter import Parameter
+from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -253,7 +254,7 @@ def test_lockstep_timeout_is_logged_and_counted(graph, capfd) -> None:
     assert printed.count("lockstep time-out: given no rotor_trajectory for t = 0.000 s") == 1
     assert printed.count("lockstep time-out") == 1
     graph.until(lambda: diagnostics)
-    values = {value.key: value.value for value in diagnostics[-1].status[0].values}
+    values = values_of(diagnostics[-1].status[0])
     assert int(values["lockstep time-outs"]) >= 1
 
 
@@ -264,7 +265,7 @@ def test_diagnostics_have_the_layout_of_diagnostic_updater(graph) -> None:
     names = [status.name for status in reports[-1].status]
     assert names == ["simulator: clock", "simulator: commands"]
     assert {status.hardware_id for status in reports[-1].status} == {"sphere"}
-    values = {value.key: value.value for value in reports[-1].status[0].values}
+    values = values_of(reports[-1].status[0])
     assert 0.0 < float(values["real time factor"]) <= 11.0
     assert values["paused"] == "false"
 

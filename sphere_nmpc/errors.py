@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors raised outside the control loop, which itself never raises."""
 
+from sphere_nmpc.foreign_text import shown
+
 
 class SphereNmpcError(Exception):
     """Base class of the errors of this package."""
@@ -26,7 +28,7 @@ class InvalidParameterError(SphereNmpcError, ValueError):
     exit_code = 2
 
     def __init__(self, name: str, given: object, expected: str) -> None:
-        super().__init__(f"{name}: given {given!r}, expected {expected}")
+        super().__init__(f"{name}: given {shown(given)}, expected {expected}")
         self.name = name
         self.given = given
         self.expected = expected

@@ -39,6 +39,7 @@ FLOORS = {
         ("model",),
         ("quantity", "cache", "fault_log", "worker"),
         ("errors", "library_threads"),
+        ("foreign_text",),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

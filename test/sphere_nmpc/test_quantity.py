@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import quantities, quantity, validate
 
 
@@ -89,4 +90,4 @@ def test_wrong_value_is_refused_with_what_was_given_and_expected(
         Settings(**{name: bad})
     assert (caught.value.name, caught.value.given) == (name, bad)
     assert caught.value.expected == expected
-    assert str(caught.value) == f"{name}: given {bad!r}, expected {expected}"
+    assert str(caught.value) == f"{name}: given {shown(bad)}, expected {expected}"

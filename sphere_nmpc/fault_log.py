@@ -4,7 +4,11 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+
+_PERIOD = 5.0
+"""Shortest wall time between two lines about one kind of fault; one that comes and goes counts as
+over after as long without it [s]."""
 
 
 class FaultLog:
@@ -23,12 +27,13 @@ class FaultLog:
     def __init__(
         self,
         write: Callable[[str], object],
-        period: float = 5.0,
+        period: float = _PERIOD,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._write = write
         self._period = period
-        self._clock = clock
+        self.now = clock
+        """Steady clock [s]."""
         self._logged_at: dict[str, float] = {}
         self._suppressed: Counter[str] = Counter()
         self._newest: dict[str, str] = {}
@@ -46,8 +51,8 @@ class FaultLog:
             What was given and what was expected.
         """
         self.counts[kind] += 1
-        now = self._clock()
-        if kind in self._logged_at and now - self._logged_at[kind] < self._period:
+        now = self.now()
+        if not self._is_due(kind, now):
             self._suppressed[kind] += 1
             self._newest[kind] = message
             return
@@ -55,13 +60,44 @@ class FaultLog:
 
     def flush(self) -> None:
         """Log the newest suppressed fault of each kind whose `period` is over."""
-        now = self._clock()
-        for kind in [k for k in self._suppressed if now - self._logged_at[k] >= self._period]:
+        now = self.now()
+        for kind in [kind for kind in self._suppressed if self._is_due(kind, now)]:
             self._suppressed[kind] -= 1  # the newest one is logged now
             self._log(kind, self._newest[kind], now)
+
+    def _is_due(self, kind: str, now: float) -> bool:
+        return kind not in self._logged_at or now - self._logged_at[kind] >= self._period
 
     def _log(self, kind: str, message: str, now: float) -> None:
         repeated = self._suppressed.pop(kind, 0)
         again = f" ({repeated} more since the last message)" if repeated else ""
         self._logged_at[kind] = now
         self._write(f"{kind}: {message}{again}")
+
+
+class LastingFaults:
+    """Log of the beginning and the end of faults that last.
+
+    Parameters
+    ----------
+    log : FaultLog
+        Log of their beginning, which counts them.
+    write_over : callable
+        Takes a line about the end of one, for example ``node.get_logger().info``.
+    """
+
+    def __init__(self, log: FaultLog, write_over: Callable[[str], object]) -> None:
+        self._log = log
+        self._write_over = write_over
+        self._seen_at: dict[str, float] = {}
+
+    def update(self, found: Mapping[str, str]) -> None:
+        """Take the messages of the present faults by their kind; call it at intervals."""
+        now = self._log.now()
+        for kind, message in found.items():
+            if kind not in self._seen_at:
+                self._log.report(kind, message)
+            self._seen_at[kind] = now
+        for kind in [kind for kind, seen in self._seen_at.items() if now - seen > _PERIOD]:
+            del self._seen_at[kind]
+            self._write_over(f"{kind}: over")

@@ -5,6 +5,7 @@
 import math
 from collections.abc import Callable
 
+from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.control.planning_time import PlanningTime
 from sphere_nmpc.control.sample_grid import SampleGrid
 from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPose
@@ -23,17 +24,17 @@ class ClockedSchedule:
     ----------
     settings : ControllerSettings
         Strategy, rates, and how far a pose may be ahead of the clock (``pose_timeout``).
-    simulated : bool
-        Whether control time is simulated, so that its pace has to be measured.
+    watch : ClockWatch
+        Pace of control time.
     """
 
     is_real_time = True
 
-    def __init__(self, settings: ControllerSettings, simulated: bool) -> None:
+    def __init__(self, settings: ControllerSettings, watch: ClockWatch) -> None:
         self._settings = settings
-        self._simulated = simulated
+        self._watch = watch
         self._grid = SampleGrid(settings.control_period)
-        self._planning = PlanningTime(settings.control_period, simulated)
+        self._planning = PlanningTime(settings.control_period, watch)
         self._starting = True
         self._late = 0.0
         self._pose_ahead: TimedPose | None = None
@@ -50,16 +51,11 @@ class ClockedSchedule:
         """Sampling instants that passed without a tick."""
         return self._grid.missed
 
-    @property
-    def pace(self) -> float | None:
-        """Control time over wall time; None while it is unknown."""
-        return self._planning.pace
-
     def pose_age(self, time: float, now: float | None) -> float:
         """Return the age at `now` of a pose of control time `time` [s]; nan if unknown."""
         return math.nan if now is None else now - time
 
-    def pose_received(self, pose: TimedPose, now: float | None, wall: float) -> Actions:
+    def pose_received(self, pose: TimedPose, now: float | None) -> Actions:
         """Return whether to observe a pose; one ahead of the clock is kept for the next tick.
 
         When the node was held up, the clock message of that instant may be next in the queue.
@@ -69,10 +65,9 @@ class ClockedSchedule:
         if self._is_ahead(pose, now):
             self._pose_ahead = pose
             return NOTHING
-        self._planning.read(now, wall)
         return Actions(observe=pose)
 
-    def tick(self, now: float, wall: float) -> Actions:
+    def tick(self, now: float) -> Actions:
         """Return the request for the sampling instant of a tick, with a pose that was kept.
 
         A pose that is still ahead of the clock is refused: it would count as fresh until the
@@ -82,28 +77,26 @@ class ClockedSchedule:
         refused = None
         if pose is not None and self._is_ahead(pose, now):
             refused, pose = pose.time - now, None
-        if pose is not None:
-            self._planning.read(now, wall)
         instant = self._grid.instant(now)
         self._late = now - instant
         request = self._request(instant, now, self._planning.lead + self.window)
         return Actions(refused=refused, observe=pose, plan=request)
 
     def start(
-        self, now: float, wall: float, awaits_start: Callable[[float], bool]
+        self, now: float, awaits_start: Callable[[float], bool]
     ) -> Actions | None:
         """Return the first tick of a new grid if the next plan starts towards a goal.
 
         The first plan takes longest, so it waits until the pace, and so its time budget, is known.
         """
-        if not self._starting or self._planning.pace is None or not awaits_start(now):
+        if not self._starting or self._watch.pace is None or not awaits_start(now):
             return None
-        return self.restart(now, wall)
+        return self.restart(now)
 
-    def restart(self, now: float, wall: float) -> Actions:
+    def restart(self, now: float) -> Actions:
         """Return the first tick of a new grid."""
         self._grid.reset()
-        return self.tick(now, wall)
+        return self.tick(now)
 
     def command_time(self, request: PlanRequest, elapsed: float) -> float:
         """Return the control time [s] now that planning has taken `elapsed` [s, wall].
@@ -139,11 +132,11 @@ class ClockedSchedule:
         """Return a request for now: a stop does not wait for the next sampling instant."""
         return NOTHING if now is None else Actions(plan=self.final_request(now))
 
-    def clock_jumped(self, simulated: bool | None = None) -> None:
+    def clock_jumped(self, watch: ClockWatch) -> None:
         """Restart on a new grid; see `Schedule.clock_jumped`."""
-        if simulated is not None:
-            self._simulated = simulated
-            self._planning = PlanningTime(self._settings.control_period, simulated)
+        if watch is not self._watch:
+            self._watch = watch
+            self._planning = PlanningTime(self._settings.control_period, watch)
         self._pose_ahead = None
         self._grid.reset()
         self.goal_changed()
@@ -156,7 +149,7 @@ class ClockedSchedule:
         """Apply new settings; another control period begins a new grid."""
         period, self._settings = self._settings.control_period, settings
         if settings.control_period != period:
-            self._planning = PlanningTime(settings.control_period, self._simulated)
+            self._planning = PlanningTime(settings.control_period, self._watch)
             self._grid.reset(settings.control_period)
 
     def _is_ahead(self, pose: TimedPose, now: float) -> bool:

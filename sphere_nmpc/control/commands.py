@@ -4,10 +4,14 @@
 
 import numpy as np
 
+from sphere_nmpc.control.clock_watch import MOST_AHEAD
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE
+
+REACH = 3.0
+"""Time after which a command that is not renewed ramps the rotors to rest [s]."""
 
 
 class Commands:
@@ -40,11 +44,16 @@ class Commands:
     def earliest(self, now: float) -> float:
         """Return the time at which a command can start: the clock may be slightly late."""
         newest = self.sent.newest
-        return now if newest is None else max(now, newest.start)
+        is_near = newest is not None and now <= newest.start <= now + MOST_AHEAD
+        return newest.start if newest is not None and is_near else now
 
-    def joined(self, hold: FirstOrderHold, start: float) -> FirstOrderHold:
-        """Return the hold from the speeds in force at `start` on, within all limits, to rest."""
-        limited = self.sent.leading_to(hold, start).limited(
-            self._max_speed, self._max_acceleration
-        )
+    def joined(self, hold: FirstOrderHold, start: float, period: float) -> FirstOrderHold:
+        """Return the hold from the speeds in force at `start` on, within all limits, to rest.
+
+        It ends `REACH` or two control periods `period` [s] later: a robot that gets no further
+        command must not roll on.
+        """
+        reach = max(REACH, 2.0 * period)
+        led = self.sent.leading_to(hold, start).until(start + reach).in_nanoseconds()
+        limited = led.limited(self._max_speed, self._max_acceleration)
         return limited.ending_at_rest(self._max_acceleration)

@@ -229,7 +229,7 @@ class Controller:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
-        hold = commands.joined(hold, start)
+        hold = commands.joined(hold, start, self._settings.control_period)
         planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None

@@ -18,6 +18,7 @@ class Mode(Enum):
 
     NO_CLOCK = "no clock yet"
     CLOCK_STOPPED = "the clock stands still"
+    CLOCK_JUMPED = "the clock jumps, nothing is sent"
     NO_POSE = "no pose yet"
     NO_GOAL = "no goal yet"
     DISABLED = "disabled"

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPose
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE
@@ -44,7 +45,7 @@ class LockstepSchedule:
         """Return nan: poses set the time."""
         return math.nan
 
-    def pose_received(self, pose: TimedPose, now: float | None, wall: float) -> Actions:
+    def pose_received(self, pose: TimedPose, now: float | None) -> Actions:
         """Return the request for the sampling instant of a pose; between instants nothing is done.
 
         The simulator repeats the pose while it waits. The plan of an instant is made once, its
@@ -57,17 +58,17 @@ class LockstepSchedule:
         self._answered = pose.stamp
         return Actions(observe=pose, plan=self.final_request(pose.time))
 
-    def tick(self, now: float, wall: float) -> Actions:
+    def tick(self, now: float) -> Actions:
         """Return no action: poses trigger plans."""
         return NOTHING
 
     def start(
-        self, now: float, wall: float, awaits_start: Callable[[float], bool]
+        self, now: float, awaits_start: Callable[[float], bool]
     ) -> Actions | None:
         """Return None: a new goal is planned for when the pose is repeated or the next arrives."""
         return None
 
-    def restart(self, now: float, wall: float) -> Actions:
+    def restart(self, now: float) -> Actions:
         """Return no action: the sampling instants are those at which the simulator waits."""
         return NOTHING
 
@@ -99,7 +100,7 @@ class LockstepSchedule:
         """Return no action: the robot stops from the next sampling instant on."""
         return NOTHING
 
-    def clock_jumped(self, simulated: bool | None = None) -> None:
+    def clock_jumped(self, watch: ClockWatch) -> None:
         """Plan at the next pose, even at an instant that was answered before the jump."""
         self._answered = None
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -77,7 +78,7 @@ NOTHING = Actions()
 class Schedule(Protocol):
     """Scheduler of plans; its owner reports events to it and carries out the `Actions` returned.
 
-    Control times are seconds on the node's clock, wall times seconds on a steady clock.
+    Control times are seconds on the node's clock.
     """
 
     is_real_time: bool
@@ -97,17 +98,14 @@ class Schedule(Protocol):
     def pose_age(self, time: float, now: float | None) -> float:
         """Return the age at `now` of a pose of control time `time` [s]; nan if irrelevant."""
 
-    def pose_received(self, pose: TimedPose, now: float | None, wall: float) -> Actions:
-        """Return what a pose leads to that arrives at control time `now` and wall time `wall`.
+    def pose_received(self, pose: TimedPose, now: float | None) -> Actions:
+        """Return what a pose leads to that arrives at control time `now`, None if unknown."""
 
-        `now` is None as long as control time is unknown.
-        """
-
-    def tick(self, now: float, wall: float) -> Actions:
-        """Return what a tick of the timer at control time `now` and wall time `wall` leads to."""
+    def tick(self, now: float) -> Actions:
+        """Return what a tick of the timer at control time `now` leads to."""
 
     def start(
-        self, now: float, wall: float, awaits_start: Callable[[float], bool]
+        self, now: float, awaits_start: Callable[[float], bool]
     ) -> Actions | None:
         """Return what to do to start towards a goal now; None if nothing is to be done yet.
 
@@ -115,7 +113,7 @@ class Schedule(Protocol):
         whether at a control time [s] there is a goal to start for and the rotors are at rest.
         """
 
-    def restart(self, now: float, wall: float) -> Actions:
+    def restart(self, now: float) -> Actions:
         """Return what to do to plan now, whatever the sampling instants so far.
 
         The timer has to be restarted.
@@ -147,13 +145,13 @@ class Schedule(Protocol):
     def disabled(self, now: float | None) -> Actions:
         """Return what to do at control time `now` because the controller was disabled."""
 
-    def clock_jumped(self, simulated: bool | None = None) -> None:
+    def clock_jumped(self, watch: ClockWatch) -> None:
         """Restart after a jump of control time, or on another clock.
 
         Parameters
         ----------
-        simulated : bool, optional
-            Whether the other clock is a simulated one; None if it is the same clock.
+        watch : ClockWatch
+            Pace of the clock that is followed now.
         """
 
     def refusal(self, settings: ControllerSettings) -> str | None:

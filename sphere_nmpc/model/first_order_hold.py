@@ -12,6 +12,11 @@ import numpy as np
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
+_SHORTEST = 1e-6
+"""Shortest interval between two knots of a command [s]: a thousand times the resolution of a
+stamp."""
+_NANOSECONDS = 1_000_000_000
+
 
 @dataclass(frozen=True, eq=False)
 class FirstOrderHold:
@@ -88,12 +93,15 @@ class FirstOrderHold:
         max_acceleration : float
             Largest rotor acceleration [rad/s^2].
         """
-        end = time + max(map(abs, np.asarray(speeds).tolist())) / max_acceleration
-        # On a clock that counts from 1970 a float resolves 2e-7 s: the ramp may have no length.
-        if end <= time + 1e-9:
+        fastest = max(map(abs, np.asarray(speeds).tolist()))
+        if fastest == 0.0:
             return cls.constant(time, np.zeros(INPUT_SIZE))
-        # Rounded up, as a ramp shortened by rounding would exceed the limit.
-        times = np.array([time, math.nextafter(end, math.inf)])
+        # Rounded up to nanoseconds, as stamps are: a shorter ramp would exceed the limit.
+        shortest = fastest / max_acceleration
+        end = time + max(_SHORTEST, math.ceil(shortest * _NANOSECONDS) / _NANOSECONDS)
+        if end - time < shortest:  # on a clock that counts from 1970 a float resolves 2e-7 s
+            end = math.nextafter(end, math.inf)
+        times = np.array([time, end])
         knots = np.zeros((2, INPUT_SIZE))
         knots[0] = speeds
         return cls(times, knots)
@@ -154,17 +162,34 @@ class FirstOrderHold:
             raise InvalidInputError("first-order hold: given a start that is not finite")
         return FirstOrderHold._unchecked(times, knots)
 
+    def until(self, time: float) -> "FirstOrderHold":
+        """Return the hold without what comes after `time` [s], which is later than its start."""
+        if self.end <= time:
+            return self
+        last = bisect_left(self._knots, time)
+        times = np.array([*self._knots[:last], time])
+        return FirstOrderHold._unchecked(times, np.vstack((self.speeds[:last], self.at(time))))
+
+    def in_nanoseconds(self) -> "FirstOrderHold":
+        """Return the hold with knots at whole nanoseconds, without those that nearly coincide.
+
+        A receiver that reads the stamps then finds the accelerations that `limited` has set.
+        """
+        times = np.rint(self.times * _NANOSECONDS) / _NANOSECONDS
+        knots, kept = times.tolist(), [0]
+        for i, time in enumerate(knots):
+            if time - knots[kept[-1]] >= _SHORTEST:
+                kept.append(i)
+        if len(kept) < times.size:
+            return FirstOrderHold._unchecked(times[kept], self.speeds[kept])
+        return FirstOrderHold._unchecked(times, self.speeds)
+
     def ending_at_rest(self, max_acceleration: float) -> "FirstOrderHold":
         """Return the hold with a ramp to rest after its last knot, unless that is zero."""
         last = self.speeds[-1]
         if not last.any():
             return self
         ramp = FirstOrderHold.ramp_to_rest(self.end, last, max_acceleration)
-        if ramp.times.size == 1:
-            # The ramp has no length; the last speeds are set to exactly zero.
-            speeds = self.speeds.copy()
-            speeds[-1] = 0.0
-            return FirstOrderHold._unchecked(self.times, speeds)
         times = np.concatenate((self.times, ramp.times[1:]))
         return FirstOrderHold._unchecked(times, np.concatenate((self.speeds, ramp.speeds[1:])))
 

@@ -126,6 +126,14 @@ def incompatible_qos(topic: str, node: str, reason: str) -> GraphFault:
     )
 
 
+def clock_jumped(step: float) -> GraphFault:
+    """Return the fault of a clock that has jumped by `step` [s]."""
+    return GraphFault(
+        "clock jumped", f"given a step of {step:+.6g} s, expected a clock that runs on; nothing "
+        "is sent until it does",
+    )
+
+
 def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:
     """Return the fault of a node that other machines are not told the right address of.
 

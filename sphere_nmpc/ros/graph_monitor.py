@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.ros.graph_faults import (
     GraphFault,
     further_publishers,
@@ -41,7 +41,7 @@ class GraphMonitor:
 
     def __init__(self, node: Node, fault_log: FaultLog) -> None:
         self._node = node
-        self._fault_log = fault_log
+        self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._announced = network_addresses() if reaches_other_machines() else None
         self.faults: list[GraphFault] = []
         """The present faults, the most severe first."""
@@ -53,13 +53,8 @@ class GraphMonitor:
         """
         if self._announced is not None:
             found = [*found, *network_fault(self._announced, network_addresses())]
-        before = {fault.kind for fault in self.faults}
         self.faults = list(found)
-        for fault in found:
-            if fault.kind not in before:
-                self._fault_log.report(fault.kind, fault.message)
-        for kind in before - {fault.kind for fault in found}:
-            self._node.get_logger().info(f"{kind}: over")
+        self._lasting.update({fault.kind: fault.message for fault in found})
 
     def publishers(self, topic: str) -> list[str]:
         """Return the full names of the nodes that publish a topic, one for each endpoint."""

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of one kind are logged at a limited rate, and all of them are counted."""
 
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import FaultLog, LastingFaults
 
 
 def test_fault_is_logged_immediately_then_with_a_count() -> None:
@@ -37,3 +37,18 @@ def test_newest_suppressed_fault_is_logged_when_its_period_is_over() -> None:
     goals.report("goal", "100")
     goals.flush()
     assert lines[2:] == ["goal: 100"]
+
+
+def test_fault_that_comes_and_goes_begins_once_and_is_over_once() -> None:
+    lines: list[str] = []
+    now = [0.0]
+    lasting = LastingFaults(FaultLog(lines.append, clock=lambda: now[0]), lines.append)
+    for number in range(100):
+        now[0] = 0.25 * number
+        lasting.update({"wrong clock": "5 s behind"} if number % 3 == 0 else {})
+    assert lines == ["wrong clock: 5 s behind"]
+    for now[0] in (29.5, 29.75, 30.0):
+        lasting.update({})
+    assert lines[1:] == ["wrong clock: over"]
+    lasting.update({"wrong clock": "7 s behind", "no pose": "none"})
+    assert lines[2:] == ["wrong clock: 7 s behind", "no pose: none"]

@@ -99,7 +99,7 @@ class MomentumLoop:
             self.errors.append(self.error)
             self.momenta.append(self.drift.momentum)
             plan = self.strategy.plan(self.situation())
-            hold = self.commands.joined(plan.hold, self.time)
+            hold = self.commands.joined(plan.hold, self.time, self.period)
             self.commands.sent.record(hold)
             self.plans.append(plan)
             self.holds.append(hold)

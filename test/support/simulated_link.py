@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.control.clocked_schedule import ClockedSchedule
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.schedule import Actions, PlanRequest, TimedPose
@@ -121,7 +122,8 @@ class LinkedLoop:
         nominal = RobotParameters()
         self.simulator = Simulator(start, nominal if robot is None else robot)
         self.controller = Controller(settings, nominal)
-        self.schedule = ClockedSchedule(settings, link.simulated)
+        self._watch = ClockWatch(link.simulated)
+        self.schedule = ClockedSchedule(settings, self._watch)
         seeds = itertools.count(10 * seed)
         self._poses, self._joints, self._clock, self._goals = (
             _Channel(link, next(seeds)) for _ in range(4)
@@ -180,12 +182,14 @@ class LinkedLoop:
             self._now = time
         if not self.link.simulated:
             self._now = true
+        if self._now is not None:
+            self._watch.read(self._now, true)
         if self.link.joint_states:
             for time, speeds in self._joints.receive(true):
                 controller.observe_rotors(time, speeds)
                 schedule.window = controller.rotor_feedback.window
         for pose in self._poses.receive(true)[-1:]:
-            actions = schedule.pose_received(pose, self._now, true)
+            actions = schedule.pose_received(pose, self._now)
             self._carry_out(actions, true)
             if actions.observe is not None:
                 self._start(true)
@@ -197,12 +201,12 @@ class LinkedLoop:
         if self._now is not None and self._now >= self._next_tick and true >= self._busy_until:
             period = schedule.timer_period
             self._next_tick += period * max(1, np.floor((self._now - self._next_tick) / period))
-            self._carry_out(schedule.tick(self._now, true), true)
+            self._carry_out(schedule.tick(self._now), true)
 
     def _start(self, true: float) -> None:
         if self._now is None or true < self._busy_until:
             return
-        actions = self.schedule.start(self._now, true, self.controller.awaits_start)
+        actions = self.schedule.start(self._now, self.controller.awaits_start)
         if actions is not None:
             self._next_tick = self._now + self.schedule.timer_period
             self._carry_out(actions, true)

@@ -32,7 +32,7 @@ class CommandSender:
     command_rate : float
         Rate of ``rotor_commands`` [Hz].
     now : callable
-        Returns control time [s], None while it is not known.
+        Returns control time [s], None while nothing may be sent.
     depth : int, optional
         Holds that are kept for reliable subscribers. With one, a hold that was lost does not
         delay a newer one until it has been sent again.
@@ -62,22 +62,25 @@ class CommandSender:
         self._trajectory = trajectory_message(hold, epoch)
         self.repeat()
 
+    def forget(self) -> None:
+        """Send nothing more of the last hold, whose times are those of another clock."""
+        self._hold = self._trajectory = None
+
     def repeat(self) -> None:
         """Send the last hold again, for a robot that has subscribed only now."""
         if self._trajectory is not None:
             self._trajectories.publish(self._trajectory)
 
-    def send_final_ramp(self) -> None:
-        """Publish the speeds of the hold in force up to its end, which is at rest.
+    def send_final_ramp(self, moment: float) -> None:
+        """Publish the speeds of the hold in force from `moment` [s] up to its end, at rest.
 
         It is timed by the wall clock: the timer no longer runs, and the node's clock may have
         stopped.
         """
-        hold, now = self._hold, self._now()
+        hold = self._hold
         if hold is None:
             return
         self._trajectories.wait_for_all_acked(Duration(seconds=0.5))
-        moment = hold.end if now is None else now
         limit = moment + _LONGEST_FINAL_RAMP
         while moment < min(hold.end, limit):
             self.repeat()  # One of them may be lost.

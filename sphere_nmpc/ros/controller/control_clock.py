@@ -3,13 +3,14 @@
 """Control time of a node: seconds on the ROS clock that it follows at present."""
 
 from collections.abc import Callable
+from time import monotonic
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
+from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.ros.conversions import seconds
 from sphere_nmpc.ros.serialised import clock_stamp
 
@@ -17,7 +18,7 @@ _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
 
 
 class ControlClock:
-    """Conversion from stamps to control time, with a report of jumps of the clock.
+    """Conversion from stamps to control time, with a watch for jumps of the clock.
 
     In simulated time control time is the time on ``/clock``; otherwise it begins with the node.
     rclpy's subscription of ``/clock`` is taken over, as reading message objects with it takes as
@@ -28,22 +29,25 @@ class ControlClock:
     node : Node
         The node whose clock it is.
     on_jump : callable
-        Called after a jump back with None, and after a change between system and simulated
-        clock (``use_sim_time``) with whether the clock is now a simulated one.
+        Called when the clock has jumped, when it has become steady again, and, with True, after a
+        change between system and simulated clock (``use_sim_time``).
+    has_pace : bool, optional
+        See `ClockWatch`.
     """
 
-    def __init__(self, node: Node, on_jump: Callable[[bool | None], object]) -> None:
+    def __init__(
+        self, node: Node, on_jump: Callable[[bool], object], has_pace: bool = True
+    ) -> None:
         self._node = node
+        self._has_pace = has_pace
         clock = node.get_clock()
         if not isinstance(clock, ROSClock):
             raise TypeError(f"clock of the node: given {type(clock).__name__}, expected ROSClock")
         self._ros_clock = clock
         self._on_jump = on_jump
         self._heard: int | None = None
-        backwards = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
-        )
-        self._jumps = clock.create_jump_callback(backwards, post_callback=self._jumped)
+        changes = JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True)
+        self._jumps = clock.create_jump_callback(changes, post_callback=self._changed)
         self._begin()
         self.listen()
 
@@ -56,7 +60,21 @@ class ControlClock:
     def now(self) -> float | None:
         """Return control time [s]; None before the first message on ``/clock``."""
         stamp = self.stamp()
-        return None if self.simulated and stamp == 0 else self.time_of(stamp)
+        if self.simulated:
+            return self.time_of(stamp) if stamp else None
+        time = self.time_of(stamp)
+        self._watch(time)
+        return time
+
+    def steady_now(self) -> float | None:
+        """Return control time [s]; None also while the clock jumps."""
+        now = self.now()
+        return now if self.watch.is_steady else None
+
+    def final_now(self) -> float | None:
+        """Return control time [s] for last commands; while the clock jumps that without jumps."""
+        now = self.now()
+        return now if now is None or self.watch.is_steady else self.watch.expected(monotonic())
 
     def time_of(self, stamp: int) -> float:
         """Return the control time [s] of a stamp [ns]."""
@@ -73,16 +91,22 @@ class ControlClock:
         self._heard = stamp
         clock = self._ros_clock
         clock.set_ros_time_override(Time(nanoseconds=stamp, clock_type=clock.clock_type))
+        self._watch(self.time_of(stamp))
+
+    def _watch(self, time: float) -> None:
+        if self.watch.read(time, monotonic()):
+            self._on_jump(False)
 
     def _begin(self) -> None:
         self.simulated = bool(self._node.get_parameter("use_sim_time").value)
         """Whether the node follows ``/clock``."""
+        self.watch = ClockWatch(self.simulated, self._has_pace)
+        """Pace and jumps of the clock."""
         self._heard = None
         self.epoch = 0 if self.simulated else self.stamp()
         """Stamp of control time 0 [ns]."""
 
-    def _jumped(self, jump: TimeJump) -> None:
-        changed = jump.clock_change in _CHANGED
-        if changed:
+    def _changed(self, jump: TimeJump) -> None:
+        if jump.clock_change in _CHANGED:
             self._begin()
-        self._on_jump(self.simulated if changed else None)
+            self._on_jump(True)

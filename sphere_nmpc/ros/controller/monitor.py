@@ -14,6 +14,7 @@ from sphere_nmpc.ros.graph_faults import (
     OTHER_CLOCK_AGE,
     GraphFault,
     GraphState,
+    clock_jumped,
     find_faults,
     several_publishers,
 )
@@ -44,6 +45,8 @@ class ControllerMonitor:
         """Control time at the last check [s]; nan before the first message on /clock."""
         self.stands_still = False
         """Whether control time was the same at the check before."""
+        self.is_steady = True
+        """Whether the clock had not jumped shortly before the last check."""
         self.pose_link = PoseLink()
         """Delay and loss of the poses."""
         self._time_changed_at = self._pose_seen_at = time.monotonic()
@@ -74,7 +77,9 @@ class ControllerMonitor:
                 f"most {pose_timeout:g} s; are the clocks synchronised?",
             )
 
-    def check(self, now: float | None, follows_clock: bool, pose_timeout: float) -> None:
+    def check(
+        self, now: float | None, follows_clock: bool, jump: float, pose_timeout: float
+    ) -> None:
         """Update the faults at control time `now` [s], None before the first message on /clock.
 
         Parameters
@@ -83,10 +88,13 @@ class ControllerMonitor:
             Control time [s].
         follows_clock : bool
             Whether the node runs with ``use_sim_time``.
+        jump : float
+            Step of the clock [s] that was no more than 0.2 s ago; 0 without any.
         pose_timeout : float
             Largest accepted age of a pose [s].
         """
         wall, graph = time.monotonic(), self._graph
+        self.is_steady = jump == 0.0
         before, self.time = self.time, math.nan if now is None else now
         self.stands_still = self.time == before
         if now is not None and not self.stands_still:
@@ -109,6 +117,8 @@ class ControllerMonitor:
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
         )
+        if jump:
+            found.append(clock_jumped(jump))
         if wall >= self._compared_at + _COMPARE_EVERY:
             self._compared_at, self._incompatible = wall, graph.incompatible()
         if any(fault.kind.endswith(f" {self._pose_topic}") for fault in self._incompatible):

@@ -85,10 +85,10 @@ class ControllerNode(RunnableNode):
         settings = self._settings = declared.settings
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._goal_log = FaultLog(lambda line: self.get_logger().info(line), _GOALS_EVERY)
-        self._control_clock = ControlClock(self, self._clock_jumped)
+        self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (
             LockstepSchedule(settings) if settings.lockstep
-            else ClockedSchedule(settings, self._control_clock.simulated)
+            else ClockedSchedule(settings, self._control_clock.watch)
         )
         self._worker: WorkerProcess | None = None
         if self._schedule.is_real_time:
@@ -103,7 +103,7 @@ class ControllerNode(RunnableNode):
         self._period_publisher = self.create_publisher(Float64, "control_period", latched)
         self._period_publisher.publish(Float64(data=settings.control_period))
         self._sender = CommandSender(
-            self, settings.command_rate, self._control_clock.now,
+            self, settings.command_rate, self._control_clock.steady_now,
             depth=1 if self._schedule.is_real_time else 10,
         )
         self._reports = ControllerReports(
@@ -134,12 +134,12 @@ class ControllerNode(RunnableNode):
 
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""
-        now = self._control_clock.now()
+        now = self._control_clock.final_now()
         self._save_goal()
         self.controller.enabled = False
         if now is not None:
             self._plan(self._schedule.final_request(now))
-        self._sender.send_final_ramp()
+            self._sender.send_final_ramp(now)
         self._stored_goal.close()
 
     def destroy_node(self) -> None:
@@ -176,8 +176,10 @@ class ControllerNode(RunnableNode):
 
     def _check(self) -> None:
         self._control_clock.listen()
-        now, simulated = self._control_clock.now(), self._control_clock.simulated
-        self._monitor.check(now, simulated, self._settings.pose_timeout)
+        clock = self._control_clock
+        now, watch = clock.now(), clock.watch
+        jump = 0.0 if watch.is_steady else watch.step
+        self._monitor.check(now, clock.simulated, jump, self._settings.pose_timeout)
         self._reports.update()
         if self._rotor_receiver is not None:
             self._rotor_receiver.update()
@@ -192,16 +194,16 @@ class ControllerNode(RunnableNode):
         self._stored_goal.save(self.controller.goal if self.controller.enabled else None)
 
     def _tick(self) -> None:
-        now = self._control_clock.now()
+        now = self._control_clock.steady_now()
         if now is not None:
-            self._carry_out(self._schedule.tick(now, time.monotonic()))
+            self._carry_out(self._schedule.tick(now))
 
     def _start(self) -> None:
         """Plan immediately if the rotors are at rest and there is a goal to start for."""
-        now = self._control_clock.now()
+        now = self._control_clock.steady_now()
         if now is None:
             return
-        actions = self._schedule.start(now, time.monotonic(), self.controller.awaits_start)
+        actions = self._schedule.start(now, self.controller.awaits_start)
         if actions is not None:
             self._begin_grid(actions)
 
@@ -239,14 +241,14 @@ class ControllerNode(RunnableNode):
 
     def _use_found(self) -> None:
         """Plan immediately when a search has ended, rather than at the next sampling instant."""
-        now = self._control_clock.now()
+        now = self._control_clock.steady_now()
         if now is not None and self.controller.is_due(now + self._schedule.window):
-            self._begin_grid(self._schedule.restart(now, time.monotonic()))
+            self._begin_grid(self._schedule.restart(now))
         if not self.controller.searches:
             self._found_timer.cancel()
 
     def _receive_pose(self, message: bytes | PoseStamped) -> None:
-        now = self._control_clock.now()
+        now = self._control_clock.steady_now()
         try:
             stamp = header_stamp(message)
             measured = self._control_clock.time_of(stamp)
@@ -255,7 +257,7 @@ class ControllerNode(RunnableNode):
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
             return
-        actions = self._schedule.pose_received(pose, now, time.monotonic())
+        actions = self._schedule.pose_received(pose, now)
         self._carry_out(actions)
         if actions.observe is not None:
             self._start()
@@ -287,7 +289,7 @@ class ControllerNode(RunnableNode):
         if request.data:
             self._schedule.enabled()
         else:
-            self._carry_out(self._schedule.disabled(self._control_clock.now()))
+            self._carry_out(self._schedule.disabled(self._control_clock.steady_now()))
         response.success = True
         response.message = "enabled" if request.data else "disabled, rotors ramp to rest"
         return response
@@ -311,10 +313,22 @@ class ControllerNode(RunnableNode):
                     return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
-    def _clock_jumped(self, simulated: bool | None) -> None:
-        self._fault_log.report("clock jumped", "poses and plans are forgotten, the goal stays")
-        self.controller.forget()
-        self._schedule.clock_jumped(simulated)
+    def _clock_jumped(self, changed: bool) -> None:
+        """Send nothing while the clock jumps; then go on, or begin anew at another time."""
+        watch = self._control_clock.watch
+        if not watch.is_steady:
+            if self._monitor.is_steady:
+                self._check()  # to be told at once, and not at each of many jumps
+            return
+        if not watch.has_returned:
+            self._goal_log.report(
+                "clock", f"{'changed' if changed else 'runs on'} at another time; poses and plans "
+                "are dropped, the goal stays",
+            )
+            self.controller.forget()
+            self._sender.forget()
+        self._schedule.clock_jumped(watch)
+        self._set_timer()
 
 
 _ABOUT = f"""{__doc__}

@@ -19,7 +19,7 @@ from std_msgs.msg import Bool
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.schedule import Schedule
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
@@ -36,6 +36,7 @@ _LEVELS = {
     Mode.NO_GOAL: OK,
     Mode.NO_CLOCK: STALE,
     Mode.CLOCK_STOPPED: WARN,
+    Mode.CLOCK_JUMPED: WARN,
     Mode.DISABLED: OK,
     Mode.NO_POSE: STALE,
     Mode.NO_FRESH_POSE: ERROR,
@@ -83,7 +84,6 @@ class ControllerReports:
         monitor: ControllerMonitor,
     ) -> None:
         self._controller = controller
-        self._logger = node.get_logger()
         self._monitor = monitor
         self._schedule = schedule
         self._fault_log = fault_log
@@ -96,7 +96,7 @@ class ControllerReports:
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
         self._ticks = self._ticks_reported = self._failures_reported = 0
-        self._stands = False
+        self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._last_tick = float("nan")
         self._last_status = (float("-inf"), Mode.NO_POSE)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -123,6 +123,8 @@ class ControllerReports:
             return Mode.NO_CLOCK
         if self._monitor.stands_still:
             return Mode.CLOCK_STOPPED
+        if not self._monitor.is_steady:
+            return Mode.CLOCK_JUMPED
         return Mode.NO_POSE if self._decision is None else self._decision.mode
 
     def update(self) -> None:
@@ -202,11 +204,8 @@ class ControllerReports:
 
     def _log_progress(self, decision: Decision) -> None:
         """Log when the sphere no longer makes progress towards its goal, and when that is over."""
-        stood, self._stands = self._stands, decision.mode is Mode.NO_PROGRESS
-        if self._stands and not stood:
-            self._fault_log.report(_NO_PROGRESS, decision.no_progress)
-        elif stood and not self._stands:
-            self._logger.info(f"{_NO_PROGRESS}: over")
+        missing = {_NO_PROGRESS: decision.no_progress} if decision.no_progress else {}
+        self._lasting.update(missing)
 
     def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about solve times and failures."""

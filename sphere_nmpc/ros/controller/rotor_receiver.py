@@ -73,7 +73,7 @@ class RotorReceiver:
         wall = monotonic()
         if wall < self._read_at + _SPACING:
             return
-        now = self._clock.now()
+        now = self._clock.steady_now()
         try:
             speeds, stamp = rotor_speeds_and_stamp(message)
         except InvalidInputError:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.control.lockstep_schedule import LockstepSchedule
 from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPose
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -24,7 +25,7 @@ def schedule() -> LockstepSchedule:
 def receive(schedule: LockstepSchedule, stamp: int, now: float | None = None) -> Actions:
     """Let the pose of `stamp` [ms] arrive."""
     state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    return schedule.pose_received(TimedPose(stamp * MS, stamp / 1e3, state), now, 100.0)
+    return schedule.pose_received(TimedPose(stamp * MS, stamp / 1e3, state), now)
 
 
 def test_pose_of_a_sample_instant_is_observed_and_planned_from_without_a_time_limit(
@@ -52,10 +53,13 @@ def test_repeated_instant_gets_the_same_command_again(schedule: LockstepSchedule
     assert receive(schedule, 1000).plan is not None
 
 
-@pytest.mark.parametrize("event", ["goal_changed", "clock_jumped"])
-def test_repeated_instant_is_planned_again_after(schedule: LockstepSchedule, event: str) -> None:
+@pytest.mark.parametrize(
+    "event",
+    [LockstepSchedule.goal_changed, lambda it: it.clock_jumped(ClockWatch(simulated=True))],
+)
+def test_repeated_instant_is_planned_again_after(schedule: LockstepSchedule, event) -> None:
     receive(schedule, 500)
-    getattr(schedule, event)()
+    event(schedule)
     actions = receive(schedule, 500)
     assert actions.plan is not None and not actions.repeat
 
@@ -69,8 +73,8 @@ def test_enabling_and_disabling_wait_for_the_next_instant(schedule: LockstepSche
 
 def test_neither_time_nor_a_goal_triggers_a_plan(schedule: LockstepSchedule) -> None:
     assert schedule.timer_period is None
-    assert schedule.tick(0.5, 100.0) == NOTHING
-    assert schedule.start(0.5, 100.0, lambda now: True) is None
+    assert schedule.tick(0.5) == NOTHING
+    assert schedule.start(0.5, lambda now: True) is None
 
 
 def test_command_is_dated_at_its_instant_however_long_the_plan_took(

@@ -138,6 +138,14 @@ def clock_held_back(graph) -> None:
     controller(graph, use_sim_time=True)
 
 
+def clock_that_is_set(graph) -> None:
+    def forth_and_back(elapsed: float) -> float:
+        return running(elapsed) + (3600.0 if elapsed % 2.0 > 1.9 else 0.0)
+
+    robot(graph, running, forth_and_back)
+    controller(graph, use_sim_time=True)
+
+
 def needless_use_sim_time(graph) -> None:
     robot(graph, on_the_wall, running)
     controller(graph, use_sim_time=True)
@@ -282,6 +290,7 @@ MISTAKES: dict[Callable[..., None], str] = {
     silent_clock: "that has sent nothing",
     stopped_simulator: "expected a running simulator",
     clock_held_back: "poses but no message",
+    clock_that_is_set: "clock jumped",
     needless_use_sim_time: "on the system clock",
     clocks_apart: "synchronise the clocks of the machines",
     clock_ahead: "are the clocks synchronised",

@@ -21,6 +21,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc import fault_log
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.planning_time import PLANNING_SHARE
 from sphere_nmpc.model.parameters import RobotParameters
@@ -28,6 +29,7 @@ from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import (
+    NANOSECONDS,
     hold_from_trajectory,
     pose_from_ros,
     pose_to_ros,
@@ -163,7 +165,7 @@ def test_time_optimal_has_a_share_of_the_sample_period_for_its_plan(graph, monke
     decide = robot.node.controller.decide
 
     def record(instant: float, time_budget: float) -> Decision:
-        shares.append(time_budget * robot.node._schedule.pace)
+        shares.append(time_budget * robot.node._control_clock.watch.pace)
         return decide(instant, time_budget)
 
     monkeypatch.setattr(robot.node.controller, "decide", record)
@@ -201,7 +203,8 @@ def test_each_plan_leaves_from_the_speeds_in_force(robot) -> None:
         np.testing.assert_allclose(after.speeds[0], before.at(after.start), atol=1e-6)
 
 
-def test_commands_are_the_hold_sampled(robot) -> None:
+def test_commands_are_the_hold_sampled(robot, monkeypatch) -> None:
+    monkeypatch.setattr(controller_node, "time", NoPlanningTime)
     robot.send_goal()
     robot.pass_time(1.6)
     data = np.array([command.data for command in robot.commands])
@@ -316,6 +319,7 @@ def test_pose_that_arrives_before_its_clock_message_is_used(robot, capfd) -> Non
     robot.pose.header.stamp = stamp_to_ros(2 * 10**9)
     robot.pose_sender.publish(robot.pose)
     robot.graph.until(lambda: robot.node._schedule._pose_ahead is not None)
+    time.sleep(2.0 / (robot.node._control_clock.watch.pace or 1.0))  # it was held up as long
     robot.now = 2 * 10**9 - TICK
     robot.pass_time(0.3)
     assert robot.status()["pose_age_s"] != "inf" and float(robot.status()["pose_age_s"]) < 0.5
@@ -466,14 +470,73 @@ def test_nothing_is_sent_after_the_ramp_to_rest(robot) -> None:
     assert (len(robot.trajectories), len(robot.commands)) == received
 
 
+def until_on_the_way(robot) -> None:
+    """Let time pass until the clock counts as steady and the controller tracks its goal."""
+    robot.statuses.clear()
+
+    def is_on_the_way() -> bool:
+        robot.pass_time(0.1)
+        return bool(robot.reported) and robot.status()["mode"] == "on the way to the goal"
+
+    robot.graph.until(is_on_the_way)
+
+
 def test_clock_that_goes_back_forgets_poses_and_keeps_the_goal(robot, capfd) -> None:
     robot.send_goal()
     robot.pass_time(1.2)
     robot.now = 0
-    robot.pass_time(1.2)
-    assert robot.status()["mode"] == "on the way to the goal"
-    assert float(robot.status()["time_s"]) <= 1.2 + 0.25, "half a sample ahead at the most"
-    assert capfd.readouterr().err.count("clock jumped") == 1
+    until_on_the_way(robot)
+    ahead = float(robot.status()["time_s"]) - robot.now * 1e-9
+    assert ahead <= 0.25, "half a sample ahead at the most"
+    printed = capfd.readouterr().err
+    assert printed.count("clock jumped: given a step of -1.19 s") == 1
+    assert printed.count("clock: runs on at another time; poses and plans are dropped") == 1
+
+
+@pytest.mark.parametrize("returns", [True, False], ids=["one forged message", "the clock is set"])
+def test_no_command_is_ahead_of_a_clock_that_jumps_ahead(robot, capfd, returns) -> None:
+    robot.send_goal()
+    until_on_the_way(robot)
+    before = robot.now
+    for _ in range(3):
+        robot.clock.publish(Clock(clock=stamp_to_ros(robot.now + 3600 * NANOSECONDS)))
+        robot.graph.until(lambda: robot.node._control_clock.stamp() > robot.now + TICK)
+        if not returns:
+            robot.now += 3600 * NANOSECONDS
+        sent = len(robot.trajectories)
+        robot.pass_time(0.05)
+        assert len(robot.trajectories) == sent, "nothing is sent"
+    # With true planning times, which a busy machine makes long.
+    until_on_the_way(robot)
+    robot.pass_time(1.0)
+    after, holds = robot.now - before, robot.holds()
+    assert max(hold.start for hold in holds) <= robot.now * 1e-9 + 0.5
+    assert max(hold.end for hold in holds) <= robot.now * 1e-9 + 4.0
+    if returns:
+        assert after < 3600 * NANOSECONDS
+        for one, other in pairwise(holds):
+            left = one.at(other.start)
+            np.testing.assert_allclose(other.speeds[0], left, atol=1e-6, err_msg="no step")
+    printed = capfd.readouterr().err
+    assert printed.count("clock jumped: given a step of +3600 s") == 1
+    assert printed.count("runs on at another time") == (0 if returns else 1)
+
+
+def test_nothing_is_sent_while_two_clocks_are_published(robot) -> None:
+    robot.send_goal()
+    until_on_the_way(robot)
+    sent = len(robot.trajectories)
+
+    def jumps() -> bool:
+        for _ in range(10):
+            robot.clock.publish(Clock(clock=stamp_to_ros(robot.now + 5 * NANOSECONDS)))
+            robot.graph.until(lambda: robot.node._control_clock.stamp() > robot.now + TICK)
+            robot.pass_time(0.02)
+        return robot.status()["mode"] == "the clock jumps, nothing is sent"
+
+    robot.graph.until(jumps)
+    assert len(robot.trajectories) == sent
+    until_on_the_way(robot)
 
 
 def test_failing_solver_is_logged_and_the_plan_in_force_is_followed(robot, capfd) -> None:
@@ -582,7 +645,8 @@ def test_diagnostics_report_a_clock_that_stands_still(robot) -> None:
     assert reports[-1].status[1].level == DiagnosticStatus.WARN
 
 
-def test_no_progress_is_reported_until_there_is_another_goal(robot, capfd) -> None:
+def test_no_progress_is_reported_until_there_is_another_goal(robot, capfd, monkeypatch) -> None:
+    monkeypatch.setattr(fault_log, "_PERIOD", 0.0)  # over at once
     reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.node.controller._strategy = Standing(message="converged")
     robot.send_goal()

@@ -35,7 +35,7 @@ def joints(stamp: int, speeds: np.ndarray = SPEEDS) -> JointState:
 def test_speeds_are_heard_until_they_are_no_longer_needed_and_again_when_they_are(graph) -> None:
     graph.probe.set_parameters([Parameter("use_sim_time", value=False)])
     controller, windows = Heard(), []
-    clock = ControlClock(graph.probe, lambda jumped: None)
+    clock = ControlClock(graph.probe, lambda changed: None)
     receiver = RotorReceiver(graph.probe, controller, clock, windows.append)
     publisher = graph.probe.create_publisher(JointState, "joint_states", 10)
     graph.until(lambda: publisher.get_subscription_count() == 1)

@@ -1,0 +1,119 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Pace and jumps of control time, measured against a steady clock."""
+
+from collections import deque
+
+MOST_AHEAD = 0.5
+"""How far ahead of its clock a command may begin [s]; a smaller step of the clock is no jump."""
+_WINDOW, _SPACING, _ENOUGH = 0.5, 5e-3, 1e-2
+"""Wall time over which the pace is measured, between two readings, and at least needed [s]."""
+_STANDSTILL = 0.1
+"""Wall time without progress of control time that counts as a pause [s]."""
+_HURRY = 3.0
+"""Excess over the measured pace up to which a simulated clock does not jump, in paces of at least
+1: on a busy machine simulator and controller run by turns."""
+_STEADY_AFTER = 0.2
+"""Wall time without a jump after which the clock is steady again [s]."""
+
+
+class ClockWatch:
+    """Measurement of the pace of control time, and detector of its jumps.
+
+    A simulated clock jumps when it goes back, or ahead by more than its pace explains; the system
+    clock when it departs from the steady clock.
+
+    Parameters
+    ----------
+    simulated : bool
+        Whether the pace of control time has to be measured; otherwise it is 1.
+    has_pace : bool, optional
+        Whether control time advances with the wall clock. In lockstep it does not: it jumps back
+        only, and is steady again at once.
+    """
+
+    def __init__(self, simulated: bool, has_pace: bool = True) -> None:
+        self._simulated = simulated
+        self._has_pace = has_pace
+        self._readings: deque[tuple[float, float]] = deque()
+        self._last: tuple[float, float] | None = None
+        self._read_at = float("-inf")
+        self._known_pace: float | None = None if simulated else 1.0
+        self._jumped_at: float | None = None
+        self._before = (0.0, 0.0)
+        self.step = 0.0
+        """Control time after the last jump less that before it [s]."""
+        self.has_returned = False
+        """Whether the clock has become steady at a time that it could show without jumps."""
+
+    @property
+    def pace(self) -> float | None:
+        """Control time over wall time; None until it has been measured for long enough."""
+        if not self._simulated:
+            return 1.0
+        if not self._readings or self._last is None:
+            return None
+        (then, wall_then), (now, wall) = self._readings[0], self._last
+        return (now - then) / (wall - wall_then) if wall - wall_then >= _ENOUGH else None
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the clock has not jumped lately."""
+        return self._jumped_at is None
+
+    def read(self, now: float, wall: float) -> bool:
+        """Record that control time is `now` [s] when the steady clock shows `wall` [s].
+
+        A standstill and a jump restart the measurement of the pace; after a standstill it begins
+        when control time has advanced.
+
+        Returns
+        -------
+        bool
+            Whether the clock has jumped, or has become steady again after jumps.
+        """
+        last, read_at = self._last, self._read_at
+        jumped = last is not None and self._is_jump(last[0], read_at, now, wall)
+        if jumped and last is not None:
+            self.step = now - last[0]
+            self.has_returned = False
+            if self._jumped_at is None:
+                self._before = (last[0], read_at)
+            self._jumped_at = wall if self._has_pace else None
+            self._readings.clear()
+        self._measure(now, wall)
+        if jumped or self._jumped_at is None or wall < self._jumped_at + _STEADY_AFTER:
+            return jumped
+        self._jumped_at = None
+        self.has_returned = not self._is_jump(*self._before, now, wall)
+        return True
+
+    def expected(self, wall: float) -> float:
+        """Return the control time [s] that a clock which jumps would show without its jumps.
+
+        `wall` is what the steady clock shows [s].
+        """
+        then, wall_then = self._before
+        return then + (self._known_pace or 0.0) * (wall - wall_then)
+
+    def _is_jump(self, then: float, wall_then: float, now: float, wall: float) -> bool:
+        """Return whether the clock cannot have run from `then` to `now` in this wall time."""
+        step, passed, pace = now - then, wall - wall_then, self._known_pace
+        if not self._simulated:
+            return abs(step - passed) > MOST_AHEAD
+        if step < 0.0 or pace is None or not self._has_pace:
+            return step < 0.0
+        return step > MOST_AHEAD + (pace + _HURRY * max(1.0, pace)) * passed
+
+    def _measure(self, now: float, wall: float) -> None:
+        self._read_at, readings = wall, self._readings
+        if self._last is not None and now == self._last[0]:
+            if wall - self._last[1] >= _STANDSTILL:
+                readings.clear()
+            return
+        self._last = (now, wall)
+        if not readings or wall - readings[-1][1] >= _SPACING:
+            readings.append((now, wall))
+        while wall - readings[0][1] > _WINDOW and len(readings) > 1:
+            readings.popleft()
+        self._known_pace = self.pace or self._known_pace

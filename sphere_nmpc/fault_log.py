@@ -6,6 +6,9 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
+EVENTS_EVERY = 2.0
+"""Period of a log of events that are no faults [s, wall]: goals, arrivals, pushes."""
+
 
 class FaultLog:
     """Log each kind of fault when it first occurs, then at most once every `period` seconds.

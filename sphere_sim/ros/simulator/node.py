@@ -21,7 +21,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
@@ -128,8 +128,10 @@ class SimulatorNode(RunnableNode):
             self.create_service(SetBool, "~/pause", self._pause),
             self.create_service(Trigger, "~/step", self._step),
         ]
+        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._push_receiver = PushReceiver(
-            self, self.simulator, self._fault_log, lambda: pushes.settings, lambda: self._epoch
+            self, self.simulator, self._fault_log, self._event_log, lambda: pushes.settings,
+            lambda: self._epoch,
         )
         self._diagnostics = Diagnostics(
             self, lambda: self._epoch + self.simulator.now,
@@ -329,6 +331,7 @@ class SimulatorNode(RunnableNode):
         return faults
 
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        self._event_log.flush()
         counts = dict(self._fault_log.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 

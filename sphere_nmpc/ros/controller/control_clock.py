@@ -75,7 +75,8 @@ class ControlClock:
         clock.set_ros_time_override(Time(nanoseconds=stamp, clock_type=clock.clock_type))
 
     def _begin(self) -> None:
-        self.simulated = bool(self._node.get_parameter("use_sim_time").value)
+        # Not from the parameter, which is changed only after the clock.
+        self.simulated = self._ros_clock.ros_time_is_active
         """Whether the node follows ``/clock``."""
         self._heard = None
         self.epoch = 0 if self.simulated else self.stamp()

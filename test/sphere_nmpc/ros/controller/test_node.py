@@ -460,6 +460,27 @@ def test_use_sim_time_can_be_set_while_the_node_runs(graph) -> None:
     assert robot.moved()
 
 
+def test_use_sim_time_that_is_unset_while_the_node_runs_is_told_with_its_remedy(robot) -> None:
+    robot.send_goal()
+    robot.pass_time(0.6)
+    robot.node.set_parameters([Parameter("use_sim_time", value=False)])
+    assert not robot.node._control_clock.simulated
+
+    def message() -> str:
+        robot.now += TICK
+        robot.pose.header.stamp = stamp_to_ros(robot.now)
+        robot.pose_sender.publish(robot.pose)
+        return robot.statuses[-1].message
+
+    robot.graph.until(lambda: "wrong clock" in message())
+    assert message().endswith("in simulated time: start this node with -p use_sim_time:=true")
+    robot.node.set_parameters([Parameter("use_sim_time", value=True)])
+    assert robot.node._control_clock.simulated and robot.node._control_clock.epoch == 0
+    robot.graph.until(lambda: robot.clock.get_subscription_count() > 0)
+    robot.pass_time(1.2)
+    assert robot.status()["mode"] == "on the way to the goal"
+
+
 def test_nothing_is_sent_after_the_ramp_to_rest(robot) -> None:
     robot.send_goal()
     robot.pass_time(0.6)

@@ -174,6 +174,7 @@ class ControllerReports:
         `epoch` is the stamp of control time 0 [ns].
         """
         self._ticks += 1
+        self._monitor.sampled(self._ticks, self._schedule.missed, self._period)
         self._decision = decision
         self._tick_times.append(duration)
         wall = perf_counter()

@@ -235,6 +235,21 @@ def plans_that_begin_later(graph) -> None:
     standing(graph, Later())
 
 
+def rate_beyond_the_machine(graph) -> None:
+    robot(graph, on_the_wall, silent)
+    node = controller(graph, control_rate=50.0)
+    node.controller._strategy = Slow()
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
+
+
+class Slow(Standing):
+    """Strategy that takes longer than two periods of 50 Hz."""
+
+    def plan(self, situation: Situation) -> Plan:
+        time.sleep(0.05)
+        return super().plan(situation)
+
+
 class Later(Standing):
     """Strategy whose plans all begin with a rest."""
 
@@ -299,6 +314,7 @@ MISTAKES: dict[Callable[..., None], str] = {
     blocked_sphere: "is it blocked",
     goal_that_cannot_be_held: "the strategy gives up",
     plans_that_begin_later: "moves it later",
+    rate_beyond_the_machine: "missed samples",
     lockstep_without_controller: "time waits",
     commands_on_another_clock: "rotor_trajectory refused",
     drives_too_weak: "limits: rigid_body.torque_limit",

@@ -4,7 +4,8 @@
 
 publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
             ~/pushed
-subscribes  rotor_trajectory, rotor_commands, control_period, ~/push
+subscribes  rotor_trajectory, rotor_commands, control_period, ~/push, in lockstep the
+            controller's status
 services    ~/reset, ~/pause, ~/step, ~/push
 """
 
@@ -31,6 +32,7 @@ from sphere_nmpc.ros.graph_monitor import GraphMonitor
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
+from sphere_sim.ros.simulator.awaited_controller import AwaitedController
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
 from sphere_sim.ros.simulator.controller_limits import ControllerLimits
 from sphere_sim.ros.simulator.push_receiver import PushReceiver
@@ -109,6 +111,7 @@ class SimulatorNode(RunnableNode):
             self,
             lambda: self._monitor.known_publishers(self.resolve_topic_name("rotor_trajectory")),
         )
+        self._awaited = AwaitedController(self) if settings.lockstep else None
         self._state_publisher = StatePublisher(
             self, robot.settings.shell_radius, prefix + BODY_FRAME,
             clocked=not settings.is_on_system_clock,
@@ -242,10 +245,14 @@ class SimulatorNode(RunnableNode):
             )
 
     def _report_timeout(self) -> None:
+        if self._awaited is None:
+            return
+        timeout = self._settings.lockstep_timeout
         self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
-            f"{self._settings.lockstep_timeout:g} s; time continues without it",
+            f"{timeout:g} s; time continues without it; "
+            f"{self._awaited.cause(self._limits.free_running, timeout)}",
         )
 
     def _change(self, settings: SimulatorSettings) -> None:

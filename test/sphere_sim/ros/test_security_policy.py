@@ -79,7 +79,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
     monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     simulated = Parameter("use_sim_time", value=True)
-    graph.add(SimulatorNode([Parameter("plant", value="rigid_body")]))
+    most = {"plant": "rigid_body", "lockstep": True}
+    graph.add(SimulatorNode([Parameter(name, value=value) for name, value in most.items()]))
     graph.add(ControllerNode([simulated]))
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0)]
     for node in followers:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3
+from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -263,6 +264,41 @@ def lockstep_without_controller(graph) -> None:
     simulator(graph, lockstep=True)
 
 
+def ended_controller_in_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    sender = graph.probe.create_publisher(JointTrajectory, "rotor_trajectory", 10)
+    graph.until(lambda: node._controller_found)
+    graph.probe.destroy_publisher(sender)
+    waits_no_longer(node)
+
+
+def waits_no_longer(node: SimulatorNode) -> None:
+    """Let the time-out pass now that the cause is there."""
+    node._simulated_clock._timeout = 0.0
+
+
+def controller_without_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    controller(graph, use_sim_time=True)
+    graph.until(lambda: node._controller_found and node._limits.free_running)
+    waits_no_longer(node)
+
+
+def controller_in_lockstep_without_poses(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    awaited = controller(graph, use_sim_time=True, lockstep=True)
+    awaited.destroy_subscription(awaited._inputs[0])
+    graph.until(lambda: node._controller_found and node._awaited._message)
+    waits_no_longer(node)
+
+
+def controller_that_hangs_in_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    graph.publisher(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: node._controller_found)
+    waits_no_longer(node)
+
+
 def commands_on_another_clock(graph) -> None:
     simulator(graph)
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
@@ -316,6 +352,10 @@ MISTAKES: dict[Callable[..., None], str] = {
     plans_that_begin_later: "moves it later",
     rate_beyond_the_machine: "missed samples",
     lockstep_without_controller: "time waits",
+    ended_controller_in_lockstep: "its sender has ended",
+    controller_without_lockstep: "does not run in lockstep",
+    controller_in_lockstep_without_poses: "the controller is there and reports",
+    controller_that_hangs_in_lockstep: "no status of the controller either",
     commands_on_another_clock: "rotor_trajectory refused",
     drives_too_weak: "limits: rigid_body.torque_limit",
     robots_apart: "as in this node",
@@ -324,8 +364,10 @@ MISTAKES: dict[Callable[..., None], str] = {
 }
 """What a beginner does wrong, and words of the row that documents its warning."""
 OF_THE_SIMULATOR = (
-    lockstep_without_controller, commands_on_another_clock, drives_too_weak, robots_apart,
-    torque_left_out_in_the_controller, push_from_above,
+    lockstep_without_controller, ended_controller_in_lockstep, controller_without_lockstep,
+    controller_in_lockstep_without_poses, controller_that_hangs_in_lockstep,
+    commands_on_another_clock, drives_too_weak, robots_apart, torque_left_out_in_the_controller,
+    push_from_above,
 )
 
 

@@ -26,6 +26,7 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -321,6 +322,21 @@ def torque_left_out_in_the_controller(graph) -> None:
     controller(graph, use_sim_time=True)
 
 
+def recorder(graph) -> None:
+    node = RecorderNode([Parameter("record_on_start", value=False)])
+    graph.add(node)
+    node._missing._due = 0.0  # told at once
+
+
+def recorder_without_the_namespace(graph) -> None:
+    graph.probe.create_publisher(PoseStamped, "/second/pose", 10)
+    recorder(graph)
+
+
+def recorder_without_a_robot(graph) -> None:
+    recorder(graph)
+
+
 def push_from_above(graph) -> None:
     simulator(graph)
     graph.publisher(Vector3, "simulator/push").publish(Vector3(z=-1.0))
@@ -361,6 +377,8 @@ MISTAKES: dict[Callable[..., None], str] = {
     robots_apart: "as in this node",
     torque_left_out_in_the_controller: "for rigid_body.torque_limit",
     push_from_above: "push refused",
+    recorder_without_the_namespace: "start this node with -r __ns",
+    recorder_without_a_robot: "or name its namespace",
 }
 """What a beginner does wrong, and words of the row that documents its warning."""
 OF_THE_SIMULATOR = (
@@ -369,6 +387,7 @@ OF_THE_SIMULATOR = (
     commands_on_another_clock, drives_too_weak, robots_apart, torque_left_out_in_the_controller,
     push_from_above,
 )
+OF_THE_RECORDER = (recorder_without_the_namespace, recorder_without_a_robot)
 
 
 def row_of(words: str) -> str:
@@ -397,7 +416,9 @@ def test_mistake_is_logged_once_as_documented(graph, capfd, mistake) -> None:
         lines = [line for line in "".join(printed).splitlines() if "[WARN]" in line]
         return [line for line in lines if f"[{source}]" in line and pattern(row).search(line)]
 
-    source = "simulator" if mistake in OF_THE_SIMULATOR else "controller"
+    source = "controller"
+    for name, mistakes in (("simulator", OF_THE_SIMULATOR), ("recorder", OF_THE_RECORDER)):
+        source = name if mistake in mistakes else source
     graph.until(warnings)
     graph.spin_for(0.6)
     assert len(warnings()) == 1, "logged once"

@@ -10,6 +10,9 @@ _PERIOD = 5.0
 """Shortest wall time between two lines about one kind of fault; one that comes and goes counts as
 over after as long without it [s]."""
 
+EVENTS_EVERY = 2.0
+"""Period of a log of events that are no faults [s, wall]: goals, arrivals, pushes."""
+
 
 class FaultLog:
     """Log each kind of fault when it first occurs, then at most once every `period` seconds.

@@ -10,12 +10,18 @@ class Arrival:
     """Detector of the arrival at the goal from the error over time."""
 
     def __init__(self) -> None:
+        self._away_since: float | None = None
         self._inside_since: float | None = None
         self.reached = False
         """Whether the sphere is at the goal."""
+        self.took = float("nan")
+        """Time [s] of the newest arrival: from the first sample, or from when the goal was left,
+        until the error was within the tolerance."""
 
     def reset(self) -> None:
-        """Discard past errors, as with a new goal."""
+        """Discard past errors, as after an interruption."""
+        if self.reached:
+            self._away_since = None
         self._inside_since = None
         self.reached = False
 
@@ -37,6 +43,10 @@ class Arrival:
             self.reset()
         elif self._inside_since is None or time < self._inside_since:
             self._inside_since = time
+        if self._away_since is None or time < self._away_since:
+            self._away_since = time
         if self._inside_since is not None and time >= self._inside_since + dwell:
+            if not self.reached:
+                self.took = self._inside_since - self._away_since
             self.reached = True
         return self.reached

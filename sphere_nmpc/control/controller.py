@@ -92,6 +92,11 @@ class Controller:
         return self._arrival.reached
 
     @property
+    def arrival_took(self) -> float:
+        """Time that the newest arrival at the goal has taken [s]."""
+        return self._arrival.took
+
+    @property
     def goal(self) -> Vector | None:
         """The goal in force, shape (6,), or None."""
         return None if self._goal is None else self._goal.copy()
@@ -110,7 +115,7 @@ class Controller:
         if self._goal is not None and np.array_equal(wanted, self._goal):
             return False
         self._goal = wanted
-        self._arrival.reset()
+        self._arrival = Arrival()
         self._progress.reset()
         if self._searching is None:
             self._reset_strategy()

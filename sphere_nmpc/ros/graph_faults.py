@@ -157,6 +157,30 @@ def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:
     ]
 
 
+def missed_samples(share: float, span: float, period: float) -> list[GraphFault]:
+    """Return the fault of a controller that misses sampling instants; none for a share of 0.
+
+    Parameters
+    ----------
+    share : float
+        Share of the instants that passed without a plan.
+    span : float
+        Wall time over which it was taken [s].
+    period : float
+        Control period [s].
+    """
+    if not share:
+        return []
+    return [
+        GraphFault(
+            "missed samples", f"given {100.0 * share:.3g} % of the sampling instants of the last "
+            f"{span:.0f} s without a plan, at {1.0 / period:.4g} Hz, expected none; a lower "
+            "control_rate, thread_priority: 1 or a free processor core helps",
+            severe=False,
+        )
+    ]
+
+
 def _no_time(seen: GraphState) -> list[GraphFault]:
     """Return the fault of a clock that is not published or has stopped."""
     if not seen.follows_clock or seen.clock_silence < SILENCE_LIMIT:

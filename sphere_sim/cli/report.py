@@ -10,10 +10,12 @@ from pathlib import Path
 from sphere_sim.output.printable_path import printable
 from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.recording.bag_files import storage_name
-from sphere_sim.recording.run import Run
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.page import results
 from sphere_sim.report.report_files import write_report
+from sphere_sim.report.reported import Reported, select_goals
+
+_ALL = "all"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,35 +29,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises
     ------
     BagError
-        If a bag cannot be read.
+        If a bag cannot be read, or does not have a goal that is asked for.
     ResultFolderError, OSError
         If the report cannot be written.
     """
     given = _parse(arguments)
     prepare_folder(given.out)
     names = _names(given.bags)
-    runs = [
-        read_run(path, given.namespace, name) for path, name in zip(given.bags, names, strict=True)
-    ]
+    wanted = None if _ALL in given.goal else given.goal
+    reported = []
+    for path, name in zip(given.bags, names, strict=True):
+        recording = read_run(path, given.namespace, name)
+        # The files of a single bag have the plain names that scripts and documents rely on.
+        prefix = f"{name}_" if len(names) > 1 else ""
+        reported.append(Reported(recording, select_goals(recording, wanted), prefix))
     # Printed first, so that the results are known even if the report cannot be written.
-    for run in runs:
-        _print_results(run)
-    # The files of a single run have the plain names that scripts and documents rely on.
-    prefixes = [f"{name}_" for name in names] if len(runs) > 1 else [""]
+    for one in reported:
+        _print_results(one)
     page = write_report(
-        runs, prefixes, given.out, csv=given.csv, parquet=given.parquet, animation=given.animation
+        reported, given.out, csv=given.csv, parquet=given.parquet, animation=given.animation
     )
     print(f"report in {printable(page)}")
     return 0
 
 
-def _print_results(run: Run) -> None:
-    for note in run.notes:
-        print(f"report: {run.name}: {note}", file=sys.stderr)
-    for name, value in results(run):
-        print(f"{run.name}: {name} {value}")
-    if run.metrics() is None:
-        print(f"{run.name}: no metrics, as no goal was in force at any pose; see the notes")
+def _print_results(one: Reported) -> None:
+    recording = one.recording
+    for note in recording.notes:
+        print(f"report: {recording.name}: {note}", file=sys.stderr)
+    for run in one.runs.values():
+        for name, value in results(run):
+            print(f"{run.name}: {name} {value}")
+    if one.hint:
+        print(f"{recording.name}: {one.hint}")
+    if not one.goals:
+        print(f"{recording.name}: no metrics, as no goal was in force at any pose; see the notes")
+
+
+def _goal(text: str) -> int | str:
+    if text == _ALL or (text.isdecimal() and int(text) > 0):
+        return _ALL if text == _ALL else int(text)
+    raise argparse.ArgumentTypeError(f"given {text!r}, expected a number from 1 on, or all")
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -70,6 +84,9 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help="folder of the report")
     parser.add_argument("--namespace", metavar="NS",
                         help="namespace of the robot, if a bag has several")
+    parser.add_argument("--goal", nargs="+", type=_goal, default=[], metavar="N",
+                        help="goals, from 1 on in the order of the recording, whose figures are "
+                        "drawn, or 'all' (default: the last)")
     parser.add_argument("--animation", action="store_true",
                         help="also write an animation (GIF) of each run")
     parser.add_argument("--csv", action="store_true", help="also write the tables as CSV")

@@ -14,7 +14,7 @@ _NO_GOALS = np.empty(0), np.empty((0, 6))
 
 
 def read_goals(
-    messages: Messages, robot: str, clock: BagClock, end: float
+    messages: Messages, robot: str, clock: BagClock, poses: Vector
 ) -> tuple[Vector, Vector]:
     """Return the times at which goals came into force [s], ascending, and the goals (g, 6).
 
@@ -26,8 +26,8 @@ def read_goals(
         Namespace of the robot, without a slash at its end.
     clock : BagClock
         The run's clock.
-    end : float
-        Time of the last pose [s]; later goals are ignored.
+    poses : ndarray, shape (n,)
+        Times of the poses [s], ascending; goals that were in force at none are ignored.
     """
     notes = messages.notes
     # Goals that the controller accepted are preferred to those that were requested.
@@ -64,18 +64,25 @@ def read_goals(
         entry for previous, entry in zip([None, *entries], entries, strict=False)
         if previous is None or not np.array_equal(previous[1], entry[1])
     ]
-    return _within_run(changes, topic, end, notes)
+    return _within_run(changes, topic, poses, notes)
 
 
 def _within_run(
-    entries: list[tuple[float, Vector]], topic: str, end: float, notes: list[str]
+    entries: list[tuple[float, Vector]], topic: str, poses: Vector, notes: list[str]
 ) -> tuple[Vector, Vector]:
     """Return the goals that were in force at any pose."""
+    end = float(poses[-1])
     late = ", ".join(f"{time:.6g}" for time, _ in entries if time > end)
-    kept = [entry for entry in entries if entry[0] <= end]
+    entries = [entry for entry in entries if entry[0] <= end]
     if late:
-        result = "ignored" if kept else "no goal falls inside the recording, nothing to measure"
+        result = "ignored" if entries else "no goal falls inside the recording, nothing to measure"
         notes.append(f"{topic}: goal at {late} s, poses from 0 to {end:.6g} s: {result}")
-    if not kept:
+    if not entries:
         return _NO_GOALS
-    return np.array([time for time, _ in kept]), np.array([state for _, state in kept])
+    times, goals = np.array([time for time, _ in entries]), np.array([goal for _, goal in entries])
+    # The first pose of each goal: where two goals share it, only the second was in force.
+    kept = np.diff(np.searchsorted(poses, times), append=len(poses)) > 0
+    during = np.count_nonzero(~kept & (times >= 0.0))
+    if during:
+        notes.append(f"{topic}: {during} goals were replaced before the next pose: ignored")
+    return times[kept], goals[kept]

@@ -3,7 +3,7 @@
 """Recorded run as arrays."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
 from sphere_sim.evaluation.metrics import Metrics, measure, state_errors
 
 ErrorMeasure = Callable[[Vector, Vector], Vector]
+_SAME_INSTANT = 1e-9
+"""Rounding of the times of solves, which are reported as text [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,15 @@ class Solves:
     costs: Vector
     statuses: tuple[str, ...]
     to_go: Vector = field(default_factory=lambda: np.empty(0))
+
+    def between(self, start: float, end: float) -> "Solves":
+        """Return the solves from `start` until before `end` [s], with times since `start`."""
+        kept = _between(self.times, start - _SAME_INSTANT, end - _SAME_INSTANT)
+        return Solves(
+            self.times[kept] - start, self.durations[kept], self.costs[kept],
+            tuple(self.statuses[i] for i in kept),
+            self.to_go[kept] if self.to_go.size else self.to_go,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +95,23 @@ class Momentum:
         index = self._index(time)
         return self.drifts[index] if index >= 0 else NO_DRIFT
 
+    def between(self, start: float, end: float) -> "Momentum":
+        """Return the reports and pushes from `start` until before `end` [s], likewise."""
+        kept, pushed = _between(self.times, start, end), _between(self.push_times, start, end)
+        return Momentum(
+            self.times[kept] - start, self.values[kept], tuple(self.drifts[i] for i in kept),
+            self.push_times[pushed] - start, self.impulses[pushed],
+        )
+
     def _index(self, time: float) -> int:
         return int(np.searchsorted(self.times, time, side="right")) - 1
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run of one robot; times in seconds since its first pose.
+    """One run of one robot, to one goal or to several in turn.
+
+    Times are in seconds since the first pose, or where `to_goal` has made the run since the goal.
 
     Attributes
     ----------
@@ -99,7 +120,7 @@ class Run:
     path : Path
         The bag.
     origin : float
-        Stamp of the first pose [s].
+        Stamp of time 0 [s].
     times : ndarray, shape (n,)
         Times of the poses [s].
     states : ndarray, shape (n, 6)
@@ -109,7 +130,8 @@ class Run:
     rotor_speeds, rotor_torques : ndarray, shape (m, 2)
         Measured speeds [rad/s] and torques [N m]; nan where not recorded.
     goal_times : ndarray, shape (g,)
-        Times at which the goals came into force [s].
+        Times at which the goals came into force [s], ascending; at least one pose follows each
+        before the next.
     goals : ndarray, shape (g, 6)
         The goals.
     plans : tuple of FirstOrderHold
@@ -168,24 +190,49 @@ class Run:
         known = np.all(np.isfinite(goals), axis=1)
         return self.times[known], measure(self.states[known], goals[known])
 
-    def metrics(self) -> Metrics | None:
-        """Return the metrics from the last goal on; None without a goal or later poses."""
-        goal = self.goal
-        if goal is None:
-            return None
-        since = max(0.0, float(self.goal_times[-1]))
-        after = self.times >= since
-        if not np.any(after):
-            return None
-        joints = self.joint_times >= since
-        return measure(
-            self.times[after] - since,
-            self.states[after],
-            goal,
-            self.rotor_speeds[joints],
-            self.rotor_torques[joints],
-            self.solves.durations[self.solves.times >= since - 1e-9],
+    def to_goal(self, number: int) -> "Run":
+        """Return the run to one goal: as long as it was in force.
+
+        Parameters
+        ----------
+        number : int
+            Number of the goal, from 1 on.
+        """
+        i = number - 1
+        start = max(0.0, float(self.goal_times[i]))
+        end = float(self.goal_times[number]) if number < len(self.goals) else np.inf
+        poses = _between(self.times, start, end)
+        joints = _between(self.joint_times, start, end)
+        return replace(
+            self,
+            name=f"{self.name}, goal {number}" if len(self.goals) > 1 else self.name,
+            origin=self.origin + start,
+            times=self.times[poses] - start,
+            states=self.states[poses],
+            joint_times=self.joint_times[joints] - start,
+            rotor_speeds=self.rotor_speeds[joints],
+            rotor_torques=self.rotor_torques[joints],
+            goal_times=self.goal_times[i:number] - start,
+            goals=self.goals[i:number],
+            plans=tuple(p.delayed(-start) for p in self.plans if start <= p.start < end),
+            solves=self.solves.between(start, end),
+            momentum=self.momentum.between(start, end),
         )
+
+    def metrics(self) -> Metrics | None:
+        """Return the metrics of the run to the last goal; None without a goal."""
+        if not len(self.goals):
+            return None
+        run = self.to_goal(len(self.goals))
+        return measure(
+            run.times, run.states, run.goals[0], run.rotor_speeds, run.rotor_torques,
+            run.solves.durations,
+        )
+
+
+def _between(times: Vector, start: float, end: float) -> NDArray[np.intp]:
+    """Return the indices of the times from `start` until before `end`."""
+    return np.flatnonzero((times >= start) & (times < end))
 
 
 def without_sign_jumps(states: Vector) -> Vector:

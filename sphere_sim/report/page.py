@@ -14,6 +14,7 @@ from sphere_nmpc import __version__
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
+from sphere_sim.report.reported import Reported
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
@@ -23,12 +24,14 @@ table { border-collapse: collapse; } caption { text-align: left; color: #555; }
 th, td { text-align: left; padding: .3rem 1.2rem .3rem 0; border-bottom: 1px solid #ddd; }
 td { font-variant-numeric: tabular-nums; }
 figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
+.wide { overflow-x: auto; font-size: .9rem; margin-top: 1.5rem; }
+.wide td { white-space: nowrap; }
 figcaption, .note { color: #555; font-size: .9rem; }
 """
 
 
 def write_page(
-    path: Path, runs: Sequence[Run], figures: Sequence[tuple[str, str, Path]]
+    path: Path, reported: Sequence[Reported], figures: Sequence[tuple[str, str, Path]]
 ) -> None:
     """Write the page.
 
@@ -36,13 +39,15 @@ def write_page(
     ----------
     path : Path
         File to write.
-    runs : sequence of Run
-        Recorded runs.
+    reported : sequence of Reported
+        Recordings, and the goals whose figures these are.
     figures : sequence of (str, str, Path)
         Heading, caption and SVG file of each figure; figures with equal headings share one.
     """
-    title = "Run report: " + ", ".join(run.name for run in runs)
-    parts = [f"<h1>{escape(title)}</h1>", _table(runs), *_notes(runs)]
+    title = "Run report: " + ", ".join(one.recording.name for one in reported)
+    runs = [run for one in reported for run in one.runs.values()]
+    parts = [f"<h1>{escape(title)}</h1>", _table(runs), *_notes(reported)]
+    parts += [_goals(one) for one in reported if len(one.recording.goals)]
     heading = ""
     for figure_heading, caption, file in figures:
         if figure_heading != heading:
@@ -114,12 +119,36 @@ def _table(runs: Sequence[Run]) -> str:
     return f"<table>\n<tr><th></th>{head}</tr>\n" + "\n".join(rows) + "\n</table>"
 
 
-def _notes(runs: Sequence[Run]) -> list[str]:
+def _notes(reported: Sequence[Reported]) -> list[str]:
     return [
-        f'<p class="note">{escape(run.name)}: {escape(note)}</p>'
-        for run in runs
-        for note in run.notes
+        f'<p class="note">{escape(one.recording.name)}: {escape(note)}</p>'
+        for one in reported
+        for note in (one.hint, *one.recording.notes)
+        if note
     ]
+
+
+def _goals(one: Reported) -> str:
+    """Return the table with a row for each goal of a recording."""
+    rows = []
+    for columns, run in one.rows():
+        start, goal = (
+            ", ".join(map(three_digits, state)) for state in (run.states[0], run.goals[0])
+        )
+        rows.append({
+            "goal": str(columns["goal"]), "given at": _number(columns["time_s"], "s"),
+            "start": start, "target": goal, **dict(_motion_results(run)),
+        })
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in rows[0])
+    body = "\n".join(
+        "<tr>" + "".join(f"<td>{escape(value)}</td>" for value in row.values()) + "</tr>"
+        for row in rows
+    )
+    caption = f"{one.recording.name}: goals; states as x, y [m] and quaternion w, x, y, z"
+    return (
+        f'<div class="wide"><table>\n<caption>{escape(caption)}</caption>\n<tr>{head}</tr>\n'
+        f"{body}\n</table></div>"
+    )
 
 
 def _figure(caption: str, file: Path) -> str:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of a report: summary, tables, figures, page and animations."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -21,7 +20,14 @@ from sphere_sim.report.figures.momentum import momentum_over_time
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import write_page
-from sphere_sim.report.tables import motion_table, solve_table, write_csv, write_parquet
+from sphere_sim.report.reported import Reported, metrics_of
+from sphere_sim.report.tables import (
+    goal_table,
+    motion_table,
+    solve_table,
+    write_csv,
+    write_parquet,
+)
 
 FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
     "panels": (
@@ -52,8 +58,7 @@ def figures_of(run: Run) -> dict[str, tuple[Callable[[Run], Figure], str]]:
 
 
 def write_report(
-    runs: Sequence[Run], prefixes: Sequence[str], out: Path, *, csv: bool, parquet: bool,
-    animation: bool,
+    reported: Sequence[Reported], out: Path, *, csv: bool, parquet: bool, animation: bool
 ) -> Path:
     """Write a report and return its page.
 
@@ -62,10 +67,8 @@ def write_report(
 
     Parameters
     ----------
-    runs : sequence of Run
-        Recorded runs; several are also compared.
-    prefixes : sequence of str
-        Prefix of the file names of each run.
+    reported : sequence of Reported
+        Recordings, and the goals that have figures; several runs are also compared.
     out : Path
         Folder, which must exist.
     csv, parquet : bool
@@ -78,42 +81,53 @@ def write_report(
     OSError
         If a file cannot be written; the error names it.
     """
-    summary = {run.name: _summary(run) for run in runs}
+    summary = {one.recording.name: _summary(one) for one in reported}
     write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
-    for run, prefix in zip(runs, prefixes, strict=True):
-        for name, table in (("motion", motion_table(run)), ("solves", solve_table(run))):
+    for one in reported:
+        tables = {
+            "motion": motion_table(one.recording), "solves": solve_table(one.recording),
+            "goals": goal_table(one),
+        }
+        for name, table in tables.items():
             if csv:
-                write_csv(table, out / f"{prefix}{name}.csv")
+                write_csv(table, out / f"{one.prefix}{name}.csv")
             if parquet:
-                write_parquet(table, out / f"{prefix}{name}.parquet")
+                write_parquet(table, out / f"{one.prefix}{name}.parquet")
+    runs = {prefix: run for one in reported for prefix, run in one.runs.items()}
     figures: list[tuple[str, str, Path]] = []
     if len(runs) > 1:
         caption = "Errors, paths, rotor speeds and solve times of all runs."
-        figures.append(("Comparison", caption, save(comparison(runs), out, "comparison")[1]))
-    for run, prefix in zip(runs, prefixes, strict=True):
+        drawn = comparison(list(runs.values()))
+        figures.append(("Comparison", caption, save(drawn, out, "comparison")[1]))
+    for prefix, run in runs.items():
         for name, (draw, caption) in figures_of(run).items():
             files = save(draw(run), out, f"{prefix}{name}")
             figures.append((run.name, caption, files[1]))
     page = out / "report.html"
-    write_page(page, runs, figures)
+    write_page(page, reported, figures)
     if animation:
-        for run, prefix in zip(runs, prefixes, strict=True):
+        for prefix, run in runs.items():
             write_animation(run, out / f"{prefix}animation.gif")
     return page
 
 
-def _summary(run: Run) -> dict[str, object]:
-    """Return the entry of a run in summary.json; null for nan, which JSON does not have."""
-    metrics = run.metrics()
-    values = {} if metrics is None else dataclasses.asdict(metrics)
-    known = {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in values.items()
+def _summary(one: Reported) -> dict[str, object]:
+    """Return the entry of a recording in summary.json, with the figures of the last goal drawn."""
+    run = list(one.runs.values())[-1]
+    entry: dict[str, object] = {
+        "bag": printable(run.path),
+        "goal": one.goals[-1] if one.goals else None,
+        "metrics": _known(metrics_of(run)),
     }
-    entry: dict[str, object] = {"bag": printable(run.path), "metrics": known}
     if not run.momentum.is_zero:
         entry["momentum"] = _momentum(run.momentum)
-    return {**entry, "notes": list(run.notes)}
+    goals = [_known(columns) for columns, _ in one.rows()]
+    return {**entry, "goals": goals, "notes": list(run.notes)}
+
+
+def _known(values: dict[str, float]) -> dict[str, float | None]:
+    """Return the values with null for nan, which JSON does not have."""
+    return {key: None if math.isnan(value) else value for key, value in values.items()}
 
 
 def _momentum(momentum: Momentum) -> dict[str, object]:

@@ -11,6 +11,7 @@ from sphere_nmpc.model.state import STATE_NAMES, Vector
 from sphere_sim.evaluation.metrics import angle_errors, position_errors, state_errors
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.recording.run import Run
+from sphere_sim.report.reported import COLUMNS, Reported
 
 
 def motion_table(run: Run) -> dict[str, Vector]:
@@ -47,6 +48,12 @@ def solve_table(run: Run) -> dict[str, Vector]:
     """Return the columns of a table with one row for each solve: times, durations [s], values."""
     solves = run.solves
     return {"time_s": solves.times, "solve_time_s": solves.durations, "cost": solves.costs}
+
+
+def goal_table(one: Reported) -> dict[str, Vector]:
+    """Return the columns of a table with one row for each goal; see `COLUMNS`."""
+    rows = [values for values, _ in one.rows()]
+    return {name: np.array([row[name] for row in rows], dtype=float) for name in COLUMNS}
 
 
 def write_csv(table: dict[str, Vector], path: Path) -> None:

@@ -98,7 +98,8 @@ class ControlClock:
             self._on_jump(False)
 
     def _begin(self) -> None:
-        self.simulated = bool(self._node.get_parameter("use_sim_time").value)
+        # Not from the parameter, which is changed only after the clock.
+        self.simulated = self._ros_clock.ros_time_is_active
         """Whether the node follows ``/clock``."""
         self.watch = ClockWatch(self.simulated, self._has_pace)
         """Pace and jumps of the clock."""

@@ -7,6 +7,7 @@ import time
 
 from rclpy.node import Node
 
+from sphere_nmpc.control.missed_samples import MissedSamples
 from sphere_nmpc.control.pose_link import PoseLink
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.graph_faults import (
@@ -16,6 +17,7 @@ from sphere_nmpc.ros.graph_faults import (
     GraphState,
     clock_jumped,
     find_faults,
+    missed_samples,
     several_publishers,
 )
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
@@ -49,6 +51,8 @@ class ControllerMonitor:
         """Whether the clock had not jumped shortly before the last check."""
         self.pose_link = PoseLink()
         """Delay and loss of the poses."""
+        self._samples = MissedSamples()
+        self._counted = (0, 0, 1.0)
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
         self._incompatible: list[GraphFault] = []
@@ -64,6 +68,13 @@ class ControllerMonitor:
         """Record a pose of control time `time` [s], `age` behind the clock; nan if unknown."""
         self._pose_received, self._pose_age = True, age
         self.pose_link.received(time, age)
+
+    def sampled(self, used: int, missed: int, period: float) -> None:
+        """Record the numbers of sampling instants with and without a plan so far.
+
+        `period` is the time between them [s].
+        """
+        self._counted = (used, missed, period)
 
     def pose_refused(self, ahead: float, pose_timeout: float) -> None:
         """Log a pose that is refused as its stamp is `ahead` [s] of the node's clock.
@@ -113,6 +124,9 @@ class ControllerMonitor:
                 graph.publishers(self._pose_topic), self._clock_topic, self._pose_topic, others,
             )
         )
+        used, missed, period = self._counted
+        self._samples.read(wall, used, missed)
+        found += missed_samples(self._samples.share, self._samples.span, period)
         senders = graph.publishers(self._command_topic)
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"

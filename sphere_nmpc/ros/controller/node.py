@@ -27,7 +27,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.lockstep_schedule import LockstepSchedule
 from sphere_nmpc.control.schedule import Actions, PlanRequest, Schedule, TimedPose
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -48,8 +48,6 @@ from sphere_nmpc.worker.process import WorkerProcess
 
 _CHECK_EVERY = 0.25
 """Wall time between two checks of clock, pose and topics [s]."""
-_GOALS_EVERY = 2.0
-"""Shortest wall time between two log lines about goals [s], which may arrive at any rate."""
 _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SELDOM = 0.05
@@ -84,7 +82,7 @@ class ControllerNode(RunnableNode):
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
-        self._goal_log = FaultLog(lambda line: self.get_logger().info(line), _GOALS_EVERY)
+        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (
             LockstepSchedule(settings) if settings.lockstep
@@ -108,7 +106,7 @@ class ControllerNode(RunnableNode):
         )
         self._reports = ControllerReports(
             self, self.controller, self._schedule, self._fault_log, robot.settings, settings,
-            self._monitor,
+            self._monitor, self._event_log,
         )
         self._rotor_receiver = RotorReceiver(
             self, self.controller, self._control_clock, self._use_window
@@ -183,7 +181,7 @@ class ControllerNode(RunnableNode):
         self._reports.update()
         if self._rotor_receiver is not None:
             self._rotor_receiver.update()
-        self._goal_log.flush()
+        self._event_log.flush()
         restored = self._stored_goal.restore()
         if restored is not None:
             goal, age = restored
@@ -280,7 +278,7 @@ class ControllerNode(RunnableNode):
         self._reports.goal(goal, self._control_clock.stamp())
         if not is_new:
             return
-        self._goal_log.report("goal", f"{[round(float(value), 4) for value in goal]}")
+        self._event_log.report("goal", f"{[round(float(value), 4) for value in goal]}")
         self._schedule.goal_changed()
         self._start()
 
@@ -292,11 +290,14 @@ class ControllerNode(RunnableNode):
             self._carry_out(self._schedule.disabled(self._control_clock.steady_now()))
         response.success = True
         response.message = "enabled" if request.data else "disabled, rotors ramp to rest"
+        self._event_log.report("enable", response.message)
         return response
 
     def _change(self, settings: ControllerSettings) -> None:
         if settings.control_period != self._settings.control_period:
             self._period_publisher.publish(Float64(data=settings.control_period))
+        if settings.strategy != self._settings.strategy:
+            self._event_log.report("strategy", settings.strategy)
         self._settings, period = settings, self._schedule.timer_period
         self.controller.change(settings)
         self._reports.change(settings)
@@ -321,7 +322,7 @@ class ControllerNode(RunnableNode):
                 self._check()  # to be told at once, and not at each of many jumps
             return
         if not watch.has_returned:
-            self._goal_log.report(
+            self._event_log.report(
                 "clock", f"{'changed' if changed else 'runs on'} at another time; poses and plans "
                 "are dropped, the goal stays",
             )

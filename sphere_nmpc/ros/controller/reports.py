@@ -71,6 +71,8 @@ class ControllerReports:
         Strategy, weights and rates.
     monitor : ControllerMonitor
         Source of the faults around the node.
+    event_log : FaultLog
+        Log of arrivals.
     """
 
     def __init__(
@@ -82,11 +84,13 @@ class ControllerReports:
         robot: RobotParameters,
         settings: ControllerSettings,
         monitor: ControllerMonitor,
+        event_log: FaultLog,
     ) -> None:
         self._controller = controller
         self._monitor = monitor
         self._schedule = schedule
         self._fault_log = fault_log
+        self._event_log = event_log
         self._radius = robot.shell_radius
         self._period = settings.control_period
         self._strategy = settings.strategy
@@ -151,6 +155,11 @@ class ControllerReports:
         if self._controller.at_goal is not self._at_goal_published:
             self._at_goal_published = self._controller.at_goal
             self._at_goal.publish(Bool(data=self._at_goal_published))
+            if self._at_goal_published and self._decision is not None:
+                took, error = self._controller.arrival_took, self._decision.error
+                self._event_log.report(
+                    "arrival", f"at the goal after {took:.2f} s, error {error:.1g}"
+                )
 
     def change(self, settings: ControllerSettings) -> None:
         """Apply settings that may change while running."""
@@ -167,6 +176,7 @@ class ControllerReports:
         `epoch` is the stamp of control time 0 [ns].
         """
         self._ticks += 1
+        self._monitor.sampled(self._ticks, self._schedule.missed, self._period)
         self._decision = decision
         self._tick_times.append(duration)
         wall = perf_counter()

@@ -20,6 +20,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rosbags.interfaces import Qos
@@ -39,6 +40,7 @@ from sphere_sim.recording.topics import (
     absolute,
     matches_any,
 )
+from sphere_sim.ros.recorder.missing_topics import MissingTopics
 from sphere_sim.ros.recorder.parameter_snapshots import ParameterSnapshots
 from sphere_sim.ros.recorder.qos import compatible_qos, is_latched, qos_for_bag, same_requests
 
@@ -60,6 +62,11 @@ class TopicSubscription(NamedTuple):
 class RecorderNode(RunnableNode):
     """Recorder of topics; see the module for its interface.
 
+    Parameters
+    ----------
+    parameter_overrides : list of Parameter, optional
+        Parameters as given on a command line; for use within a program.
+
     Raises
     ------
     BagError
@@ -68,14 +75,19 @@ class RecorderNode(RunnableNode):
         If a parameter is invalid.
     """
 
-    def __init__(self) -> None:
-        super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
+    def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__(
+            "recorder",
+            parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
         declared = DeclaredSettings(self, RecorderSettings())
         self._clock_topic = self.resolve_topic_name("/clock")
         self._patterns = self._declare_topics()
         warn_of_unknown(self, [*declared.names, "topics"])
         fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._monitor = GraphMonitor(self, fault_log)
+        self._missing = MissingTopics(self, self.get_parameter("topics").value)
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._subscriptions_by_topic: dict[str, TopicSubscription] = {}
         self._inbox: list[tuple[int, str, bytes]] = []
@@ -141,7 +153,8 @@ class RecorderNode(RunnableNode):
         """Subscribe to new topics, and adapt subscriptions to what the publishers offer."""
         own = self.get_fully_qualified_name()
         # A recording with a second clock or pose publisher has no meaningful metrics.
-        self._monitor.update(self._monitor.further_publishers(clocked=self._uses_sim_time))
+        further = self._monitor.further_publishers(clocked=self._uses_sim_time)
+        self._monitor.update(self._missing.faults() + further)
         for topic, msgtypes in self.get_topic_names_and_types():
             if not matches_any(topic, self._patterns):
                 continue

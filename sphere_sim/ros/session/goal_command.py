@@ -1,24 +1,29 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Command ``goal``: send one goal to the controller and print whether it was accepted."""
+"""Command ``goal``: send one goal, and print whether it was accepted and what it waits for."""
 
 import argparse
 import math
 import sys
 from collections.abc import Sequence
 
+import numpy as np
 import rclpy
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.ros.startup import start_ros
+from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 _ANSWER_TIMEOUT = 5.0
-"""Longest wait for the confirmation of the controller [s]."""
+"""Longest wait for the confirmation of the controller, and for its status after that [s]."""
+_ROUNDED = 1.001
+"""Largest angle accepted over a turn, which may be given rounded."""
 
 
 def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
@@ -35,10 +40,13 @@ def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
         "--quaternion", nargs=4, type=float, metavar=("W", "X", "Y", "Z"),
         help="orientation, scalar first, body to world (default: 1 0 0 0)",
     )
-    how.add_argument("--yaw", type=float, metavar="RAD", help="orientation about the vertical")
+    how.add_argument(
+        "--yaw", type=float, metavar="ANGLE", help="orientation about the vertical [rad]"
+    )
     how.add_argument(
         "--case", type=int, choices=sorted(PAPER_CASES), help="goal of a case of the paper"
     )
+    parser.add_argument("--degrees", action="store_true", help="--yaw is in degrees")
     parser.add_argument(
         "--timeout", type=float, default=10.0, metavar="S",
         help="how long to wait for a controller [s] (default: %(default)g)",
@@ -51,8 +59,17 @@ def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
     if len(given.position) != 2:
         parser.error(f"expected a position X Y [m], given {len(given.position)} numbers")
     quaternion = given.quaternion or (1.0, 0.0, 0.0, 0.0)
+    if given.degrees and given.yaw is None:
+        parser.error("--degrees: given without --yaw, whose unit it is")
     if given.yaw is not None:
-        quaternion = (math.cos(given.yaw / 2.0), 0.0, 0.0, math.sin(given.yaw / 2.0))
+        turn, unit = (360.0, "deg") if given.degrees else (2.0 * math.pi, "rad")
+        if abs(given.yaw) > _ROUNDED * turn:
+            hint = "" if given.degrees else "; --degrees is for an angle in degrees"
+            parser.error(
+                f"--yaw: given {given.yaw:g} {unit}, expected {-turn:.4g} to {turn:.4g}{hint}"
+            )
+        half = math.pi * given.yaw / turn
+        quaternion = (math.cos(half), 0.0, 0.0, math.sin(half))
     try:
         return make_state(given.position, quaternion), given.timeout
     except InvalidStateError as error:
@@ -65,18 +82,27 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when the goal is in force, 1 when it is not.
+        0 when the goal is in force, also where the controller waits for something else; 1 when it
+        is not.
     """
     given = list(sys.argv[1:] if args is None else args)
     goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
     start_ros(given)
     node = rclpy.create_node("goal")
-    sent = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"
+    turn = np.degrees(rotation.logarithm(goal[QUATERNION])).round(1) + 0.0
+    sent = (
+        f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}, "
+        f"rotation vector {turn.tolist()} deg"
+    )
+
+    def spin() -> None:
+        rclpy.spin_once(node, timeout_sec=0.05)
+
     try:
-        sender = GoalSender(node, lambda: rclpy.spin_once(node, timeout_sec=0.05))
+        status, sender = ControllerStatus(node, spin), GoalSender(node, spin)
         sender.wait_for_controller(timeout)
         sender.send(goal, RobotParameters().shell_radius, _ANSWER_TIMEOUT)
-        status = node.resolve_topic_name("controller/status")
+        obstacle = status.obstacle(_ANSWER_TIMEOUT)
     except GoalNotAcceptedError as error:
         print(f"{sent}: {error}", file=sys.stderr)
         return 1
@@ -86,5 +112,11 @@ def main(args: Sequence[str] | None = None) -> int:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    print(f"{sent}: in force; {status} reports the progress")
+    if obstacle is None:
+        state = f"; no message on {status.topic} within {_ANSWER_TIMEOUT:g} s"
+    elif obstacle:
+        state = f", but the controller waits: {obstacle}"
+    else:
+        state = f"; {status.topic} reports the progress"
+    print(f"{sent}: in force{state}")
     return 0

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of the drives that the controller plans within, read from its parameters."""
+"""Limits that the controller plans within, and its lockstep, read from its parameters."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +12,8 @@ from rclpy.parameter import parameter_value_to_python
 
 from sphere_sim.world.limits import PLANNED_LIMITS
 
-_REQUEST = GetParameters.Request(names=[f"robot.{name}" for name in PLANNED_LIMITS])
+_REQUESTS = ([f"robot.{name}" for name in PLANNED_LIMITS], ["lockstep"])
+"""Parameters by request; where one does not exist, rclpy answers a request with nothing."""
 
 
 class ControllerLimits:
@@ -33,6 +34,8 @@ class ControllerLimits:
         self._requested: set[str] = set()
         self.found: dict[str, dict[str, float]] = {}
         """Values of `PLANNED_LIMITS` by node; nodes without these parameters are left out."""
+        self.free_running: set[str] = set()
+        """Nodes whose parameter ``lockstep`` is false."""
 
     def update(self) -> None:
         """Request the limits of nodes that are new, and forget those of nodes that ended."""
@@ -41,18 +44,26 @@ class ControllerLimits:
             self._node.destroy_client(self._clients.pop(name))
             self._requested.discard(name)
             self.found.pop(name, None)
+            self.free_running.discard(name)
         for name in senders:
             if name not in self._clients:
                 service = f"{name}/get_parameters"
                 self._clients[name] = self._node.create_client(GetParameters, service)
             if name not in self._requested and self._clients[name].service_is_ready():
                 self._requested.add(name)
-                self._clients[name].call_async(_REQUEST).add_done_callback(
-                    lambda answer, name=name: self._take(name, answer.result().values)
-                )
+                for names in _REQUESTS:
+                    self._clients[name].call_async(
+                        GetParameters.Request(names=names)
+                    ).add_done_callback(
+                        lambda answer, name=name: self._take(name, answer.result().values)
+                    )
 
     def _take(self, name: str, values: Any) -> None:
-        numbers = [parameter_value_to_python(value) for value in values]
-        complete = [number for number in numbers if isinstance(number, float)]
-        if name in self._clients and len(complete) == len(PLANNED_LIMITS):
+        if name not in self._clients:
+            return
+        known = [parameter_value_to_python(value) for value in values]
+        if any(value is False for value in known):
+            self.free_running.add(name)
+        complete = [number for number in known if isinstance(number, float)]
+        if len(complete) == len(PLANNED_LIMITS):
             self.found[name] = dict(zip(PLANNED_LIMITS, complete, strict=True))

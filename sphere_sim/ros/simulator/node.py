@@ -4,7 +4,8 @@
 
 publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
             ~/pushed
-subscribes  rotor_trajectory, rotor_commands, control_period, ~/push
+subscribes  rotor_trajectory, rotor_commands, control_period, ~/push, in lockstep the
+            controller's status
 services    ~/reset, ~/pause, ~/step, ~/push
 """
 
@@ -21,7 +22,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
@@ -31,6 +32,7 @@ from sphere_nmpc.ros.graph_monitor import GraphMonitor
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
+from sphere_sim.ros.simulator.awaited_controller import AwaitedController
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
 from sphere_sim.ros.simulator.controller_limits import ControllerLimits
 from sphere_sim.ros.simulator.push_receiver import PushReceiver
@@ -109,6 +111,7 @@ class SimulatorNode(RunnableNode):
             self,
             lambda: self._monitor.known_publishers(self.resolve_topic_name("rotor_trajectory")),
         )
+        self._awaited = AwaitedController(self) if settings.lockstep else None
         self._state_publisher = StatePublisher(
             self, robot.settings.shell_radius, prefix + BODY_FRAME,
             clocked=not settings.is_on_system_clock,
@@ -128,8 +131,10 @@ class SimulatorNode(RunnableNode):
             self.create_service(SetBool, "~/pause", self._pause),
             self.create_service(Trigger, "~/step", self._step),
         ]
+        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._push_receiver = PushReceiver(
-            self, self.simulator, self._fault_log, lambda: pushes.settings, lambda: self._epoch
+            self, self.simulator, self._fault_log, self._event_log, lambda: pushes.settings,
+            lambda: self._epoch,
         )
         self._diagnostics = Diagnostics(
             self, lambda: self._epoch + self.simulator.now,
@@ -240,10 +245,14 @@ class SimulatorNode(RunnableNode):
             )
 
     def _report_timeout(self) -> None:
+        if self._awaited is None:
+            return
+        timeout = self._settings.lockstep_timeout
         self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
-            f"{self._settings.lockstep_timeout:g} s; time continues without it",
+            f"{timeout:g} s; time continues without it; "
+            f"{self._awaited.cause(self._limits.free_running, timeout)}",
         )
 
     def _change(self, settings: SimulatorSettings) -> None:
@@ -329,6 +338,7 @@ class SimulatorNode(RunnableNode):
         return faults
 
     def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        self._event_log.flush()
         counts = dict(self._fault_log.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 

@@ -24,8 +24,8 @@ class PushReceiver:
         Node of subscription, service and publisher.
     simulator : Simulator
         Simulator whose plant is pushed.
-    fault_log : FaultLog
-        Log of refused pushes.
+    fault_log, event_log : FaultLog
+        Logs of refused pushes and of the others.
     settings : callable
         Returns the present settings, which have the impulse of the service.
     epoch : callable
@@ -37,11 +37,13 @@ class PushReceiver:
         node: Node,
         simulator: Simulator,
         fault_log: FaultLog,
+        event_log: FaultLog,
         settings: Callable[[], PushSettings],
         epoch: Callable[[], int],
     ) -> None:
         self._simulator = simulator
         self._fault_log = fault_log
+        self._event_log = event_log
         self._settings = settings
         self._epoch = epoch
         self._pushed = node.create_publisher(Vector3Stamped, "~/pushed", 10)
@@ -60,17 +62,18 @@ class PushReceiver:
         self._push(settings)
 
     def _serve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        settings = self._settings()
-        self._push(settings)
-        impulse = list(settings.push_impulse)
         response.success = True
-        response.message = f"pushed with {impulse} N s at t = {self._simulator.time:.3f} s"
+        response.message = f"pushed with {self._push(self._settings())}"
         return response
 
-    def _push(self, settings: PushSettings) -> None:
+    def _push(self, settings: PushSettings) -> str:
+        """Push the sphere, and return impulse and time as text."""
         x, y = settings.push_impulse
         self._simulator.plant.push((x, y))
         message = Vector3Stamped(vector=Vector3(x=x, y=y))
         message.header.frame_id = WORLD_FRAME
         message.header.stamp = stamp_to_ros(self._epoch() + self._simulator.now)
         self._pushed.publish(message)
+        done = f"{[x, y]} N s at t = {self._simulator.time:.3f} s"
+        self._event_log.report("push", done)
+        return done

@@ -30,14 +30,17 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 POSE = "geometry_msgs/msg/PoseStamped"
 
 
-def make_bag(folder: Path, poses: int = 100, goal: bool = True) -> Path:
-    """Write a bag with poses and a goal and nothing else."""
+def make_bag(folder: Path, poses: int = 100, goals: int = 1) -> Path:
+    """Write a bag with poses and goals and nothing else.
+
+    Goal k, from 0 on, comes into force after k seconds and is at x = k; the poses approach it from
+    k + 1 metres away.
+    """
     kinds = STORE.types
     writer = BagWriter(folder)
-    for i in range(-1 if goal else 0, poses):
-        stamp = 1_000_000_000 + max(i, 0) * 10_000_000
+
+    def write(topic: str, stamp: int, x: float) -> None:
         time = kinds["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
-        x = 0.0 if i < 0 else np.exp(-i / 10.0)
         message = kinds[POSE](
             kinds["std_msgs/msg/Header"](time, "world"),
             kinds["geometry_msgs/msg/Pose"](
@@ -45,9 +48,15 @@ def make_bag(folder: Path, poses: int = 100, goal: bool = True) -> Path:
                 kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
             ),
         )
-        topic = "/controller/active_goal" if i < 0 else "/pose"
         writer.add_topic(topic, POSE)
         writer.write(topic, stamp, bytes(STORE.serialize_cdr(message, POSE)))
+
+    for i in range(max(poses, goals)):
+        stamp, of_goal = 1_000_000_000 + i * 10_000_000, max(0, min(i // 100, goals - 1))
+        if i < 100 * goals and i % 100 == 0:
+            write("/controller/active_goal", stamp, float(of_goal))
+        if i < poses:
+            write("/pose", stamp, of_goal + (of_goal + 1) * np.exp(-(i - 100 * of_goal) / 10.0))
         if i % 200 == 0:
             writer.commit()
     writer.close()
@@ -105,6 +114,76 @@ def test_momentum_and_pushes_are_reported_where_there_are_any(
     assert summary.get("momentum") == (expected if found else None)
 
 
+SETTLED_AFTER = (0.47, 0.53, 0.58)
+"""Settling times of the goals of `make_bag` [s]."""
+
+
+def test_bag_of_several_goals_has_a_row_for_each_and_says_whose_figures_are_drawn(
+    tmp_path, capsys
+) -> None:
+    bag, out = make_bag(tmp_path / "run", 300, goals=3), tmp_path / "out"
+    assert main([str(bag), "--out", str(out), "--csv", "--parquet"]) == 0
+    told = "3 goals; figures of goal 3; --goal 1 2 ... or --goal all for others"
+    printed = capsys.readouterr().out
+    assert f"run: {told}\n" in printed
+    assert "run, goal 3: settling time (error < 1e-2) 0.58 s" in printed
+    table = np.genfromtxt(out / "goals.csv", delimiter=",", names=True)
+    assert pq.read_table(out / "goals.parquet").column_names == list(table.dtype.names)
+    np.testing.assert_allclose(table["goal"], [1, 2, 3])
+    np.testing.assert_allclose(table["time_s"], [0, 1, 2], atol=1e-9)
+    np.testing.assert_allclose(table["duration_s"], [0.99, 0.99, 0.99], atol=1e-9)
+    np.testing.assert_allclose(table["start_x"], [1, 3, 5])
+    np.testing.assert_allclose(table["goal_x"], [0, 1, 2])
+    np.testing.assert_allclose(table["settle_time_s"], SETTLED_AFTER, atol=1e-9)
+    assert np.isnan(table["max_rotor_speed"]).all()
+    entry = json.loads((out / "summary.json").read_text())["run"]
+    assert entry["goal"] == 3
+    assert entry["metrics"]["settle_time_s"] == pytest.approx(0.58, abs=1e-9)
+    assert [row["settle_time_s"] for row in entry["goals"]] == pytest.approx(SETTLED_AFTER)
+    assert entry["goals"][2].items() >= entry["metrics"].items()
+    page = (out / "report.html").read_text()
+    assert told in page and "<h2>run, goal 3</h2>" in page
+    rows = [re.findall(r"<td>([^<]*)</td>", row) for row in page.split("<tr>") if "<td>" in row]
+    goals = rows[-3:]
+    assert [row[0] for row in goals] == ["1", "2", "3"]
+    assert [row[4] for row in goals] == ["0.47 s", "0.53 s", "0.58 s"]
+    assert len(np.genfromtxt(out / "motion.csv", delimiter=",", names=True)) == 300
+
+
+def test_figures_of_each_goal_that_is_asked_for(tmp_path, capsys) -> None:
+    bag = str(make_bag(tmp_path / "run", 300, goals=3))
+    assert main([bag, "--out", str(tmp_path / "second"), "--goal", "2"]) == 0
+    assert "3 goals; figures of goal 2; --goal" in capsys.readouterr().out
+    entry = json.loads((tmp_path / "second" / "summary.json").read_text())["run"]
+    assert entry["goal"] == 2 and (tmp_path / "second" / "panels.png").exists()
+    assert entry["metrics"]["settle_time_s"] == pytest.approx(0.53, abs=1e-9)
+    assert main([bag, "--out", str(tmp_path / "all"), "--goal", "all"]) == 0
+    assert "; --goal" not in capsys.readouterr().out
+    drawn = {file.name for file in (tmp_path / "all").glob("*.png")}
+    expected = {f"goal_{i}_{name}.png" for i in (1, 2, 3) for name in FIGURES}
+    assert drawn == expected | {"comparison.png"}
+
+
+@pytest.mark.parametrize(
+    ("goals", "given", "words"),
+    [
+        (3, "4", "--goal: given 4, expected 1 to 3 or 'all'"),
+        (0, "1", "--goal: given 1, expected none, as it holds no goal"),
+    ],
+)
+def test_goal_that_a_bag_does_not_have_is_refused(tmp_path, capsys, goals, given, words) -> None:
+    bag = make_bag(tmp_path / "run", 300, goals=goals)
+    assert command(["report", str(bag), "--out", str(tmp_path / "out"), "--goal", given]) == 1
+    assert capsys.readouterr().err.splitlines()[-1].endswith(words)
+
+
+@pytest.mark.parametrize("given", ["0", "second", "1.5"])
+def test_wrong_number_of_a_goal_is_refused(tmp_path, capsys, given) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["bag", "--out", str(tmp_path), "--goal", given])
+    assert f"given '{given}', expected a number from 1 on, or all" in capsys.readouterr().err
+
+
 def test_unreadable_bag_exits_with_1_and_one_line(tmp_path, capsys) -> None:
     assert command(["report", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]) == 1
     error = capsys.readouterr().err
@@ -113,7 +192,7 @@ def test_unreadable_bag_exits_with_1_and_one_line(tmp_path, capsys) -> None:
 
 def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys) -> None:
     out = tmp_path / "out"
-    bag = make_bag(tmp_path / "run", goal=False)
+    bag = make_bag(tmp_path / "run", goals=0)
     assert main([str(bag), "--out", str(out), "--csv"]) == 0
     assert "Without a goal there are no metrics" in (out / "report.html").read_text()
     printed = capsys.readouterr()
@@ -126,7 +205,7 @@ def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys) -> None:
 
 
 def test_empty_bag_is_refused(tmp_path, capsys) -> None:
-    bag = make_bag(tmp_path / "run", 0, goal=False)
+    bag = make_bag(tmp_path / "run", 0, goals=0)
     assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "is empty" in error
@@ -164,7 +243,9 @@ def report(*arguments: str, limit: int | None = None, **environment: str):
     )
 
 
-TABLES = {"motion.csv", "motion.parquet", "solves.csv", "solves.parquet"}
+TABLES = {
+    f"{name}.{kind}" for name in ("motion", "solves", "goals") for kind in ("csv", "parquet")
+}
 
 
 @pytest.mark.slow

@@ -122,6 +122,46 @@ def test_goal_after_the_last_pose_is_ignored(
     )
 
 
+def test_goals_that_no_pose_follows_are_ignored(rosbag2, messages) -> None:
+    entries = list(messages())
+    goal = next(entry for entry in entries if entry[0] == "/controller/active_goal")
+    first = next(i for i, entry in enumerate(entries) if entry[2] > START + 1_000_000_000)
+    quick = []
+    for i in range(1, 5):
+        x = dataclasses.replace(goal[3].pose.position, x=float(i))
+        pose = dataclasses.replace(goal[3].pose, position=x)
+        entry = (*goal[:3], dataclasses.replace(goal[3], pose=pose))
+        time = START + 1_001_000_000 + i * 1_000_000
+        quick.append((*stamped(entry, time)[:2], time, stamped(entry, time)[3]))
+    run = read_run(rosbag2([*entries[:first], *quick, *entries[first:]], "mcap"))
+    np.testing.assert_allclose(run.goals[:, 0], [0.0, 4.0])
+    assert run.notes == (
+        "/controller/active_goal: 3 goals were replaced before the next pose: ignored",
+    )
+
+
+def test_run_to_each_goal_has_what_belongs_to_it(rosbag2, messages) -> None:
+    entries = list(messages())
+    goal = next(entry for entry in entries if entry[0] == "/controller/active_goal")
+    x = dataclasses.replace(goal[3].pose.position, x=5.0)
+    other = dataclasses.replace(goal[3], pose=dataclasses.replace(goal[3].pose, position=x))
+    entries = later(entries, "/controller/active_goal", 1.0, START + 1_000_000_000)
+    whole = read_run(rosbag2([stamped((*goal[:3], other), START), *entries], "mcap"))
+    first, last = whole.to_goal(1), whole.to_goal(2)
+    np.testing.assert_allclose(first.times, 0.01 * np.arange(100), atol=1e-9)
+    np.testing.assert_allclose(last.times, 0.01 * np.arange(201), atol=1e-9)
+    np.testing.assert_allclose(first.solves.times, [0.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(last.solves.times, 0.5 * np.arange(5), atol=1e-9)
+    assert [plan.start for plan in last.plans] == pytest.approx(0.5 * np.arange(5))
+    assert len(first.joint_times) == 100 and len(first.goals) == len(last.goals) == 1
+    assert last.origin == pytest.approx(whole.origin + 1.0)
+    assert (first.name, last.name) == ("mine, goal 1", "mine, goal 2")
+    # The run to a goal is a run: its own run to its goal is the same.
+    assert whole.metrics() == last.metrics() == last.to_goal(1).metrics()
+    assert first.metrics() != last.metrics()
+    assert first.goal[0] == 5.0 and last.goal[0] == 0.0
+
+
 def test_report_says_why_a_run_has_no_goal(rosbag2, messages, tmp_path, capsys) -> None:
     entries = later(list(messages()), "/controller/active_goal", 7.25, 0)
     bag, out = rosbag2(entries, "mcap", parts=1), tmp_path / "out"

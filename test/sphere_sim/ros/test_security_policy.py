@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_sim.ros.recorder.node import RecorderNode
+from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
@@ -78,7 +79,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
     monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     simulated = Parameter("use_sim_time", value=True)
-    graph.add(SimulatorNode([Parameter("plant", value="rigid_body")]))
+    most = {"plant": "rigid_body", "lockstep": True}
+    graph.add(SimulatorNode([Parameter(name, value=value) for name, value in most.items()]))
     graph.add(ControllerNode([simulated]))
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0)]
     for node in followers:
@@ -86,6 +88,7 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
         graph._executor.add_node(node)
     goal = rclpy.create_node("goal")
     GoalSender(goal, lambda: None)
+    ControllerStatus(goal, lambda: None)
     graph._executor.add_node(goal)
     apart: dict[str, set[str]] = {}
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3
+from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -25,6 +26,7 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -243,6 +245,21 @@ def plans_that_begin_later(graph) -> None:
     standing(graph, Later())
 
 
+def rate_beyond_the_machine(graph) -> None:
+    robot(graph, on_the_wall, silent)
+    node = controller(graph, control_rate=50.0)
+    node.controller._strategy = Slow()
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
+
+
+class Slow(Standing):
+    """Strategy that takes longer than two periods of 50 Hz."""
+
+    def plan(self, situation: Situation) -> Plan:
+        time.sleep(0.05)
+        return super().plan(situation)
+
+
 class Later(Standing):
     """Strategy whose plans all begin with a rest."""
 
@@ -254,6 +271,41 @@ class Later(Standing):
 
 def lockstep_without_controller(graph) -> None:
     simulator(graph, lockstep=True)
+
+
+def ended_controller_in_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    sender = graph.probe.create_publisher(JointTrajectory, "rotor_trajectory", 10)
+    graph.until(lambda: node._controller_found)
+    graph.probe.destroy_publisher(sender)
+    waits_no_longer(node)
+
+
+def waits_no_longer(node: SimulatorNode) -> None:
+    """Let the time-out pass now that the cause is there."""
+    node._simulated_clock._timeout = 0.0
+
+
+def controller_without_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    controller(graph, use_sim_time=True)
+    graph.until(lambda: node._controller_found and node._limits.free_running)
+    waits_no_longer(node)
+
+
+def controller_in_lockstep_without_poses(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    awaited = controller(graph, use_sim_time=True, lockstep=True)
+    awaited.destroy_subscription(awaited._inputs[0])
+    graph.until(lambda: node._controller_found and node._awaited._message)
+    waits_no_longer(node)
+
+
+def controller_that_hangs_in_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    graph.publisher(JointTrajectory, "rotor_trajectory")
+    graph.until(lambda: node._controller_found)
+    waits_no_longer(node)
 
 
 def commands_on_another_clock(graph) -> None:
@@ -276,6 +328,21 @@ def torque_left_out_in_the_controller(graph) -> None:
     weak = {"rigid_body.torque_limit": 1.6, "robot.max_rotor_torque": 1.6}
     simulator(graph, plant="rigid_body", **weak)
     controller(graph, use_sim_time=True)
+
+
+def recorder(graph) -> None:
+    node = RecorderNode([Parameter("record_on_start", value=False)])
+    graph.add(node)
+    node._missing._due = 0.0  # told at once
+
+
+def recorder_without_the_namespace(graph) -> None:
+    graph.probe.create_publisher(PoseStamped, "/second/pose", 10)
+    recorder(graph)
+
+
+def recorder_without_a_robot(graph) -> None:
+    recorder(graph)
 
 
 def push_from_above(graph) -> None:
@@ -308,18 +375,28 @@ MISTAKES: dict[Callable[..., None], str] = {
     blocked_sphere: "is it blocked",
     goal_that_cannot_be_held: "the strategy gives up",
     plans_that_begin_later: "moves it later",
+    rate_beyond_the_machine: "missed samples",
     lockstep_without_controller: "time waits",
+    ended_controller_in_lockstep: "its sender has ended",
+    controller_without_lockstep: "does not run in lockstep",
+    controller_in_lockstep_without_poses: "the controller is there and reports",
+    controller_that_hangs_in_lockstep: "no status of the controller either",
     commands_on_another_clock: "rotor_trajectory refused",
     drives_too_weak: "limits: rigid_body.torque_limit",
     robots_apart: "as in this node",
     torque_left_out_in_the_controller: "for rigid_body.torque_limit",
     push_from_above: "push refused",
+    recorder_without_the_namespace: "start this node with -r __ns",
+    recorder_without_a_robot: "or name its namespace",
 }
 """What a beginner does wrong, and words of the row that documents its warning."""
 OF_THE_SIMULATOR = (
-    lockstep_without_controller, commands_on_another_clock, drives_too_weak, robots_apart,
-    torque_left_out_in_the_controller, push_from_above,
+    lockstep_without_controller, ended_controller_in_lockstep, controller_without_lockstep,
+    controller_in_lockstep_without_poses, controller_that_hangs_in_lockstep,
+    commands_on_another_clock, drives_too_weak, robots_apart, torque_left_out_in_the_controller,
+    push_from_above,
 )
+OF_THE_RECORDER = (recorder_without_the_namespace, recorder_without_a_robot)
 
 
 def row_of(words: str) -> str:
@@ -348,7 +425,9 @@ def test_mistake_is_logged_once_as_documented(graph, capfd, mistake) -> None:
         lines = [line for line in "".join(printed).splitlines() if "[WARN]" in line]
         return [line for line in lines if f"[{source}]" in line and pattern(row).search(line)]
 
-    source = "simulator" if mistake in OF_THE_SIMULATOR else "controller"
+    source = "controller"
+    for name, mistakes in (("simulator", OF_THE_SIMULATOR), ("recorder", OF_THE_RECORDER)):
+        source = name if mistake in mistakes else source
     graph.until(warnings)
     graph.spin_for(0.6)
     assert len(warnings()) == 1, "logged once"

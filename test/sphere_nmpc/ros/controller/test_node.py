@@ -335,7 +335,7 @@ def test_nothing_is_sent_before_the_clock(robot) -> None:
             if value.key == "mode"} == {"no clock yet"}
 
 
-def test_disable_ramps_to_rest_immediately_and_enable_resumes(robot) -> None:
+def test_disable_ramps_to_rest_immediately_and_enable_resumes(robot, capfd) -> None:
     robot.send_goal()
     robot.pass_time(1.25)
     received = len(robot.trajectories)
@@ -348,12 +348,15 @@ def test_disable_ramps_to_rest_immediately_and_enable_resumes(robot) -> None:
     robot.pass_time(1.0)
     assert robot.status()["mode"] == "disabled"
     np.testing.assert_allclose(robot.commands[-1].data, 0.0, atol=AT_REST)
+    assert capfd.readouterr().err.count("enable: disabled, rotors ramp to rest") == 1
+    robot.node._event_log._period = 0.0  # told at once, however soon after the line before
     robot.graph.call(SetBool, "controller/enable", SetBool.Request(data=True))
     robot.pass_time(1.0)
     assert robot.status()["mode"] == "on the way to the goal"
+    assert capfd.readouterr().err.count("enable: enabled") == 1
 
 
-def test_arrival_is_published_until_there_is_another_goal(robot) -> None:
+def test_arrival_is_published_until_there_is_another_goal(robot, capfd) -> None:
     arrivals = robot.graph.collect(Bool, "controller/at_goal", LATCHED)
     robot.graph.until(lambda: arrivals and not arrivals[-1].data)
     robot.send_goal(CASE.start)
@@ -363,6 +366,7 @@ def test_arrival_is_published_until_there_is_another_goal(robot) -> None:
     robot.graph.until(lambda: arrivals[-1].data)
     assert robot.status()["mode"] == "at the goal"
     assert robot.reported[-1].level == DiagnosticStatus.OK
+    assert capfd.readouterr().err.count("arrival: at the goal after 0.00 s, error 0\n") == 1
     robot.send_goal()
     robot.graph.until(lambda: not arrivals[-1].data)
     robot.pass_time(0.6)
@@ -458,6 +462,27 @@ def test_use_sim_time_can_be_set_while_the_node_runs(graph) -> None:
     assert robot.status()["mode"] == "on the way to the goal"
     assert 0.0 < float(robot.status()["time_s"]) < 3.0
     assert robot.moved()
+
+
+def test_use_sim_time_that_is_unset_while_the_node_runs_is_told_with_its_remedy(robot) -> None:
+    robot.send_goal()
+    robot.pass_time(0.6)
+    robot.node.set_parameters([Parameter("use_sim_time", value=False)])
+    assert not robot.node._control_clock.simulated
+
+    def message() -> str:
+        robot.now += TICK
+        robot.pose.header.stamp = stamp_to_ros(robot.now)
+        robot.pose_sender.publish(robot.pose)
+        return robot.statuses[-1].message
+
+    robot.graph.until(lambda: "wrong clock" in message())
+    assert message().endswith("in simulated time: start this node with -p use_sim_time:=true")
+    robot.node.set_parameters([Parameter("use_sim_time", value=True)])
+    assert robot.node._control_clock.simulated and robot.node._control_clock.epoch == 0
+    robot.graph.until(lambda: robot.clock.get_subscription_count() > 0)
+    robot.pass_time(1.2)
+    assert robot.status()["mode"] == "on the way to the goal"
 
 
 def test_nothing_is_sent_after_the_ramp_to_rest(robot) -> None:
@@ -582,13 +607,14 @@ def test_lockstep_answers_each_sample_instant_and_only_these(graph) -> None:
     assert robot.moved()
 
 
-def test_strategy_can_be_changed_on_the_way(graph) -> None:
+def test_strategy_can_be_changed_on_the_way(graph, capfd) -> None:
     robot = Robot(graph, strategy="paper")
     robot.send_goal()
     robot.pass_time(1.2)
     graph.until(lambda: robot.reported and robot.status()["mode"] == "on the way to the goal")
     results = robot.node.set_parameters([Parameter("strategy", value="time_optimal")])
     assert results[0].successful, results[0].reason
+    assert capfd.readouterr().err.count("strategy: time_optimal") == 1
     changed = robot.now * 1e-9
     robot.pass_time(1.6)
     graph.until(lambda: robot.status()["strategy"] == "time_optimal")

@@ -306,13 +306,27 @@ def test_push_by_topic_gives_its_momentum_and_is_published_with_its_time(graph, 
     assert 0 < stamp_from_ros(header.stamp) <= node.simulator.now
 
 
-def test_push_by_service_has_the_impulse_of_the_parameter(graph) -> None:
+def test_push_by_service_has_the_impulse_of_the_parameter(graph, capfd) -> None:
     node = simulator(graph, push_impulse=[0.0, 2.0])
     pushed = graph.collect(Vector3Stamped, "simulator/pushed")
     answer = graph.call(Trigger, "simulator/push", Trigger.Request())
     assert answer.success and "[0.0, 2.0] N s" in answer.message
     np.testing.assert_allclose(node.simulator.plant.momentum, [-0.6, 0.0, 0.0], atol=1e-12)
     graph.until(lambda: pushed)
+    assert capfd.readouterr().err.count("push: [0.0, 2.0] N s at t = 0.") == 1
+    # Further ones are told with the last of them.
+    sender = graph.publisher(Vector3, "simulator/push")
+    for number in range(20):
+        sender.publish(Vector3(x=1e-3 * number))
+    printed = ""
+
+    def last_is_told() -> bool:
+        nonlocal printed
+        printed += capfd.readouterr().err
+        return "push: [0.019, 0.0] N s at t = " in printed
+
+    graph.until(last_is_told)
+    assert printed.count("push: [") < 20 and "more since the last message" in printed
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,15 @@ def momentum_of_push(robot: RobotParameters, impulse: Vector) -> Vector:
     return np.array([-lever * impulse[1], lever * impulse[0], 0.0])
 
 
+def push_against(robot: RobotParameters, momentum: Vector) -> Vector:
+    """Return the impulse at the centre [N s; world frame], shape (2,), that takes a momentum h.
+
+    It takes the horizontal part; see `momentum_of_push` for the units.
+    """
+    arm = robot.rotor_axial_inertia / robot.shell_radius
+    return arm * np.array([-momentum[1], momentum[0]])
+
+
 def slope_torque(robot: RobotParameters, angle: float, direction: float) -> Vector:
     """Return s of a slope [rad/s^2; world frame], shape (2,).
 

@@ -18,6 +18,7 @@ from std_msgs.msg import Bool
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.rotor_reserve import rotor_reserve
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
@@ -91,7 +92,7 @@ class ControllerReports:
         self._schedule = schedule
         self._fault_log = fault_log
         self._event_log = event_log
-        self._radius = robot.shell_radius
+        self._robot = robot
         self._period = settings.control_period
         self._strategy = settings.strategy
         self._status_values = ControllerStatus(controller, robot, settings)
@@ -112,12 +113,13 @@ class ControllerReports:
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
         self._message = Mode.NO_POSE.value
+        self._warned = False
         self._status_at = perf_counter()
         self._publish_arrival()
 
     def goal(self, goal: Vector, stamp: int) -> None:
         """Publish the goal, shape (6,), that is now in force."""
-        self._goal.publish(pose_to_ros(goal, stamp, self._radius))
+        self._goal.publish(pose_to_ros(goal, stamp, self._robot.shell_radius))
         self._publish_arrival()
 
     @property
@@ -144,7 +146,7 @@ class ControllerReports:
 
     def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
         """Publish a status; a fault around the node takes precedence over `message`."""
-        level, found = _LEVELS[mode], self._monitor.faults
+        level, found = max(_LEVELS[mode], WARN if self._warned else OK), self._monitor.faults
         if found:
             message = f"{found[0].kind}: {found[0].message}"
             level = ERROR if found[0].severe else max(level, WARN)
@@ -186,7 +188,8 @@ class ControllerReports:
         if decision.solved:
             self._solve_times.append(plan.solve_time)
         self._log_failure(decision)
-        self._log_progress(decision)
+        warnings = self._warnings(decision)
+        self._lasting.update(warnings)
         self._status_values.update(decision, time)
         self._publish_arrival()
         last, mode = self._last_status
@@ -197,12 +200,14 @@ class ControllerReports:
         link = self._monitor.pose_link
         self._values |= {"pose_delay_s": link.delay, "pose_loss": link.loss}
         self._message = plan.message or plan.status.value
-        if decision.no_progress:
-            self._message = f"{_NO_PROGRESS}: {decision.no_progress}"
+        self._warned = bool(warnings)
+        for kind, text in warnings.items():
+            self._message = f"{kind}: {text}"
         self._publish_status(decision.mode, self._message, self._values)
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
-            self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
+            times, radius = plan.hold.times, self._robot.shell_radius
+            self._path.publish(path_to_ros(times, plan.states, radius, epoch))
 
     def _log_failure(self, decision: Decision) -> None:
         """Log what has failed since the last tick: the solve, or a pose or command beside it."""
@@ -212,10 +217,13 @@ class ControllerReports:
         elif self._controller.failures > failures:
             self._fault_log.report("controller failed", self._controller.last_failure)
 
-    def _log_progress(self, decision: Decision) -> None:
-        """Log when the sphere no longer makes progress towards its goal, and when that is over."""
+    def _warnings(self, decision: Decision) -> dict[str, str]:
+        """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""
+        goal = self._controller.goal
+        if goal is None or not decision.solved:
+            return {}
         missing = {_NO_PROGRESS: decision.no_progress} if decision.no_progress else {}
-        self._lasting.update(missing)
+        return missing | rotor_reserve(decision.drift, self._robot, goal)
 
     def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about solve times and failures."""

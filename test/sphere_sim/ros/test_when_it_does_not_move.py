@@ -260,6 +260,17 @@ class Slow(Standing):
         return super().plan(situation)
 
 
+def slope(graph) -> None:
+    start = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    simulator(graph, initial_state=start, slope=0.01, real_time_factor=5.0)
+    controller(graph, use_sim_time=True, strategy="plan_keeping")
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(np.array(start), 0, 0.3))
+
+
+def slope_for_too_long(graph) -> None:
+    slope(graph)
+
+
 class Later(Standing):
     """Strategy whose plans all begin with a rest."""
 
@@ -375,6 +386,8 @@ MISTAKES: dict[Callable[..., None], str] = {
     blocked_sphere: "is it blocked",
     goal_that_cannot_be_held: "the strategy gives up",
     plans_that_begin_later: "moves it later",
+    slope: "rotors near their limit",
+    slope_for_too_long: "rotors at their limit",
     rate_beyond_the_machine: "missed samples",
     lockstep_without_controller: "time waits",
     ended_controller_in_lockstep: "its sender has ended",
@@ -432,8 +445,11 @@ def test_mistake_is_logged_once_as_documented(graph, capfd, mistake) -> None:
     graph.spin_for(0.6)
     assert len(warnings()) == 1, "logged once"
     if source == "controller" and "refused" not in row:
-        graph.until(lambda: pattern(row).search(statuses[-1].message))
-        assert statuses[-1].level != DiagnosticStatus.OK
+        graph.until(lambda: any(pattern(row).search(status.message) for status in statuses))
+        assert all(
+            status.level != DiagnosticStatus.OK
+            for status in statuses if pattern(row).search(status.message)
+        )
 
 
 def test_end_of_a_fault_is_logged(graph, capfd) -> None:

@@ -13,12 +13,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 
 _STOPPING = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 2.0))
 """Signals that end a process, in this order, and the wait after each [s]."""
-_ASKING = (signal.SIGINT, signal.SIGTERM)
-"""Signals that a process can handle or ignore."""
 _KILLED_WITHIN = 5.0
 """Longest wait for a process after SIGKILL [s]."""
 _LAST_LINES = 12
@@ -201,7 +200,7 @@ def _default_in_children() -> Iterator[None]:
     default action in it.
     """
     may_change = threading.current_thread() is threading.main_thread()
-    ignored = [n for n in _ASKING if may_change and signal.getsignal(n) is signal.SIG_IGN]
+    ignored = [n for n in END_SIGNALS if may_change and signal.getsignal(n) is signal.SIG_IGN]
     for number in ignored:
         signal.signal(number, lambda *_: None)
     try:

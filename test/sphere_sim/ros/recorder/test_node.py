@@ -112,7 +112,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
             publisher.publish(message)
     metadata = recording.folder / "metadata.yaml"
     graph.until(lambda: "parameters:/probe" in metadata.read_text())
-    output = recording.end()
+    output = recording.end(signal.SIGHUP)  # as when its terminal is closed
     assert recording.process.returncode == 0 and "messages on" in output
     counts = counted(recording.folder)
     assert counts["/controller/active_goal"] == 1

@@ -1,10 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Log of faults with a limited rate of lines for each kind of fault."""
+"""Log of faults in printable lines, with a limited rate for each kind of fault."""
 
 import time
 from collections import Counter
 from collections.abc import Callable
+
+from sphere_nmpc.foreign_text import printable_line
 
 
 class FaultLog:
@@ -64,4 +66,4 @@ class FaultLog:
         repeated = self._suppressed.pop(kind, 0)
         again = f" ({repeated} more since the last message)" if repeated else ""
         self._logged_at[kind] = now
-        self._write(f"{kind}: {message}{again}")
+        self._write(f"{printable_line(f'{kind}: {message}')}{again}")

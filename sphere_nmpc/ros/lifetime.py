@@ -18,26 +18,28 @@ from types import FrameType
 
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.garbage import GarbageCollection
+from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.loopback import network_reach
 from sphere_nmpc.ros.scheduling import refused_message, schedule
 from sphere_nmpc.ros.startup import one_line, start_ros
 
 _LONGEST_WAIT = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
+_AFTER_FAILURE = 1e-3
+"""Pause after work that failed [s], which may fail each time; shorter than a control tick."""
 _SWITCH_INTERVAL = 5e-4
 """Longest time for which another thread keeps the interpreter from the control loop [s]."""
 _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 """In a namespace a robot has its own clock; a remapping given by the user takes precedence."""
 
 
-class RunnableNode(Node):
+class RunnableNode(GuardedNode):
     """Node with work of its own beside callbacks, or with final messages to send."""
 
     uses_events_executor = False
@@ -122,7 +124,7 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
                         priority = node.thread_priority
                         if not schedule(priority):
                             node.get_logger().warning(refused_message(priority))
-                    node.work(executor)
+                    _serve(node, executor)
                     garbage.collect_if_due(time.monotonic())
         finally:
             # Nothing may interrupt the final messages: launch's second SIGINT arrives about now.
@@ -132,6 +134,15 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
             executor.shutdown()
             node.destroy_node()
     return 0
+
+
+def _serve(node: RunnableNode, executor: Executor) -> None:
+    """Let the node work once; an error is a line in its log, as those of its callbacks are."""
+    try:
+        node.work(executor)
+    except Exception as error:
+        node.report(FAILED, error)
+        time.sleep(_AFTER_FAILURE)
 
 
 class StopRequest:

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.ros.conversions import seconds
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.serialised import clock_stamp
 
 _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
@@ -25,14 +25,14 @@ class ControlClock:
 
     Parameters
     ----------
-    node : Node
+    node : GuardedNode
         The node whose clock it is.
     on_jump : callable
         Called after a jump back with None, and after a change between system and simulated
         clock (``use_sim_time``) with whether the clock is now a simulated one.
     """
 
-    def __init__(self, node: Node, on_jump: Callable[[bool | None], object]) -> None:
+    def __init__(self, node: GuardedNode, on_jump: Callable[[bool | None], object]) -> None:
         self._node = node
         clock = node.get_clock()
         if not isinstance(clock, ROSClock):
@@ -44,6 +44,7 @@ class ControlClock:
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
         self._jumps = clock.create_jump_callback(backwards, post_callback=self._jumped)
+        self._take = node.guarded(f"{node.resolve_topic_name('/clock')} refused", self._hear)
         self._begin()
         self.listen()
 
@@ -65,8 +66,8 @@ class ControlClock:
     def listen(self) -> None:
         """Take over rclpy's subscription of ``/clock``, which it makes anew at each change."""
         for subscription in self._node.subscriptions if self.simulated else ():
-            if subscription.msg_type is Clock and not subscription.raw:
-                subscription.raw, subscription.callback = True, self._hear
+            if subscription.msg_type is Clock and subscription.callback is not self._take:
+                subscription.raw, subscription.callback = True, self._take
 
     def _hear(self, message: bytes) -> None:
         stamp = clock_stamp(message)

@@ -4,6 +4,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -123,8 +124,8 @@ class ChildProcess:
 
     @property
     def tracebacks(self) -> int:
-        """Number of uncaught exceptions in its log."""
-        return self.output.count("Traceback (most recent call last)")
+        """Number of unexpected errors in its log, each of which is logged with its place."""
+        return len(re.findall(r"Traceback \(most recent|\.py, line \d+\)", self.output))
 
     def start(self, extra: Sequence[str] = ()) -> None:
         """Start it with `extra` arguments; one that still runs is ended first."""

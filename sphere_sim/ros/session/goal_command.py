@@ -13,6 +13,7 @@ from rclpy.utilities import remove_ros_args
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -70,7 +71,7 @@ def main(args: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if args is None else args)
     goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
     start_ros(given)
-    node = rclpy.create_node("goal")
+    node = GuardedNode("goal")
     sent = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"
     try:
         sender = GoalSender(node, lambda: rclpy.spin_once(node, timeout_sec=0.05))

@@ -3,13 +3,14 @@
 """Limits of the drives that the controller plans within, read from its parameters."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_sim.world.limits import PLANNED_LIMITS
 
 _REQUEST = GetParameters.Request(names=[f"robot.{name}" for name in PLANNED_LIMITS])
@@ -20,13 +21,13 @@ class ControllerLimits:
 
     Parameters
     ----------
-    node : Node
+    node : GuardedNode
         Node that sends the requests.
     senders : callable
         Returns the full names of the nodes that send commands, as far as they are known.
     """
 
-    def __init__(self, node: Node, senders: Callable[[], list[str]]) -> None:
+    def __init__(self, node: GuardedNode, senders: Callable[[], list[str]]) -> None:
         self._node = node
         self._senders = senders
         self._clients: dict[str, Client] = {}
@@ -47,12 +48,11 @@ class ControllerLimits:
                 self._clients[name] = self._node.create_client(GetParameters, service)
             if name not in self._requested and self._clients[name].service_is_ready():
                 self._requested.add(name)
-                self._clients[name].call_async(_REQUEST).add_done_callback(
-                    lambda answer, name=name: self._take(name, answer.result().values)
-                )
+                take = self._node.guarded(f"limits of {name} refused", partial(self._take, name))
+                self._clients[name].call_async(_REQUEST).add_done_callback(take)
 
-    def _take(self, name: str, values: Any) -> None:
-        numbers = [parameter_value_to_python(value) for value in values]
+    def _take(self, name: str, answer: Any) -> None:
+        numbers = [parameter_value_to_python(value) for value in answer.result().values]
         complete = [number for number in numbers if isinstance(number, float)]
         if name in self._clients and len(complete) == len(PLANNED_LIMITS):
             self.found[name] = dict(zip(PLANNED_LIMITS, complete, strict=True))

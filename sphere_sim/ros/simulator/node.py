@@ -21,7 +21,6 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.ros.conversions import BODY_FRAME
@@ -101,7 +100,6 @@ class SimulatorNode(RunnableNode):
             keeps_up=settings.is_on_system_clock,
         )
         self._epoch = self._set_at = 0
-        self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._monitor = GraphMonitor(self, self._fault_log)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
         self._robot, self._body = robot.settings, body.settings

@@ -121,6 +121,37 @@ def test_signal_ends_a_node_that_waits_for_messages(graph) -> None:
     assert node.wait(timeout=PATIENCE) == 0
 
 
+FAILING = """
+import sys
+from sphere_nmpc.ros.lifetime import RunnableNode, run
+
+class Failing(RunnableNode):
+    def __init__(self):
+        super().__init__("failing")
+        self.times = 0
+
+    def work(self, executor):
+        self.times += 1
+        if self.times == 300:
+            print("again and again", flush=True)
+        if self.times >= 300:
+            return super().work(executor)
+        raise ValueError("on demand")
+
+sys.exit(run(Failing, None, ""))
+"""
+
+
+def test_work_that_fails_is_one_line_and_the_node_goes_on() -> None:
+    node = start(FAILING, stdout=subprocess.PIPE)
+    assert node.stdout.readline() == "again and again\n"
+    node.send_signal(signal.SIGTERM)
+    _, errors = node.communicate(timeout=PATIENCE)
+    assert node.returncode == 0
+    (line,) = (line for line in errors.splitlines() if "[INFO]" not in line)
+    assert line.endswith("callback failed: ValueError 'on demand' (<string>, line 16)")
+
+
 @pytest.fixture
 def own_handlers() -> Iterator[None]:
     """Restore the signal handlers of the test session afterwards."""

@@ -12,13 +12,13 @@ class SphereNmpcError(Exception):
     """Exit code of a command that ends with the error; 2 where the user gave something wrong."""
 
 
-class InvalidParameterError(SphereNmpcError, ValueError):
-    """Parameter outside its valid range.
+class InvalidValueError(SphereNmpcError, ValueError):
+    """Value that is not accepted.
 
     Parameters
     ----------
     name : str
-        Name of the parameter.
+        Name of the value.
     given : object
         The value that was given.
     expected : str
@@ -34,13 +34,13 @@ class InvalidParameterError(SphereNmpcError, ValueError):
         self.expected = expected
 
 
-class InvalidStateError(SphereNmpcError, ValueError):
+class InvalidParameterError(InvalidValueError):
+    """Parameter outside its valid range."""
+
+
+class InvalidStateError(InvalidValueError):
     """Pose, goal or state vector that is not finite, has a wrong shape or no unit quaternion."""
 
-    exit_code = 2
 
-
-class InvalidInputError(SphereNmpcError, ValueError):
+class InvalidInputError(InvalidValueError):
     """Rotor speeds that are not finite, or knots whose times do not increase."""
-
-    exit_code = 2

@@ -1,10 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Log of faults with a limited rate of lines for each kind of fault."""
+"""Log of faults in printable lines, with a limited rate for each kind of fault."""
 
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+
+from sphere_nmpc.foreign_text import printable_line
 
 _PERIOD = 5.0
 """Shortest wall time between two lines about one kind of fault; one that comes and goes counts as
@@ -75,7 +77,7 @@ class FaultLog:
         repeated = self._suppressed.pop(kind, 0)
         again = f" ({repeated} more since the last message)" if repeated else ""
         self._logged_at[kind] = now
-        self._write(f"{kind}: {message}{again}")
+        self._write(f"{printable_line(f'{kind}: {message}')}{again}")
 
 
 class LastingFaults:

@@ -4,6 +4,8 @@
 
 LONGEST = 100
 """Characters of a foreign text that are shown."""
+LONGEST_LINE = 600
+"""Characters of a line that may contain several."""
 
 
 def shown(value: object) -> str:
@@ -15,4 +17,17 @@ def shown(value: object) -> str:
     if isinstance(value, str | bytes | bytearray):
         value = value[: LONGEST + 1]  # the rest would only be escaped to be cut off
     text = repr(value)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+    return _cut(text, LONGEST)
+
+
+def printable_line(line: str) -> str:
+    """Return a line with what cannot be printed escaped, cut to `LONGEST_LINE` characters.
+
+    For the place where lines are written, whatever they were made of.
+    """
+    line = _cut(line, LONGEST_LINE)
+    return line if line.isprintable() else _cut(repr(line)[1:-1], LONGEST_LINE)
+
+
+def _cut(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."

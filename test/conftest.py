@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+from sphere_nmpc.end_signals import END_SIGNALS
+
 if TYPE_CHECKING:
     from ros_graph import Graph
 
@@ -73,5 +75,6 @@ def _signals_have_their_defaults() -> None:
     An ignored signal is inherited: from a shell that started the session in the background, or
     from a node in the session that ignored further signals at its end.
     """
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -12,7 +12,10 @@ from import_graph import DOCUMENT, FLOORS, SCOPES, TREES
 
 UPDATE = "if the change is intended: python test/support/import_graph.py"
 CORE_NEEDS = {"numpy", "scipy", "casadi", "sphere_nmpc"} | sys.stdlib_module_names
-ROS_NAMES = {"rclpy", "std_srvs", "rcl_interfaces", "builtin_interfaces", "tf2_ros", "rosbag2_py"}
+ROS_NAMES = {
+    "rclpy", "std_srvs", "rcl_interfaces", "builtin_interfaces", "type_description_interfaces",
+    "tf2_ros", "rosbag2_py",
+}
 
 
 def top(name: str) -> str:

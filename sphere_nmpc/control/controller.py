@@ -150,7 +150,7 @@ class Controller:
         """
         checked = as_state(state)
         if not np.isfinite(time):
-            raise InvalidStateError(f"pose: given time {time}, expected a finite number [s]")
+            raise InvalidStateError("time of the pose", time, "a finite number [s]")
         try:
             accepted = self._estimator.observe(time, checked)
         except Exception as error:

@@ -44,18 +44,16 @@ class FirstOrderHold:
         speeds = np.array(self.speeds, dtype=float)
         if times.ndim != 1 or times.size == 0 or speeds.shape != (times.size, INPUT_SIZE):
             raise InvalidInputError(
-                f"first-order hold: given times of shape {times.shape} and speeds of shape "
-                f"{speeds.shape}, expected (K,) and (K, {INPUT_SIZE}) with K >= 1"
+                "first-order hold", (times.shape, speeds.shape),
+                f"the shapes of times, (K,) [s], and of speeds, (K, {INPUT_SIZE}), with K >= 1",
             )
         # On so few numbers Python is faster than NumPy, and this runs several times a control
         # period.
         knots = times.tolist()
         if not all(map(math.isfinite, knots + speeds.ravel().tolist())):
-            raise InvalidInputError("first-order hold: given a knot that is not a finite number")
+            raise InvalidInputError("first-order hold", [knots, speeds.tolist()], "finite numbers")
         if not all(map(lt, knots, knots[1:])):
-            raise InvalidInputError(
-                f"first-order hold: given times {knots}, expected strictly rising ones"
-            )
+            raise InvalidInputError("first-order hold", knots, "strictly rising times [s]")
         self._keep(times, speeds)
 
     def _keep(self, times: Vector, speeds: Vector) -> None:
@@ -159,7 +157,7 @@ class FirstOrderHold:
         knots[0] = speeds
         knots[1:] = self.speeds[first:]
         if not (math.isfinite(time) and np.isfinite(knots[0]).all()):
-            raise InvalidInputError("first-order hold: given a start that is not finite")
+            raise InvalidInputError("first-order hold", [time, *knots[0]], "a finite start")
         return FirstOrderHold._unchecked(times, knots)
 
     def until(self, time: float) -> "FirstOrderHold":

@@ -49,26 +49,23 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
     turn = np.asarray(quaternion_wxyz, dtype=float)
     if place.shape != (2,) or turn.shape != (4,):
         raise InvalidStateError(
-            f"state: given shapes {place.shape} and {turn.shape}, "
-            "expected a position (2,) [m] and a quaternion (4,) wxyz"
+            "state", (place.shape, turn.shape),
+            "the shapes of a position, (2,) [m], and of a quaternion wxyz, (4,)",
         )
     # On six numbers Python is faster than NumPy, and this runs for every measured pose.
     numbers: list[float] = np.concatenate((place, turn)).tolist()
     if not all(map(math.isfinite, numbers)):
         raise InvalidStateError(
-            f"state: given position {numbers[:2]} and quaternion {numbers[2:]}, "
-            "expected finite numbers"
+            "state", numbers, "finite numbers [x, y, qw, qx, qy, qz] [m, -]"
         )
     if max(abs(numbers[0]), abs(numbers[1])) > FARTHEST:
         raise InvalidStateError(
-            f"position: given {place.tolist()}, expected at most {FARTHEST:g} m from the origin "
-            "along each axis"
+            "position", numbers[:2], f"at most {FARTHEST:g} m from the origin along each axis"
         )
     norm = math.sqrt(turn.dot(turn))
     if abs(norm - 1.0) > NORM_TOLERANCE:
         raise InvalidStateError(
-            f"quaternion: given {turn.tolist()} of norm {norm:.6g}, "
-            f"expected norm 1 within {NORM_TOLERANCE:g}"
+            "quaternion", numbers[2:], f"norm 1 within {NORM_TOLERANCE:g}, not norm {norm:.6g}"
         )
     return np.concatenate((place, turn / norm))
 
@@ -92,7 +89,7 @@ def as_state(values: ArrayLike) -> Vector:
     """
     flat = np.asarray(values, dtype=float)
     if flat.shape != (STATE_SIZE,):
-        raise InvalidStateError(f"state: given shape {flat.shape}, expected (6,)")
+        raise InvalidStateError("state", flat.shape, f"the shape ({STATE_SIZE},)")
     return make_state(flat[POSITION], flat[QUATERNION])
 
 

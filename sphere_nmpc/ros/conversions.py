@@ -95,7 +95,7 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """
     given = message.header.frame_id
     if given not in ("", frame):
-        raise InvalidStateError(f"frame: given '{given}', expected '{frame}' or none")
+        raise InvalidStateError("frame", given, f"'{frame}' or none")
     return pose_from_ros(message)
 
 
@@ -221,8 +221,7 @@ def hold_from_trajectory(message: Any, now: int, epoch: int = 0) -> FirstOrderHo
     given = [len(point.velocities) for point in message.points]
     if not given or any(number != len(order) for number in given):
         raise InvalidInputError(
-            f"trajectory: given points with {given} velocities, "
-            f"expected one point or more with {len(order)} each"
+            "velocities of the points", given, f"one point or more with {len(order)} each"
         )
     start = stamp_from_ros(message.header.stamp) or now
     times = [
@@ -257,6 +256,6 @@ def _fill_pose(pose: Any, state: Vector, height: float) -> None:
 def _order_of_rotors(names: Sequence[str]) -> list[int]:
     if sorted(names) != sorted(JOINT_NAMES):
         raise InvalidInputError(
-            f"rotor names: given {list(names)}, expected {list(JOINT_NAMES)} in any order"
+            "rotor names", list(names), f"{list(JOINT_NAMES)} in any order"
         )
     return [list(names).index(name) for name in JOINT_NAMES]

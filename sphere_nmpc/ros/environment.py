@@ -15,6 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.loopback import PROFILE_VARIABLES
 
 DOMAIN = "ROS_DOMAIN_ID"
@@ -40,7 +41,7 @@ class RosEnvironmentError(SphereNmpcError):
     exit_code = 2
 
     def __init__(self, name: str, given: str, expected: str) -> None:
-        super().__init__(f"{name}: given '{given}', expected {expected}")
+        super().__init__(f"{name}: given {shown(given)}, expected {expected}")
 
 
 def check_environment(environment: Mapping[str, str] = os.environ) -> None:

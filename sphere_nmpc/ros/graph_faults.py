@@ -15,6 +15,8 @@ NO_POSE = "no pose"
 OTHER_CLOCK_AGE = 1e6
 """Age of a pose beyond which its stamp is of another kind of clock, not merely late [s]."""
 _USE_NAMESPACE = "start a further robot in a namespace, -r __ns:=/second"
+_MOST_NAMES = 8
+"""Names of nodes in a message."""
 _KILLED = "a node that was killed is counted for up to 20 s"
 
 
@@ -99,11 +101,17 @@ def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[Gr
     return [
         GraphFault(
             f"other publisher of {topic}",
-            f"given {len(nodes)} ({', '.join(sorted(nodes))}), expected one; {effect}; "
+            f"given {len(nodes)} ({names_of(nodes)}), expected one; {effect}; "
             f"{_USE_NAMESPACE}; {_KILLED}",
             severe=False,
         )
     ]
+
+
+def names_of(nodes: Sequence[str]) -> str:
+    """Return the names of nodes for a message, a few of them if there are many."""
+    more = ["..."] if len(nodes) > _MOST_NAMES else []
+    return ", ".join([*sorted(nodes)[:_MOST_NAMES], *more])
 
 
 def incompatible_qos(topic: str, node: str, reason: str) -> GraphFault:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monitor of the ROS graph around a node, which logs each fault when it begins and ends."""
 
+import re
 from collections.abc import Sequence
 from itertools import product
 
@@ -25,6 +26,10 @@ NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
 UNKNOWN = "a node that was just found"
 """Stands for the name of a node of which only a topic has been discovered yet."""
+INVALID = "a node whose name is invalid"
+"""Stands for a name that no ROS node can have, but any participant of DDS can announce."""
+_NAME = re.compile(r"(?=.{1,200}\Z)(/[A-Za-z_][A-Za-z0-9_]*)+")
+"""Full name of a node or topic, of a length that leaves room for that of a service."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
@@ -62,7 +67,7 @@ class GraphMonitor:
 
     def known_publishers(self, topic: str) -> list[str]:
         """Return the full names of the nodes that publish a topic, once their names are known."""
-        return [name for name in self.publishers(topic) if name != UNKNOWN]
+        return [name for name in self.publishers(topic) if name not in (UNKNOWN, INVALID)]
 
     def further_publishers(self, clocked: bool) -> list[GraphFault]:
         """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
@@ -74,7 +79,8 @@ class GraphMonitor:
         """Return the topics on which a clock is published."""
         return [
             topic for topic, kinds in self._node.get_topic_names_and_types()
-            if _CLOCK_TYPE in kinds and self._node.count_publishers(topic) > 0
+            if _CLOCK_TYPE in kinds and _NAME.fullmatch(topic)
+            and self._node.count_publishers(topic) > 0
         ]
 
     def incompatible(self) -> list[GraphFault]:
@@ -99,7 +105,11 @@ class GraphMonitor:
 
 
 def full_name(info: TopicEndpointInfo) -> str:
-    """Return the full name of the node of an endpoint, or `UNKNOWN` until it is discovered."""
+    """Return the full name of the node of an endpoint.
+
+    It is `UNKNOWN` until the node is discovered, and `INVALID` where it announces no valid name.
+    """
     if "UNKNOWN" in info.node_name:
         return UNKNOWN
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+    name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+    return name if _NAME.fullmatch(name) else INVALID

@@ -18,26 +18,28 @@ from types import FrameType
 
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.garbage import GarbageCollection
+from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.loopback import network_reach
 from sphere_nmpc.ros.scheduling import refused_message, schedule
 from sphere_nmpc.ros.startup import one_line, start_ros
 
 _LONGEST_WAIT = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
+_AFTER_FAILURE = 1e-3
+"""Pause after work that failed [s], which may fail each time; shorter than a control tick."""
 _SWITCH_INTERVAL = 5e-4
 """Longest time for which another thread keeps the interpreter from the control loop [s]."""
-_STOPPING = (signal.SIGINT, signal.SIGTERM)
 _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 """In a namespace a robot has its own clock; a remapping given by the user takes precedence."""
 
 
-class RunnableNode(Node):
+class RunnableNode(GuardedNode):
     """Node with work of its own beside callbacks, or with final messages to send."""
 
     uses_events_executor = False
@@ -57,7 +59,7 @@ class RunnableNode(Node):
 
 
 def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about: str) -> int:
-    """Run a node until SIGINT or SIGTERM, then let it finish.
+    """Run a node until a signal asks it to end, see `END_SIGNALS`, then let it finish.
 
     Parameters
     ----------
@@ -122,11 +124,11 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
                         priority = node.thread_priority
                         if not schedule(priority):
                             node.get_logger().warning(refused_message(priority))
-                    node.work(executor)
+                    _serve(node, executor)
                     garbage.collect_if_due(time.monotonic())
         finally:
             # Nothing may interrupt the final messages: launch's second SIGINT arrives about now.
-            for number in _STOPPING:
+            for number in END_SIGNALS:
                 signal.signal(number, signal.SIG_IGN)
             node.finish()
             executor.shutdown()
@@ -134,12 +136,22 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
     return 0
 
 
+def _serve(node: RunnableNode, executor: Executor) -> None:
+    """Let the node work once; an error is a line in its log, as those of its callbacks are."""
+    try:
+        node.work(executor)
+    except Exception as error:
+        node.report(FAILED, error)
+        time.sleep(_AFTER_FAILURE)
+
+
 class StopRequest:
-    """Flag that SIGINT and SIGTERM set, and that wakes a node which waits.
+    """Flag that `END_SIGNALS` set, and that wakes a node which waits.
 
     The interpreter runs signal handlers between two of its own instructions, which a main thread
     that waits inside the middleware does not reach. The number of the signal is however written
-    to a file descriptor immediately, and a thread reads it there.
+    to a file descriptor immediately, and a thread reads it there. A SIGHUP that is ignored from
+    the start, as by ``nohup``, stays ignored.
     """
 
     def __init__(self) -> None:
@@ -153,8 +165,9 @@ class StopRequest:
         self._outlet = outlet
         os.set_blocking(outlet, False)
         self._earlier_fd = signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
-        for number in _STOPPING:
-            signal.signal(number, _do_nothing)
+        for number in END_SIGNALS:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, _do_nothing)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         return self
@@ -167,7 +180,7 @@ class StopRequest:
 
     def _read(self) -> None:
         while number := os.read(self._inlet, 1):
-            if number[0] not in _STOPPING:
+            if number[0] not in END_SIGNALS:
                 continue
             self.requested = True
             if self.wake is not None:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import Quantity, quantities
 
 S = TypeVar("S")
@@ -136,8 +137,9 @@ def warn_of_unknown(node: Node, known: Iterable[str]) -> None:
     for name in unknown:
         node.undeclare_parameter(name)
     if unknown:
+        names = shown(", ".join(unknown))
         node.get_logger().warning(
-            f"unknown parameters, ignored: {', '.join(unknown)}; "
+            f"unknown parameters, ignored: {names}; "
             f"'ros2 param list {node.get_fully_qualified_name()}' lists the known ones"
         )
 
@@ -173,14 +175,13 @@ def _take(node: Node, name: str) -> Any:
 def _typed(value: Any, default: Any) -> Any:
     """Return `value` as the type of `default` if that loses no information."""
     if isinstance(default, tuple):
-        return tuple(float(item) for item in value) if _is_numbers(value) else (value,)
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    return value
+        items = value if hasattr(value, "__iter__") else (value,)
+        return tuple(map(float, items)) if all(map(_is_number, items)) else value
+    return float(value) if isinstance(default, float) and _is_number(value) else value
 
 
-def _is_numbers(value: Any) -> bool:
-    return hasattr(value, "__iter__") and all(isinstance(item, (int, float)) for item in value)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _plain(value: Any) -> Any:

@@ -79,8 +79,17 @@ def clock_message(stamp: int) -> bytes:
 
 
 def clock_stamp(raw: bytes) -> int:
-    """Return the stamp [ns] of a Clock message."""
-    return _stamp(raw) if _is_plain(raw) else stamp_from_ros(_object(raw, Clock).clock)
+    """Return the stamp [ns] of a Clock message.
+
+    Raises
+    ------
+    InvalidInputError
+        If it cannot be read, or is before 0, which a ROS clock cannot be set to.
+    """
+    stamp = _stamp(raw) if _is_plain(raw) else stamp_from_ros(message_object(raw, Clock).clock)
+    if stamp < 0:
+        raise InvalidInputError("clock", stamp / NANOSECONDS, "0 or more [s]")
+    return stamp
 
 
 def pose_message(
@@ -142,7 +151,7 @@ def hold_and_stamp(message: Any, now: int, epoch: int = 0) -> tuple[FirstOrderHo
     """
     points = _points(message) if _has_joints(message) else None
     if points is None:
-        read = _object(message, JointTrajectory)
+        read = message_object(message, JointTrajectory)
         return hold_from_trajectory(read, now, epoch), stamp_from_ros(read.header.stamp)
     stamp = _stamp(message)
     after = points["seconds"].astype(np.int64) * NANOSECONDS + points["nanoseconds"]
@@ -167,7 +176,7 @@ def speeds_of_message(message: Any) -> Vector:
     is_usual = isinstance(message, bytes) and message.startswith(_SPEEDS_COUNTS)
     if is_usual and len(message) >= at + _SPEEDS.size:
         return np.array(_SPEEDS.unpack_from(message, at))
-    return np.array(_object(message, Float64MultiArray).data, dtype=float)
+    return np.array(message_object(message, Float64MultiArray).data, dtype=float)
 
 
 def joint_states_message(angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> bytes:
@@ -193,7 +202,7 @@ def rotor_speeds_and_stamp(message: Any) -> tuple[Vector | None, int]:
         if numbers[0::3] == (len(JOINT_NAMES),) * 3:
             speeds = numbers[4:6]
             return np.array(speeds) if all(map(isfinite, speeds)) else None, _stamp(message)
-    read = _object(message, JointState)
+    read = message_object(message, JointState)
     return rotor_speeds_from_ros(read), stamp_from_ros(read.header.stamp)
 
 
@@ -236,12 +245,12 @@ def _points(raw: bytes) -> Any:
 
 def _pose_object(message: Any) -> Any:
     try:
-        return _object(message, PoseStamped)
+        return message_object(message, PoseStamped)
     except InvalidInputError as error:
-        raise InvalidStateError(str(error)) from None
+        raise InvalidStateError(error.name, error.given, error.expected) from None
 
 
-def _object(message: Any, kind: type) -> Any:
+def message_object(message: Any, kind: Any) -> Any:
     """Return the object of a message, which may be given as such.
 
     Raises
@@ -253,7 +262,5 @@ def _object(message: Any, kind: type) -> Any:
         return message
     try:
         return deserialize_message(message, kind)
-    except Exception as error:  # the middleware's own types of error are private to it
-        raise InvalidInputError(
-            f"{kind.__name__}: given {len(message)} bytes that are none: {error}"
-        ) from None
+    except Exception:  # the middleware's own types of error are private to it
+        raise InvalidInputError(kind.__name__, message, "a message of this type") from None

@@ -10,6 +10,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line
 from sphere_nmpc.ros.environment import check_environment, unwritable_log_folder
 from sphere_nmpc.ros.loopback import apply_localhost_only
 from sphere_nmpc.ros.network import wait_for_network
@@ -62,5 +63,5 @@ def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
 
 
 def one_line(error: Exception) -> str:
-    """Return the message of an rclpy error in one line, without source locations."""
-    return re.sub(r"(, at /\S+)+$", "", " ".join(str(error).split()))
+    """Return the message of an rclpy error in one printable line, without source locations."""
+    return printable_line(re.sub(r"(, at /\S+)+$", "", " ".join(str(error).split())))

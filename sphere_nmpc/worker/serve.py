@@ -12,6 +12,7 @@ import signal
 import sys
 from importlib import import_module
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_nmpc.worker.contract import Store
@@ -39,7 +40,7 @@ def serve(channel: Channel) -> None:
 def main(argv: list[str]) -> int:
     """Serve the channel whose file descriptor is the only argument."""
     # It ends with its owner, which may still need it after a signal to both.
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in END_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     # A control loop with a real-time priority passes it on to the processes that it starts.
     with contextlib.suppress(OSError, AttributeError):

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from sphere_nmpc.foreign_text import printable_line
 from sphere_sim.output.printable_path import printable
 from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.recording.bag_files import storage_name
@@ -56,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _print_results(one: Reported) -> None:
     recording = one.recording
     for note in recording.notes:
-        print(f"report: {recording.name}: {note}", file=sys.stderr)
+        print(printable_line(f"report: {recording.name}: {note}"), file=sys.stderr)
     for run in one.runs.values():
         for name, value in results(run):
             print(f"{run.name}: {name} {value}")

@@ -1,13 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers that turn SIGINT and SIGTERM into KeyboardInterrupt at any time."""
+"""Handlers that turn the signals that ask to end into KeyboardInterrupt at any time."""
 
 import os
 import signal
 import sys
 from types import FrameType
 
-STOPPING = (signal.SIGINT, signal.SIGTERM)
+from sphere_nmpc.end_signals import END_SIGNALS
+
 _EXIT_CODE = 128
 """Offset of a shell's exit code from the number of the signal that ended a program."""
 _AGAIN = 0.02
@@ -26,7 +27,7 @@ class Signals:
     a signal raises KeyboardInterrupt. Where that would be lost, the signal is repeated a little
     later: in a finaliser, which cannot raise, and in CasADi's bindings, which replace an exception
     while they convert arguments. A signal that is ignored from the start, as in the background of
-    a shell script, stays ignored.
+    a shell script or by ``nohup``, stays ignored.
     """
 
     def __init__(self) -> None:
@@ -37,7 +38,7 @@ class Signals:
 
     def exit_immediately(self) -> None:
         """End the process on a signal from now on: before the work has begun, or after its end."""
-        for number in STOPPING:
+        for number in END_SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._exit)
 
@@ -46,7 +47,7 @@ class Signals:
         sys.unraisablehook = self._repeat_if_swallowed
         # A timer of the system: starting a thread in a signal handler could block forever.
         signal.signal(signal.SIGALRM, lambda _, frame: self._raise(self.received, frame))
-        for number in STOPPING:
+        for number in END_SIGNALS:
             if signal.getsignal(number) == self._exit:
                 signal.signal(number, self._raise)
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from sphere_nmpc.foreign_text import printable_line
 from sphere_nmpc.model.state import POSITION
 from sphere_sim.cli.arguments import whole
 from sphere_sim.viewer.server import DEFAULT_PORT, announce
@@ -62,7 +63,7 @@ def _replay(bag: Path, namespace: str | None, port: int) -> int:
 
     run = read_run(bag, namespace)
     for note in run.notes:
-        print(f"viewer: {note}", file=sys.stderr, flush=True)
+        print(printable_line(f"viewer: {note}"), file=sys.stderr, flush=True)
     viewer = Viewer(Replay(run), port, live=False)
     viewer.tick()  # the view depends on the size of the sphere
     viewer.look_at(run.states[:, POSITION])

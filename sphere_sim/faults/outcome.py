@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import shown
 from sphere_sim.output.atomic_write import write_atomically
 
 
@@ -163,7 +164,7 @@ def read_outcomes(path: Path, campaign: Mapping[str, Any]) -> list[Outcome]:
         raise OutcomesUnreadableError(f"{path}: cannot be continued: {error!r}") from None
     if given != dict(campaign):
         raise OutcomesUnreadableError(
-            f"{path}: given trials of the campaign {given}, expected {dict(campaign)}"
+            f"{path}: given trials of the campaign {shown(given)}, expected {dict(campaign)}"
         )
     return trials
 

@@ -4,6 +4,8 @@
 
 from importlib.util import find_spec
 
+from sphere_nmpc.foreign_text import printable_line
+
 # Extra of setup.py -> import names it brings, message packages apart.
 EXTRAS = {
     "ros": ("rclpy", "ament_index_python", "builtin_interfaces", "rcl_interfaces", "std_srvs"),
@@ -28,7 +30,7 @@ def in_words(error: BaseException) -> str:
         return "there is not enough memory"
     if hasattr(error, "exit_code"):
         return str(error)
-    message = " ".join(str(error).split())
+    message = printable_line(" ".join(str(error).split()))
     return f"unexpected {type(error).__name__}: {message} (--debug shows where)"
 
 

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line
 
 
 class ResultFolderError(SphereNmpcError):
@@ -22,7 +23,7 @@ class ResultFolderError(SphereNmpcError):
     exit_code = 2
 
     def __init__(self, folder: Path, reason: str) -> None:
-        super().__init__(f"{folder}: {reason}")
+        super().__init__(f"{folder}: {printable_line(reason)}")
 
 
 def prepare_folder(folder: Path) -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from sphere_nmpc.foreign_text import shown
 from sphere_sim.recording.errors import BagError, one_line_reason
 
 METADATA = "metadata.yaml"
@@ -134,7 +135,8 @@ def _describe(
     """Apply the contents of metadata.yaml, with notes where the folder differs from it."""
     compression = str(information.get("compression_format") or "")
     if compression not in ("", "zstd"):
-        raise BagError(path, f"is compressed with '{compression}', expected 'zstd' or nothing")
+        reason = f"is compressed with {shown(compression)}, expected 'zstd' or nothing"
+        raise BagError(path, reason)
     # Users may have decompressed the files, and old recorders do not list the suffix.
     named = {storage_name(PurePath(name)): name for name in names}
     files = [present[key] for key in named if key in present]

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line
 
 
 class BagError(SphereNmpcError):
@@ -19,7 +20,7 @@ class BagError(SphereNmpcError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"bag {path}: {reason}")
+        super().__init__(f"bag {path}: {printable_line(reason)}")
 
 
 def one_line_reason(error: Exception) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.bag_clock import BagClock
@@ -55,7 +56,8 @@ def read_joint_states(
     if entries and not rows:
         names = list(entries[0][1].name)
         raise BagError(
-            messages.path, f"{topic} names {names}, not {list(ROTORS)}: a bag of another robot"
+            messages.path,
+            f"{topic} names {shown(names)}, not {list(ROTORS)}: a bag of another robot",
         )
     if not rows:
         messages.notes.append(f"{topic} is missing; no rotor speeds and torques")

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
+from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.foreign_text import shown
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.message_fields import NANOSECONDS
@@ -33,8 +35,10 @@ class RecordingSession:
         the times of arrival.
     offered_qos : callable
         Returns the quality of service that the publishers of a topic offer.
-    warn, fail : callable
-        Called with one line about a topic that cannot be recorded, and about a failed recording.
+    fault_log : FaultLog
+        Log of topics and messages that cannot be recorded.
+    fail : callable
+        Called with one line about a failed recording.
     """
 
     def __init__(
@@ -42,7 +46,7 @@ class RecordingSession:
         output: str,
         clock_topic: str,
         offered_qos: Callable[[str], Sequence[Qos]],
-        warn: Callable[[str], object],
+        fault_log: FaultLog,
         fail: Callable[[str], object],
     ) -> None:
         self.received: set[str] = set()
@@ -52,7 +56,7 @@ class RecordingSession:
         self._output = output
         self._clock_topic = clock_topic
         self._offered_qos = offered_qos
-        self._warn = warn
+        self._fault_log = fault_log
         self._fail = fail
         self._bag: BagWriter | None = None
         self._started = 0
@@ -80,7 +84,7 @@ class RecordingSession:
     def refuse(self, topic: str, reason: str) -> None:
         """Record no messages of a topic."""
         self.refused.add(topic)
-        self._warn(f"{topic} is not recorded: {reason}")
+        self._fault_log.report(f"{shown(topic)} is not recorded", reason)
 
     def add_to_bag(self, topic: str) -> bool:
         """Add a registered topic to the bag in progress; return whether the bag has it."""
@@ -89,7 +93,7 @@ class RecordingSession:
             return False
         if topic not in bag.topics:
             if not bag.supports(msgtype):
-                self.refuse(topic, f"the definition of {msgtype} is not known")
+                self.refuse(topic, f"the definition of {shown(msgtype)} is not known")
                 return False
             bag.add_topic(topic, msgtype, self._offered_qos(topic))
         return True
@@ -104,7 +108,12 @@ class RecordingSession:
         """
         for arrival, topic, message in sorted(messages, key=lambda entry: entry[0]):
             if topic == self._clock_topic:
-                self._simulated_time = _clock_stamp(message)
+                stamp = _clock_stamp(message)
+                if stamp is None:
+                    reason = f"given {shown(message)}, expected a time of 0 or more"
+                    self._fault_log.report(f"{topic} refused", reason)
+                    continue
+                self._simulated_time = stamp
             self._write(topic, message, self._simulated_time if self._clock_topic else arrival)
 
     def commit(self) -> None:
@@ -178,8 +187,11 @@ class RecordingSession:
         return folder.with_name(f"{folder.name}_{self._started}") if self._started else folder
 
 
-def _clock_stamp(message: bytes) -> int:
-    """Return the time [ns] in a serialised rosgraph_msgs/Clock."""
-    order = "<" if message[1] & 1 else ">"
-    seconds, nanoseconds = struct.unpack_from(f"{order}iI", message, _CDR_HEADER)
-    return int(seconds) * NANOSECONDS + int(nanoseconds)
+def _clock_stamp(message: bytes) -> int | None:
+    """Return the time [ns] in a serialised rosgraph_msgs/Clock; None if it holds no valid one."""
+    try:
+        order = "<" if message[1] & 1 else ">"
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", message, _CDR_HEADER)
+    except (IndexError, struct.error):
+        return None
+    return None if seconds < 0 else int(seconds) * NANOSECONDS + int(nanoseconds)

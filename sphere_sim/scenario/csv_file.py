@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TextIO
 
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
 from sphere_sim.scenario.errors import ScenarioFileError
@@ -119,7 +120,7 @@ def _header(path: Path, line: int, names: list[str]) -> list[str]:
     for name in STATE_COLUMNS:
         if name not in names:
             raise ScenarioFileError(
-                path, f"the columns {','.join(names)}", "a column of this name", line, name
+                path, f"the columns {shown(','.join(names))}", "a column of this name", line, name
             )
     for name in names:
         if names.count(name) > 1:
@@ -144,10 +145,10 @@ def _push(path: Path, line: int, texts: dict[str, str]) -> Push | None:
     for name, value in zip(PUSH_COLUMNS, (east, north), strict=False):
         if abs(value) > STRONGEST_PUSH:
             expected = f"-{STRONGEST_PUSH:g} to {STRONGEST_PUSH:g} [N s]"
-            raise ScenarioFileError(path, texts[name], expected, line, name)
+            raise ScenarioFileError(path, shown(texts[name]), expected, line, name)
     if time < 0.0:
         name = PUSH_COLUMNS[-1]
-        raise ScenarioFileError(path, texts[name], "a time from 0 on [s]", line, name)
+        raise ScenarioFileError(path, shown(texts[name]), "a time from 0 on [s]", line, name)
     return Push(time, (east, north))
 
 
@@ -157,7 +158,7 @@ def _disturbances(path: Path, line: int, texts: dict[str, str]) -> dict[str, flo
         DisturbanceSettings(**values)
     except InvalidParameterError as error:
         name = error.name
-        raise ScenarioFileError(path, texts[name], error.expected, line, name) from None
+        raise ScenarioFileError(path, shown(texts[name]), error.expected, line, name) from None
     return values
 
 
@@ -166,7 +167,7 @@ def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...])
     for name, value in zip(names[:2], values, strict=False):
         if abs(value) > FARTHEST:
             raise ScenarioFileError(
-                path, given[name], f"-{FARTHEST:g} to {FARTHEST:g} [m]", line, name
+                path, shown(given[name]), f"-{FARTHEST:g} to {FARTHEST:g} [m]", line, name
             )
     try:
         return as_state(values)
@@ -185,7 +186,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ScenarioFileError(path, f"'{text}'", "a finite number", line, name)
+        raise ScenarioFileError(path, shown(text), "a finite number", line, name)
     return value
 
 
@@ -194,7 +195,7 @@ def _seed(path: Path, line: int, text: str, number: int) -> int:
         return number
     if not (text.isascii() and text.isdigit()) or int(text[:11]) > LARGEST_SEED:
         raise ScenarioFileError(
-            path, f"'{text}'", f"a whole number from 0 to {LARGEST_SEED}", line, SEED_COLUMN
+            path, shown(text), f"a whole number from 0 to {LARGEST_SEED}", line, SEED_COLUMN
         )
     return int(text)
 

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line
 
 
 class ScenarioFileError(SphereNmpcError, ValueError):
@@ -32,7 +33,7 @@ class ScenarioFileError(SphereNmpcError, ValueError):
             where += f", line {line}"
         if column:
             where += f", column {column}"
-        super().__init__(f"{where}: given {given}, expected {expected}")
+        super().__init__(printable_line(f"{where}: given {given}, expected {expected}"))
         self.path = path
         self.line = line
         self.column = column

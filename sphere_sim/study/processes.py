@@ -19,6 +19,7 @@ from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
+from sphere_nmpc.end_signals import END_SIGNALS, TERMINAL_SIGNALS
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.worker_process import serve
 
@@ -34,9 +35,9 @@ Task = tuple[Any, tuple[Any, ...]]
 class Processes:
     """Make calls in processes; a context manager, at whose end all of them are killed.
 
-    Processes are started when they are needed. They ignore Ctrl-C, which the parent handles, and
-    end when the parent does, however that happens. A call whose process ends during it is made
-    again in another one.
+    Processes are started when they are needed. They ignore the signals of a terminal, such as
+    Ctrl-C, which the parent handles, and end when the parent does, however that happens. A call
+    whose process ends during it is made again in another one.
 
     Parameters
     ----------
@@ -162,17 +163,17 @@ class Processes:
 
 @contextlib.contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Block Ctrl-C for processes that are started meanwhile, and defer it for this one.
+    """Block the signals of a terminal for processes that are started, and defer them for this one.
 
     A new process inherits which signals are blocked. For this process blocking is not enough:
     another thread may take the signal and have it handled in the main thread, in the middle of the
     start.
     """
     received: list[int] = []
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL_SIGNALS)
     handlers = {}
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in END_SIGNALS:
             handlers[number] = signal.signal(number, lambda number, _: received.append(number))
     try:
         yield

@@ -61,7 +61,7 @@ class CommandFollower:
         given = np.asarray(speeds, dtype=float)
         if given.shape != (INPUT_SIZE,) or not np.all(np.isfinite(given)):
             raise InvalidInputError(
-                f"rotor speeds: given {given.tolist()}, expected two finite numbers [rad/s]"
+                "rotor speeds", given.tolist(), "two finite numbers [rad/s]"
             )
         self.clamped += int(np.any(np.abs(given) > self._max_speed + 1e-9))
         self._speeds, self._speeds_time = given, time

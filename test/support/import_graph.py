@@ -38,7 +38,7 @@ FLOORS = {
         ("solver", "settings"),
         ("model",),
         ("quantity", "cache", "fault_log", "worker"),
-        ("errors", "library_threads"),
+        ("end_signals", "errors", "library_threads"),
         ("foreign_text",),
     ),
 }

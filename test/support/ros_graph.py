@@ -18,6 +18,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.lifetime import RunnableNode
 
 
@@ -44,9 +46,14 @@ def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
 
 
 class Graph:
-    """A probe with subscriptions and publishers, and the nodes under test."""
+    """A probe with subscriptions and publishers, and the nodes under test.
+
+    An error of a callback that a node only logs fails the test, unless it takes it from
+    `unforeseen`.
+    """
 
     def __init__(self, args: list[str] | None = None) -> None:
+        self.unforeseen: list[Exception] = []
         rclpy.init(args=args or [])
         self.probe = Node("probe")
         self._executor = SingleThreadedExecutor()
@@ -60,12 +67,13 @@ class Graph:
         for executor in (self._executor, *self._busy.values()):
             executor.shutdown()
         rclpy.try_shutdown()
+        assert not self.unforeseen
 
     def add(self, node: Node) -> None:
         """Spin `node` too, by its own `work` if it has any (the simulator)."""
-        faults = getattr(node, "_fault_log", None)
-        if faults is not None:
-            faults._period = math.inf  # logged once, however long a busy machine takes
+        if isinstance(node, GuardedNode):
+            node._fault_log._period = math.inf  # logged once, however long a busy machine takes
+            self._watch(node)
         executor = self._executor
         if isinstance(node, RunnableNode) and type(node).work is not RunnableNode.work:
             # A change of time-out makes an executor forget which callbacks it has found ready and
@@ -73,6 +81,16 @@ class Graph:
             executor = self._busy[node] = SingleThreadedExecutor()
         executor.add_node(node)
         self._nodes.append(node)
+
+    def _watch(self, node: GuardedNode) -> None:
+        logged = node.report
+
+        def report(kind: str, error: Exception) -> None:
+            if not isinstance(error, SphereNmpcError):
+                self.unforeseen.append(error)
+            logged(kind, error)
+
+        node.report = report
 
     def remove(self, node: Node) -> None:
         """Destroy a node, as when its process ends."""

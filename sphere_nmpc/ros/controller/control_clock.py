@@ -6,12 +6,12 @@ from collections.abc import Callable
 from time import monotonic
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
-from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.ros.conversions import seconds
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.serialised import clock_stamp
 
 _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
@@ -26,7 +26,7 @@ class ControlClock:
 
     Parameters
     ----------
-    node : Node
+    node : GuardedNode
         The node whose clock it is.
     on_jump : callable
         Called when the clock has jumped, when it has become steady again, and, with True, after a
@@ -36,7 +36,7 @@ class ControlClock:
     """
 
     def __init__(
-        self, node: Node, on_jump: Callable[[bool], object], has_pace: bool = True
+        self, node: GuardedNode, on_jump: Callable[[bool], object], has_pace: bool = True
     ) -> None:
         self._node = node
         self._has_pace = has_pace
@@ -48,6 +48,7 @@ class ControlClock:
         self._heard: int | None = None
         changes = JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True)
         self._jumps = clock.create_jump_callback(changes, post_callback=self._changed)
+        self._take = node.guarded(f"{node.resolve_topic_name('/clock')} refused", self._hear)
         self._begin()
         self.listen()
 
@@ -83,8 +84,8 @@ class ControlClock:
     def listen(self) -> None:
         """Take over rclpy's subscription of ``/clock``, which it makes anew at each change."""
         for subscription in self._node.subscriptions if self.simulated else ():
-            if subscription.msg_type is Clock and not subscription.raw:
-                subscription.raw, subscription.callback = True, self._hear
+            if subscription.msg_type is Clock and subscription.callback is not self._take:
+                subscription.raw, subscription.callback = True, self._take
 
     def _hear(self, message: bytes) -> None:
         stamp = clock_stamp(message)

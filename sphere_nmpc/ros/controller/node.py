@@ -81,7 +81,6 @@ class ControllerNode(RunnableNode):
         warn_of_unknown(self, [name for part in parts for name in part.names])
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
-        self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (

@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NoReturn
 
+from sphere_nmpc.end_signals import TERMINAL_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.faults.catalogue import Fault
 from sphere_sim.faults.outcome import Outcome
@@ -99,7 +100,8 @@ class TrialProcess:
 
 def _serve(link: Connection, settings: SessionSettings, parent: int) -> None:
     """Run trials until None is received; after one that was not survived nodes are restarted."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    for number in TERMINAL_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, _end)
     end_with_parent(parent)
     folders = (settings.folder / f"session_{i}" for i in itertools.count(1))

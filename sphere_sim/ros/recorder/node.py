@@ -14,11 +14,14 @@ Services: ``~/start``, ``~/stop``, ``~/is_recording`` (std_srvs/Trigger).
 import time
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -26,8 +29,8 @@ from rclpy.subscription import Subscription
 from rosbags.interfaces import Qos
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.graph_monitor import GraphMonitor
+from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.ros.graph_monitor import INVALID, UNKNOWN, GraphMonitor, full_name
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_sim.recording.errors import BagError
@@ -85,8 +88,7 @@ class RecorderNode(RunnableNode):
         self._clock_topic = self.resolve_topic_name("/clock")
         self._patterns = self._declare_topics()
         warn_of_unknown(self, [*declared.names, "topics"])
-        fault_log = FaultLog(lambda line: self.get_logger().warning(line))
-        self._monitor = GraphMonitor(self, fault_log)
+        self._monitor = GraphMonitor(self, self._fault_log)
         self._missing = MissingTopics(self, self.get_parameter("topics").value)
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._subscriptions_by_topic: dict[str, TopicSubscription] = {}
@@ -96,7 +98,7 @@ class RecorderNode(RunnableNode):
             declared.settings.output,
             self._clock_topic if self._uses_sim_time else "",
             self._offered_qos,
-            lambda line: self.get_logger().warning(line),
+            self._fault_log,
             lambda line: self.get_logger().error(line),
         )
         if self._uses_sim_time and not matches_any(self._clock_topic, self._patterns):
@@ -166,8 +168,8 @@ class RecorderNode(RunnableNode):
             self._subscribe(topic, msgtype, compatible_qos(offered))
             self._session.add_to_bag(topic)
             for publisher in publishers:
-                node = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
-                if node != own:
+                node = full_name(publisher)
+                if node not in (own, UNKNOWN, INVALID):
                     self._snapshots.request(node)
         self._session.add_custom_data(self._snapshots.custom_data())
 
@@ -178,11 +180,9 @@ class RecorderNode(RunnableNode):
             and existing.msgtype == msgtype and same_requests(existing.qos, qos)
         ):
             return
-        package, _, name = msgtype.split("/")
-        try:
-            message_class = getattr(import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError):
-            self._session.refuse(topic, f"message type {msgtype} is not installed")
+        message_class = _message_class(msgtype)
+        if message_class is None:
+            self._session.refuse(topic, f"message type {shown(msgtype)} is not installed")
             return
         if existing is not None:
             self.destroy_subscription(existing.subscription)
@@ -192,7 +192,11 @@ class RecorderNode(RunnableNode):
 
         # rclpy passes message information to callbacks of two arguments, which it does not type.
         callback: Any = take
-        subscription = self.create_subscription(message_class, topic, callback, qos, raw=True)
+        try:
+            subscription = self.create_subscription(message_class, topic, callback, qos, raw=True)
+        except NameValidationException:
+            self._session.refuse(topic, "expected a valid name of a topic")
+            return
         self._subscriptions_by_topic[topic] = TopicSubscription(
             subscription, message_class, qos, msgtype
         )
@@ -249,6 +253,19 @@ class RecorderNode(RunnableNode):
         lines = [*(f"received {t}" for t in received), *(f"matched {t}" for t in matched)]
         answer.message = "\n".join((str(folder or "not recording"), *sorted(lines)))
         return answer
+
+
+def _message_class(msgtype: str) -> Any:
+    """Return the class of a message type, None where it is not installed.
+
+    Any participant can announce any type: a package is loaded only if it has messages.
+    """
+    package, _, name = msgtype.partition("/msg/")
+    found = find_spec(package) if package.isidentifier() else None
+    if found is None or PathFinder.find_spec("msg", found.submodule_search_locations) is None:
+        return None
+    found_class = getattr(import_module(f"{package}.msg"), name, None)
+    return found_class if hasattr(found_class, "_fields_and_field_types") else None
 
 
 def main(args: Sequence[str] | None = None) -> int:

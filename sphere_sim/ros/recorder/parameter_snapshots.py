@@ -65,7 +65,8 @@ class ParameterSnapshots:
 
 
 def _json_value(value: Any) -> Any:
-    """Return arrays as lists and bytes as text, which JSON can represent."""
+    """Return arrays as lists, and each byte as a number, which JSON can represent."""
     if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
+        return int.from_bytes(value, "little")
+    is_array = hasattr(value, "__iter__") and not isinstance(value, str)
+    return [_json_value(item) for item in value] if is_array else value

@@ -4,6 +4,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,12 +14,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 
 _STOPPING = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 2.0))
 """Signals that end a process, in this order, and the wait after each [s]."""
-_ASKING = (signal.SIGINT, signal.SIGTERM)
-"""Signals that a process can handle or ignore."""
 _KILLED_WITHIN = 5.0
 """Longest wait for a process after SIGKILL [s]."""
 _LAST_LINES = 12
@@ -124,8 +124,8 @@ class ChildProcess:
 
     @property
     def tracebacks(self) -> int:
-        """Number of uncaught exceptions in its log."""
-        return self.output.count("Traceback (most recent call last)")
+        """Number of unexpected errors in its log, each of which is logged with its place."""
+        return len(re.findall(r"Traceback \(most recent|\.py, line \d+\)", self.output))
 
     def start(self, extra: Sequence[str] = ()) -> None:
         """Start it with `extra` arguments; one that still runs is ended first."""
@@ -201,7 +201,7 @@ def _default_in_children() -> Iterator[None]:
     default action in it.
     """
     may_change = threading.current_thread() is threading.main_thread()
-    ignored = [n for n in _ASKING if may_change and signal.getsignal(n) is signal.SIG_IGN]
+    ignored = [n for n in END_SIGNALS if may_change and signal.getsignal(n) is signal.SIG_IGN]
     for number in ignored:
         signal.signal(number, lambda *_: None)
     try:

@@ -25,6 +25,7 @@ from sphere_nmpc.ros.conversions import (
     seconds,
     stamp_from_ros,
 )
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.goal_run import GoalRun
 from sphere_sim.ros.session.goal_sender import GoalSender
@@ -89,7 +90,7 @@ class DemoSession:
         self.run = run
         self._radius = shell_radius
         self._check = check
-        self._node = rclpy.create_node("demo")
+        self._node = GuardedNode("demo")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._sender = GoalSender(self._node, self.spin)

@@ -15,6 +15,7 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
@@ -88,7 +89,7 @@ def main(args: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if args is None else args)
     goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
     start_ros(given)
-    node = rclpy.create_node("goal")
+    node = GuardedNode("goal")
     turn = np.degrees(rotation.logarithm(goal[QUATERNION])).round(1) + 0.0
     sent = (
         f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}, "

@@ -17,6 +17,7 @@ from rclpy.node import Node
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import DOMAIN
+from sphere_nmpc.ros.graph_faults import names_of
 from sphere_nmpc.ros.graph_monitor import UNKNOWN, full_name
 from sphere_nmpc.ros.loopback import apply_localhost_only
 from sphere_nmpc.ros.startup import start_ros
@@ -49,7 +50,7 @@ class DomainInUseError(SphereNmpcError):
     def __init__(self, nodes: list[str]) -> None:
         domain = os.environ.get(DOMAIN) or "0"
         super().__init__(
-            f"{DOMAIN}: given {domain}, where others already run ({', '.join(nodes)}), expected a "
+            f"{DOMAIN}: given {domain}, where others already run ({names_of(nodes)}), expected a "
             "domain without a simulator, controller or demo, as clocks and commands would mix; "
             f"unset {DOMAIN} to take a free domain, set another number, or end what runs there"
         )
@@ -136,7 +137,7 @@ def main() -> int:
     except SphereNmpcError as error:
         print(error, file=sys.stderr)
         return 1
-    print(", ".join(nodes))
+    print(names_of(nodes))
     return FOUND if nodes else 0
 
 

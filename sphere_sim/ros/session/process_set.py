@@ -7,6 +7,7 @@ import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_sim.ros.session.child_process import ChildProcess, stop_together, verb_command
 
 
@@ -92,11 +93,10 @@ class ProcessSet:
 
 @contextlib.contextmanager
 def _signals_ignored() -> Iterator[None]:
-    """Ignore SIGINT and SIGTERM."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    earlier = [signal.signal(number, signal.SIG_IGN) for number in numbers]
+    """Ignore the signals that ask this process to end."""
+    earlier = {number: signal.signal(number, signal.SIG_IGN) for number in END_SIGNALS}
     try:
         yield
     finally:
-        for number, handler in zip(numbers, earlier, strict=True):
+        for number, handler in earlier.items():
             signal.signal(number, handler)

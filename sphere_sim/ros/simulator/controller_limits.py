@@ -3,13 +3,14 @@
 """Limits that the controller plans within, and its lockstep, read from its parameters."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_sim.world.limits import PLANNED_LIMITS
 
 _REQUESTS = ([f"robot.{name}" for name in PLANNED_LIMITS], ["lockstep"])
@@ -21,13 +22,13 @@ class ControllerLimits:
 
     Parameters
     ----------
-    node : Node
+    node : GuardedNode
         Node that sends the requests.
     senders : callable
         Returns the full names of the nodes that send commands, as far as they are known.
     """
 
-    def __init__(self, node: Node, senders: Callable[[], list[str]]) -> None:
+    def __init__(self, node: GuardedNode, senders: Callable[[], list[str]]) -> None:
         self._node = node
         self._senders = senders
         self._clients: dict[str, Client] = {}
@@ -51,17 +52,15 @@ class ControllerLimits:
                 self._clients[name] = self._node.create_client(GetParameters, service)
             if name not in self._requested and self._clients[name].service_is_ready():
                 self._requested.add(name)
+                take = self._node.guarded(f"limits of {name} refused", partial(self._take, name))
                 for names in _REQUESTS:
-                    self._clients[name].call_async(
-                        GetParameters.Request(names=names)
-                    ).add_done_callback(
-                        lambda answer, name=name: self._take(name, answer.result().values)
-                    )
+                    request = GetParameters.Request(names=names)
+                    self._clients[name].call_async(request).add_done_callback(take)
 
-    def _take(self, name: str, values: Any) -> None:
+    def _take(self, name: str, answer: Any) -> None:
         if name not in self._clients:
             return
-        known = [parameter_value_to_python(value) for value in values]
+        known = [parameter_value_to_python(value) for value in answer.result().values]
         if any(value is False for value in known):
             self.free_running.add(name)
         complete = [number for number in known if isinstance(number, float)]

@@ -103,7 +103,6 @@ class SimulatorNode(RunnableNode):
             keeps_up=settings.is_on_system_clock,
         )
         self._epoch = self._set_at = 0
-        self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._monitor = GraphMonitor(self, self._fault_log)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
         self._robot, self._body = robot.settings, body.settings

@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start and end of a node's process: the last command of a controller is a ramp to rest."""
 
+import fcntl
 import os
 import re
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +21,10 @@ from patience import PATIENCE
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.ros.conversions import hold_from_trajectory, pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.lifetime import StopRequest
 from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -28,22 +33,20 @@ CASE = PAPER_CASES[1]
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 
 
-def start(code: str, *arguments: str) -> subprocess.Popen:
+def start(code: str, *arguments: str, **options: Any) -> subprocess.Popen:
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     return subprocess.Popen(
-        [sys.executable, "-c", code, "--ros-args", *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", code, "--ros-args", *arguments], text=True, **{**streams, **options}
     )
 
 
-@pytest.mark.parametrize(
-    "signals",
-    [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT] * 2],
-    ids=["ctrl-c", "sigterm", "ctrl-c twice"],
-)
-def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
+def ramp_after(graph, end: Callable[[subprocess.Popen], object], **options: Any) -> None:
+    """Check the last commands of a controller in motion that `end` ends."""
     trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
     commands = graph.collect(Float64MultiArray, "rotor_commands")
-    controller = start(CONTROLLER, "-p", "use_sim_time:=true", "-p", "strategy:=paper")
+    controller = start(
+        CONTROLLER, "-p", "use_sim_time:=true", "-p", "strategy:=paper", **options
+    )
     try:
         goals = graph.publisher(PoseStamped, "goal_pose")
         poses = graph.publisher(PoseStamped, "pose")
@@ -61,11 +64,9 @@ def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
             return bool(np.max(np.abs(commands[-1].data)) > 20.0)
 
         graph.until(pass_time)
-        for number in signals:
-            controller.send_signal(number)
-            graph.spin_for(0.02)
+        end(controller)
         graph.until(lambda: controller.poll() is not None)
-        assert controller.returncode == 0, controller.stderr.read()
+        assert controller.returncode == 0
         graph.until(lambda: not np.any(commands[-1].data))
     finally:
         controller.kill()
@@ -78,6 +79,41 @@ def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
     assert np.max(steps) < 60.0, "the sampled ramp has no jump to zero"
 
 
+@pytest.mark.parametrize(
+    "signals",
+    [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT] * 2, [signal.SIGQUIT]],
+    ids=["ctrl-c", "sigterm", "ctrl-c twice", "ctrl-backslash"],
+)
+def test_last_command_is_a_ramp_to_rest(graph, signals) -> None:
+    def send(controller: subprocess.Popen) -> None:
+        for number in signals:
+            controller.send_signal(number)
+            graph.spin_for(0.02)
+
+    ramp_after(graph, send)
+
+
+def test_last_command_is_a_ramp_to_rest_when_the_terminal_is_closed(graph) -> None:
+    """The kernel sends SIGHUP, and each later write to the terminal fails."""
+    outside, terminal = os.openpty()
+    streams = dict.fromkeys(("stdin", "stdout", "stderr"), terminal)
+    own_terminal = {"start_new_session": True, "preexec_fn": lambda: fcntl.ioctl(
+        terminal, termios.TIOCSCTTY, 0
+    )}
+    ramp_after(graph, lambda _: os.close(outside), **streams, **own_terminal)
+    os.close(terminal)
+
+
+def test_node_runs_on_after_the_terminal_when_it_was_started_by_nohup(graph) -> None:
+    node = start(CONTROLLER, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    graph.until(lambda: graph.probe.count_publishers("controller/status") > 0)
+    node.send_signal(signal.SIGHUP)
+    enabling = SetBool.Request(data=True)
+    assert graph.call(SetBool, "controller/enable", enabling).success
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(timeout=PATIENCE) == 0
+
+
 def test_signal_ends_a_node_that_waits_for_messages(graph) -> None:
     node = start(CONTROLLER)
     graph.until(lambda: graph.probe.count_publishers("controller/status") > 0)
@@ -85,17 +121,47 @@ def test_signal_ends_a_node_that_waits_for_messages(graph) -> None:
     assert node.wait(timeout=PATIENCE) == 0
 
 
+FAILING = """
+import sys
+from sphere_nmpc.ros.lifetime import RunnableNode, run
+
+class Failing(RunnableNode):
+    def __init__(self):
+        super().__init__("failing")
+        self.times = 0
+
+    def work(self, executor):
+        self.times += 1
+        if self.times == 300:
+            print("again and again", flush=True)
+        if self.times >= 300:
+            return super().work(executor)
+        raise ValueError("on demand")
+
+sys.exit(run(Failing, None, ""))
+"""
+
+
+def test_work_that_fails_is_one_line_and_the_node_goes_on() -> None:
+    node = start(FAILING, stdout=subprocess.PIPE)
+    assert node.stdout.readline() == "again and again\n"
+    node.send_signal(signal.SIGTERM)
+    _, errors = node.communicate(timeout=PATIENCE)
+    assert node.returncode == 0
+    (line,) = (line for line in errors.splitlines() if "[INFO]" not in line)
+    assert line.endswith("callback failed: ValueError 'on demand' (<string>, line 16)")
+
+
 @pytest.fixture
 def own_handlers() -> Iterator[None]:
     """Restore the signal handlers of the test session afterwards."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    handlers = [signal.getsignal(number) for number in numbers]
+    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
     yield
-    for number, handler in zip(numbers, handlers, strict=True):
+    for number, handler in handlers.items():
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", END_SIGNALS)
 def test_signal_wakes_a_node_that_waits_in_the_middleware(number, own_handlers) -> None:
     woken = threading.Event()
     with StopRequest() as stop:

@@ -78,6 +78,19 @@ def test_wrong_change_is_refused_with_the_reason(controller, name, value, words)
     assert controller.get_parameter(name).value == before
 
 
+def test_value_of_another_kind_is_refused_with_the_reason(graph) -> None:
+    node = SimulatorNode()
+    graph.add(node)
+    for name in ("push_impulse", "initial_state"):
+        before = node.get_parameter(name).value
+        for value in (["a", "b"], "a", [], [True, False], [1.0] * 3, [b"x"], 1e9):
+            (result,) = node.set_parameters([Parameter(name, value=value)])
+            assert not result.successful and result.reason
+            assert node.get_parameter(name).value == before
+    (result,) = node.set_parameters([Parameter("push_impulse", value=[1, 2])])
+    assert result.successful and node.get_parameter("push_impulse").value == [1.0, 2.0]
+
+
 @dataclass(frozen=True)
 class Band:
     """Settings that are valid only together."""
@@ -139,5 +152,5 @@ def test_unknown_names_are_logged_in_one_warning(graph, capfd) -> None:
     node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
     graph.add(node)
     lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
-    assert len(lines) == 1 and "robot.mass, sed" in lines[0]
+    assert len(lines) == 1 and "'robot.mass, sed'" in lines[0]
     assert not node.has_parameter("sed")

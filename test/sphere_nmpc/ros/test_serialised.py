@@ -184,7 +184,7 @@ def test_pose_of_a_big_endian_machine_is_read() -> None:
 @pytest.mark.parametrize("cut", [0, 3, 12, 20, 60])
 def test_bytes_that_are_no_message_are_refused(cut) -> None:
     pose = serialised.pose_message(np.array([0.0, 0, 1, 0, 0, 0]), 1, 0.3)[:cut]
-    with pytest.raises(InvalidStateError, match=f"PoseStamped: given {cut} bytes"):
+    with pytest.raises(InvalidStateError, match=r"PoseStamped: given b'.*, expected a message"):
         serialised.pose_of_message(pose)
     hold = FirstOrderHold.constant(0.0, np.zeros(2))
     for message, read in (
@@ -195,5 +195,5 @@ def test_bytes_that_are_no_message_are_refused(cut) -> None:
         ),
         (serialised.speeds_message(np.zeros(2))[:-4], serialised.speeds_of_message),
     ):
-        with pytest.raises(InvalidInputError, match="bytes that are none"):
+        with pytest.raises(InvalidInputError, match=r"given b'.*, expected a message of"):
             read(message[:cut])

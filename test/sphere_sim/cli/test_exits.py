@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
 from sphere_sim.cli.exits import guarded, if_interrupted
 from sphere_sim.cli.signals import Signals
@@ -108,13 +109,13 @@ def interrupted(process: subprocess.Popen, number: int = signal.SIGINT) -> tuple
     return process.returncode, message
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", END_SIGNALS)
 def test_signal_while_modules_are_loaded_is_silent(roll, number) -> None:
     source = WAITING.format(during_import="print('up', flush=True); time.sleep(240)", call="pass")
     assert interrupted(roll(source), number) == (128 + number, "")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", END_SIGNALS)
 def test_signal_is_one_line(roll, number) -> None:
     source = WAITING.format(during_import="", call=f"time.sleep({LONG})")
     message = "sphere_nmpc roll: interrupted\n"
@@ -168,12 +169,13 @@ def test_no_signal_is_lost_in_the_bindings_of_casadi(roll) -> None:
     assert process.communicate()[1] == ""
 
 
-def test_signal_that_is_ignored_from_the_start_stays_ignored(roll) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_signal_that_is_ignored_from_the_start_stays_ignored(roll, number) -> None:
     # It runs until its standard input is closed, which is after the signal.
     source = WAITING.format(during_import="import sys", call="sys.stdin.read()")
-    ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)}
+    ignoring = {"preexec_fn": lambda: signal.signal(number, signal.SIG_IGN)}
     process = roll(source, stdin=subprocess.PIPE, **ignoring)
-    code, message = interrupted(process)
+    code, message = interrupted(process, number)
     assert (code, message) == (0, "")
 
 

@@ -53,8 +53,8 @@ def lines(path: Path) -> int:
 
 @pytest.mark.parametrize(
     ("number", "all_of_them", "code"),
-    [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143)],
-    ids=["Ctrl-C in a terminal, which reaches the workers too", "kill"],
+    [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143), (signal.SIGHUP, True, 129)],
+    ids=["Ctrl-C in a terminal, which reaches the workers too", "kill", "terminal closed"],
 )
 def test_interrupted_study_keeps_its_runs(tmp_path, number, all_of_them, code) -> None:
     runs, journal = 500, tmp_path / "journal.jsonl"

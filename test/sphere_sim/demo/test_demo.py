@@ -169,7 +169,8 @@ def test_bag_of_case_1_has_every_topic_in_both_readers(lockstep_run) -> None:
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_signal_leaves_no_process_and_a_readable_bag(tmp_path, number) -> None:
     folder = tmp_path / "out"
     with subprocess.Popen(
         [*DEMO, "--out", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -178,9 +179,9 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
         shown = wait_for_progress(process, 0.5)
         nodes = psutil.Process(process.pid).children(recursive=True)
         assert len(nodes) == 4, "three nodes, and the controller's worker"
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130 and "interrupted" in errors
+    assert process.returncode == 128 + number and "interrupted" in errors
     assert errors.count("\n") == 1 and str(folder / "bag") in errors
     assert not [node for node in nodes if node.is_running()]
     assert read_run(folder / "bag").times[-1] >= shown - 0.1

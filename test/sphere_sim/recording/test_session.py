@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import Reader
 
+from sphere_nmpc.fault_log import FaultLog
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.session import RecordingSession
 
@@ -29,7 +30,8 @@ class Recorded:
         self.warnings: list[str] = []
         self.failures: list[str] = []
         self.session = RecordingSession(
-            str(folder), clock_topic, lambda topic: (), self.warnings.append, self.failures.append
+            str(folder), clock_topic, lambda topic: (), FaultLog(self.warnings.append),
+            self.failures.append,
         )
         self.session.set_topic(CLOCK, CLOCK_TYPE, latched=False)
         self.session.set_topic(FLAG, FLAG_TYPE, latched=False)
@@ -75,6 +77,20 @@ def test_newest_two_messages_before_the_clock_runs_get_its_first_time(bag) -> No
     session.write([(7, CLOCK, clock_message(4 * S))])
     session.stop()
     assert stamps(bag) == stamps(bag, CLOCK) == [4 * S, 4 * S]
+
+
+@pytest.mark.parametrize("damaged", [b"", b"\x00\x01\x00\x00", clock_message(-5 * S)])
+def test_clock_message_that_is_none_is_left_out_and_time_stays(bag, damaged) -> None:
+    recorded = Recorded(bag, CLOCK)
+    recorded.session.start()
+    recorded.session.write([
+        (1, CLOCK, clock_message(4 * S)), (2, CLOCK, damaged), (3, CLOCK, damaged), (4, FLAG, TRUE)
+    ])
+    recorded.session.stop()
+    assert stamps(bag) == stamps(bag, CLOCK) == [4 * S]
+    assert recorded.warnings == [
+        f"/clock refused: given {damaged!r}, expected a time of 0 or more"
+    ]
 
 
 def test_latched_messages_are_repeated_in_a_later_bag(bag) -> None:
@@ -130,7 +146,7 @@ def test_unknown_message_type_is_reported_once_and_the_rest_recorded(bag) -> Non
     recorded.session.write([(1, "/odd", TRUE), (2, FLAG, TRUE), (3, "/odd", TRUE)])
     recorded.session.stop()
     assert recorded.warnings == [
-        "/odd is not recorded: the definition of odd_msgs/msg/Odd is not known"
+        "'/odd' is not recorded: the definition of 'odd_msgs/msg/Odd' is not known"
     ]
     assert recorded.session.refused == {"/odd"} and stamps(bag) == [2]
 

@@ -207,6 +207,17 @@ def goal_in_another_frame(graph) -> None:
     graph.publisher(PoseStamped, "goal_pose").publish(goal)
 
 
+def clock_before_zero(graph) -> None:
+    robot(graph, silent, lambda _: -5.0)
+    controller(graph, use_sim_time=True)
+
+
+def damaged_goal(graph) -> None:
+    robot(graph, on_the_wall, silent)
+    controller(graph)
+    graph.publisher(PoseStamped, "goal_pose").publish(b"\x00\x01\x00\x00")
+
+
 def network_after_the_start(graph) -> None:
     ADDRESSES.clear()
     robot(graph, on_the_wall, silent)
@@ -380,6 +391,8 @@ MISTAKES: dict[Callable[..., None], str] = {
     pose_sent_best_effort_in_lockstep: "incompatible QoS",
     pose_in_another_frame: ": pose refused: frame",
     goal_in_another_frame: ": goal_pose refused: frame",
+    clock_before_zero: "/clock refused",
+    damaged_goal: "a message of this type",
     network_after_the_start: "expected the one that this node announces",
     stationary_point: "the plan leaves it where it is",
     plan_that_is_not_found: "there is no plan",

@@ -4,7 +4,6 @@
 
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
 from sphere_nmpc.control.controller import Controller
@@ -12,6 +11,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.conversions import joint_states_to_ros, rotor_speeds_from_ros
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.settings import ControllerSettings
 
 SPEEDS = np.array([3.0, -4.0])
@@ -33,10 +33,11 @@ def joints(stamp: int, speeds: np.ndarray = SPEEDS) -> JointState:
 
 
 def test_speeds_are_heard_until_they_are_no_longer_needed_and_again_when_they_are(graph) -> None:
-    graph.probe.set_parameters([Parameter("use_sim_time", value=False)])
+    node = GuardedNode("listener")
+    graph.add(node)
     controller, windows = Heard(), []
-    clock = ControlClock(graph.probe, lambda changed: None)
-    receiver = RotorReceiver(graph.probe, controller, clock, windows.append)
+    clock = ControlClock(node, lambda changed: None)
+    receiver = RotorReceiver(node, controller, clock, windows.append)
     publisher = graph.probe.create_publisher(JointState, "joint_states", 10)
     graph.until(lambda: publisher.get_subscription_count() == 1)
     publisher.publish(joints(clock.stamp() + 10**12))

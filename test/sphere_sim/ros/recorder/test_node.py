@@ -5,6 +5,7 @@
 import json
 import signal
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from sphere_nmpc.ros.conversions import stamp_to_ros
+from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 from sphere_sim.ros.session.child_process import verb_command
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -95,6 +97,7 @@ def counted(folder: Path) -> Counter[str]:
 @pytest.mark.slow
 def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None:
     probe = graph.probe
+    probe.declare_parameter("bytes", [b"\x01", b"\xff"])
     latched = probe.create_publisher(PoseStamped, "controller/active_goal", LATCHED)
     latched.publish(PoseStamped())  # before the recorder starts
     early = probe.create_publisher(PoseStamped, "pose", 10)
@@ -112,7 +115,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
             publisher.publish(message)
     metadata = recording.folder / "metadata.yaml"
     graph.until(lambda: "parameters:/probe" in metadata.read_text())
-    output = recording.end()
+    output = recording.end(signal.SIGHUP)  # as when its terminal is closed
     assert recording.process.returncode == 0 and "messages on" in output
     counts = counted(recording.folder)
     assert counts["/controller/active_goal"] == 1
@@ -123,7 +126,8 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
         custom = reader.storage.metadata.custom
     assert qos["/odom"][0].reliability.name == "BEST_EFFORT"
     assert qos["/controller/active_goal"][0].durability.name == "TRANSIENT_LOCAL"
-    assert "use_sim_time" in json.loads(custom["parameters:/probe"])
+    parameters = json.loads(custom["parameters:/probe"])
+    assert parameters["use_sim_time"] is False and parameters["bytes"] == [1, 255]
 
 
 @pytest.mark.slow
@@ -150,10 +154,11 @@ def test_simulated_time_is_the_log_time_also_of_earlier_messages(graph, record) 
     clock = graph.publisher(Clock, "/clock")
     goal.publish(PoseStamped())
     recording.wait_for("/goal_pose")
-    for stamp in (0, 40_000_000, 50_000_000):
+    clock.publish(b"\x00\x01\x00\x00")
+    for stamp in (-5 * 10**9, 0, 40_000_000, 50_000_000):
         clock.publish(Clock(clock=stamp_to_ros(stamp)))
     recording.wait_for("/clock", "/goal_pose")
-    recording.end()
+    assert "/clock refused: " in recording.end()
     with Reader(recording.folder) as reader:
         stamps = {}
         for connection, stamp, _ in reader.messages():
@@ -180,6 +185,28 @@ def test_start_and_stop_make_separate_bags(graph, record) -> None:
     recording.end()
     assert "/diagnostics" not in counted(recording.folder)
     assert counted(recording.folder.with_name("bag_1"))["/diagnostics"] == 1
+
+
+@pytest.mark.parametrize(
+    "msgtype",
+    ["this/msg/Zen", "this.msg/msg/Zen", "a b/msg/Odd", "/msg/Odd", "../msg/Odd", "String", "",
+     "std_msgs/String", "std_msgs/msg/", "std_msgs/msg/rosidl_parser", "absent_msgs/msg/Odd"],
+)
+def test_announced_type_that_is_none_is_not_loaded(msgtype) -> None:
+    assert _message_class(msgtype) is None
+    assert "this" not in sys.modules
+    assert _message_class("std_msgs/msg/String") is String
+
+
+@pytest.mark.parametrize(
+    "graph", [["--ros-args", "-p", "record_on_start:=false"]], indirect=True
+)
+def test_announced_topic_of_an_invalid_name_is_refused_in_one_line(graph, capfd) -> None:
+    node = RecorderNode()
+    graph.add(node)
+    node._subscribe("/controller/a\n[FATAL] forged", "std_msgs/msg/String", QoSProfile(depth=1))
+    (line,) = (line for line in capfd.readouterr().err.splitlines() if "not recorded" in line)
+    assert "'/controller/a\\n[FATAL] forged' is not recorded: expected a valid name" in line
 
 
 def test_existing_folder_ends_the_node_with_one_line(tmp_path, record) -> None:

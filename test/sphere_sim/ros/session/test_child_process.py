@@ -16,6 +16,7 @@ import psutil
 import pytest
 from patience import PATIENCE
 
+from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_sim.ros.session.child_process import (
     ChildEndedError,
     ChildProcess,
@@ -164,7 +165,7 @@ from pathlib import Path
 from sphere_sim.ros.session.process_set import ProcessSet
 
 with ProcessSet(Path(sys.argv[1])) as processes:
-    process = processes.add("slow", [sys.executable, sys.argv[2]])
+    process = processes.add("slow", [sys.executable, *sys.argv[2:]])
     process.start()
     while "up" not in process.output:
         pass
@@ -172,9 +173,10 @@ with ProcessSet(Path(sys.argv[1])) as processes:
     {inside}
 """
 SLOW = """
-import os, signal, time
+import os, signal, sys, time
 def end(*_):
-    os.kill(os.getppid(), signal.SIGINT)  # the second Ctrl-C, while the parent ends this one
+    for number in map(int, sys.argv[1:]):
+        os.kill(os.getppid(), number)  # again, while the parent ends this one
     time.sleep(0.5)
     os._exit(7)
 signal.signal(signal.SIGINT, end)
@@ -184,11 +186,18 @@ while True:  # a handler does not run while a sleep lasts that began just after 
 """
 
 
-@pytest.mark.parametrize("inside", ["os.kill(os.getpid(), signal.SIGINT)", "processes.stop()"])
-def test_no_process_survives_a_ctrl_c_while_it_is_being_ended(tmp_path, inside) -> None:
+@pytest.mark.parametrize(
+    ("inside", "again"),
+    [
+        ("os.kill(os.getpid(), signal.SIGINT)", END_SIGNALS),
+        ("processes.stop()", [signal.SIGINT]),
+    ],
+)
+def test_no_process_survives_a_signal_while_it_is_being_ended(tmp_path, inside, again) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     program = textwrap.dedent(INTERRUPTED).format(inside=inside)
-    command = [sys.executable, "-c", program, str(tmp_path), str(tmp_path / "slow.py")]
+    numbers = [str(int(number)) for number in again]
+    command = [sys.executable, "-c", program, str(tmp_path), str(tmp_path / "slow.py"), *numbers]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert "KeyboardInterrupt" in done.stderr
     pid = int(done.stdout)
@@ -218,11 +227,12 @@ def test_command_of_a_verb_names_the_parent() -> None:
     assert Path(verb_command("goal")[0]) == Path(sys.executable)
 
 
-def test_child_of_a_process_that_ignores_interrupts_can_be_interrupted(tmp_path) -> None:
-    script = "import signal; print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"
+@pytest.mark.parametrize("number", END_SIGNALS)
+def test_child_of_a_process_that_ignores_a_signal_can_be_ended_by_it(tmp_path, number) -> None:
+    script = f"import signal; print(signal.getsignal({int(number)}) is signal.SIG_IGN)"
     process = ChildProcess("child", [sys.executable, "-c", script], tmp_path / "child.log")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(number, signal.SIG_IGN)
     process.start()
-    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    assert signal.getsignal(number) is signal.SIG_IGN
     assert process.wait(PATIENCE) == 0
     assert process.output.strip() == "False"

@@ -1,0 +1,160 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node that no message, parameter, request or failed callback ends."""
+
+import re
+import traceback
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock
+from type_description_interfaces.srv import GetTypeDescription
+
+from sphere_nmpc.errors import InvalidValueError, SphereNmpcError
+from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.ros.serialised import clock_stamp, message_object
+
+_TYPE_HASH = re.compile("RIHS01_[0-9a-f]{64}")
+FAILED = "callback failed"
+"""Kind of fault of a timer, or of work beside the callbacks, that raised an error."""
+
+
+class GuardedNode(Node):
+    """Node whose callbacks never raise: an error is one line in the log, at most one in 5 s.
+
+    rclpy passes errors of a callback, and of reading a message for it, on to whoever serves the
+    executor; its events executor also logs each with its traceback. So they are caught where rclpy
+    is given the callback, which includes those of rclpy itself, for the clock and for parameters.
+    Messages are read here too, as rclpy would read them outside the callback.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        # Before the node is made, as rclpy creates services with it.
+        self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
+        super().__init__(*arguments, **options)
+        for service in self.services:
+            if service.srv_type is GetTypeDescription:  # rclpy makes this one in another way
+                described = _for_valid_hash(service.callback)
+                service.callback = self._answering(service.srv_name, described)
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[..., Any],
+        qos_profile: Any,
+        *,
+        raw: bool = False,
+        **options: Any,
+    ) -> Subscription:
+        """Create a subscription; see `rclpy.node.Node.create_subscription`."""
+
+        @wraps(callback)
+        def read(message: bytes, *about: Any) -> Any:
+            if msg_type is Clock:
+                clock_stamp(message)  # rclpy would raise an error of its own before 0
+            return callback(message_object(message, msg_type), *about)
+
+        taken = self.guarded(f"{topic} refused", callback if raw else read)
+        return super().create_subscription(
+            msg_type, topic, taken, qos_profile, raw=True, **options
+        )
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[..., Any], *more: Any, **options: Any
+    ) -> Timer:
+        """Create a timer; see `rclpy.node.Node.create_timer`."""
+        return super().create_timer(
+            timer_period_sec, self.guarded(FAILED, callback), *more, **options
+        )
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
+    ) -> Service:
+        """Create a service whose answer, where the callback fails, is a refusal with the reason.
+
+        See `rclpy.node.Node.create_service`.
+        """
+        answer = self._answering(srv_name, callback)
+        return super().create_service(srv_type, srv_name, answer, **options)
+
+    def guarded(self, kind: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback that logs errors as a fault of this kind rather than raising them."""
+
+        @wraps(callback)
+        def call(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                self.report(kind, error)
+                return None
+
+        return call
+
+    def _answering(self, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(callback)
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                self.report(f"{name} refused", error)
+                return _refusal(request, response, _reason(error))
+
+        return answer
+
+    def report(self, kind: str, error: Exception) -> None:
+        """Log an error as a fault of this kind; one of another package with its place."""
+        self._fault_log.report(kind, f"{_reason(error)}{_place(error)}")
+
+
+def _for_valid_hash(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the callback of a type description service; rcl logs an invalid hash as it is."""
+
+    @wraps(callback)
+    def answer(request: Any, response: Any) -> Any:
+        if not _TYPE_HASH.fullmatch(request.type_hash):
+            expected = "RIHS01_ and 64 hexadecimal digits"
+            raise InvalidValueError("type_hash", request.type_hash, expected)
+        return callback(request, response)
+
+    return answer
+
+
+def _reason(error: Exception) -> str:
+    """Return the message of an error; that of another package has its type and is foreign."""
+    if isinstance(error, SphereNmpcError):
+        return str(error)
+    return f"{type(error).__name__} {shown(str(error))}"
+
+
+def _place(error: Exception) -> str:
+    """Return file and line of an error of another package, or of a mistake in this one."""
+    if isinstance(error, SphereNmpcError) or error.__traceback__ is None:
+        return ""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f" ({Path(last.filename).name}, line {last.lineno})"
+
+
+def _refusal(request: Any, response: Any, reason: str) -> Any:
+    """Return a response that refuses its request, as far as responses of its class can."""
+    refused = SetParametersResult(successful=False, reason=reason)
+    if hasattr(response, "results"):
+        # One for each parameter: those before the one that failed have been set.
+        left = len(request.parameters) - len(response.results) - 1
+        untried = SetParametersResult(successful=False, reason="one before it was refused")
+        response.results = [*response.results, refused, *[untried] * left]
+    elif isinstance(getattr(response, "result", None), SetParametersResult):
+        response.result = refused
+    elif hasattr(response, "failure_reason"):
+        response.failure_reason = reason
+    elif hasattr(response, "message"):
+        response.success, response.message = False, reason
+    return response

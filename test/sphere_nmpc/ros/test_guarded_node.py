@@ -1,0 +1,179 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A node goes on after any error, with one line, for each kind of callback and both executors."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
+from type_description_interfaces.srv import GetTypeDescription
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.lifetime import _make_executor, spin_for
+
+DAMAGED = b"\x00\x01\x00\x00\x07"
+
+
+def pose(number: int) -> PoseStamped:
+    message = PoseStamped()
+    message.header.stamp.sec = number
+    return message
+
+
+class Wanting(GuardedNode):
+    """Node each callback of which raises on demand."""
+
+    def __init__(self) -> None:
+        super().__init__("wanting")
+        self.declare_parameter("number", 1)
+        self.heard: list[int] = []
+        self.ticks = 0
+        self.ends = [
+            self.create_subscription(PoseStamped, "pose", self._take, 10),
+            self.create_subscription(PoseStamped, "raw", self._take_raw, 10, raw=True),
+            self.create_timer(0.01, self._tick),
+            self.create_service(SetBool, "switch", self._switch),
+        ]
+
+    def _take(self, message: PoseStamped) -> None:
+        if message.header.frame_id:
+            raise ValueError(message.header.frame_id)
+        self.heard.append(message.header.stamp.sec)
+
+    def _take_raw(self, message: bytes) -> None:
+        raise SphereNmpcError(f"raw: given {len(message)} bytes, expected none")
+
+    def _tick(self) -> None:
+        self.ticks += 1
+        if self.ticks < 10:
+            raise KeyError("tick")
+
+    def _switch(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        if not request.data:
+            raise RuntimeError("stuck")
+        response.success = True
+        return response
+
+
+class Served:
+    """The node with an executor of its own."""
+
+    def __init__(self, graph: Any, by_events: bool) -> None:
+        self._graph = graph
+        self.node = Wanting()
+        self._executor = _make_executor(by_events)
+        assert isinstance(self._executor, SingleThreadedExecutor) is not by_events
+        self._executor.add_node(self.node)
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        def holds() -> Any:
+            spin_for(self._executor, 0.01)
+            return condition()
+
+        self._graph.until(holds)
+
+    def publisher(self, kind: type, topic: str) -> Any:
+        publisher = self._graph.probe.create_publisher(kind, topic, 10)
+        self.until(lambda: publisher.get_subscription_count() > 0)
+        return publisher
+
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        client = self._graph.probe.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+
+@pytest.fixture(params=[True, False], ids=["events executor", "single-threaded executor"])
+def served(graph, request) -> Iterator[Served]:
+    served = Served(graph, request.param)
+    yield served
+    served.close()
+
+
+def warnings(capfd) -> list[str]:
+    """Return the lines of the node, all of which are warnings."""
+    lines = capfd.readouterr().err.splitlines()
+    assert all(line.startswith("[WARN] ") for line in lines), lines
+    return [line.partition("[wanting]: ")[2] for line in lines]
+
+
+def test_messages_after_those_that_fail_are_taken_at_once(served, capfd) -> None:
+    bad = pose(0)
+    bad.header.frame_id = "a\n[FATAL] forged" + "x" * 200
+    publisher, raw = served.publisher(PoseStamped, "pose"), served.publisher(PoseStamped, "raw")
+    served.until(lambda: served.node.ticks >= 12)
+    messages = [bad, DAMAGED, bad, DAMAGED, pose(1), DAMAGED, pose(2)]
+    for message in messages:  # several at a time, as after a pause of the executor
+        publisher.publish(message)
+    raw.publish(serialize_message(bad)[:100])
+    served.until(lambda: served.node.heard == [1, 2])
+    publisher.publish(pose(3))
+    served.until(lambda: served.node.heard == [1, 2, 3])
+    served.until(lambda: served.node._fault_log.counts["raw refused"] == 1)
+    printed = warnings(capfd)
+    (failed,) = (line for line in printed if line.startswith("callback failed: "))
+    assert failed.startswith("callback failed: KeyError \"'tick'\" (test_guarded_node.py, line ")
+    (of_pose,) = (line for line in printed if line.startswith("pose refused: "))
+    assert of_pose.startswith("pose refused: ValueError 'a\\n[FATAL] forgedxxx")
+    assert len(of_pose) < 200
+    assert "raw refused: raw: given 100 bytes, expected none" in printed
+    counts = served.node._fault_log.counts
+    assert counts["pose refused"] == 5 and counts["callback failed"] == 9
+
+
+def test_request_that_fails_is_answered_with_the_reason(served, capfd) -> None:
+    refused = served.call(SetBool, "switch", SetBool.Request(data=False))
+    assert (refused.success, refused.message) == (False, "RuntimeError 'stuck'")
+    assert served.call(SetBool, "switch", SetBool.Request(data=True)).success
+    good = Parameter(name="number", value=ParameterValue(type=2, integer_value=7))
+    unknown = Parameter(name="number", value=ParameterValue(type=99))
+    request = SetParameters.Request(parameters=[good, unknown, unknown])
+    results = served.call(SetParameters, "wanting/set_parameters", request).results
+    assert [result.successful for result in results] == [True, False, False]
+    assert "99 is not a valid Parameter.Type" in results[1].reason
+    assert results[2].reason == "one before it was refused"
+    assert served.node.get_parameter("number").value == 7
+    request = SetParametersAtomically.Request(parameters=[unknown])
+    result = served.call(
+        SetParametersAtomically, "wanting/set_parameters_atomically", request
+    ).result
+    assert not result.successful and "99 is not a valid" in result.reason
+    described = served.call(
+        GetTypeDescription, "wanting/get_type_description",
+        GetTypeDescription.Request(type_hash="a\n[FATAL] forged"),
+    )
+    assert not described.successful and "a\\n[FATAL] forged" in described.failure_reason
+    of_requests = [line for line in warnings(capfd) if "failed" not in line]
+    assert [line.partition(":")[0] for line in of_requests] == [
+        "switch refused", "wanting/set_parameters refused",
+        "wanting/set_parameters_atomically refused", "wanting/get_type_description refused",
+    ]
+
+
+def test_clock_that_cannot_be_is_refused_and_time_goes_on(served, capfd) -> None:
+    on = Parameter(name="use_sim_time", value=ParameterValue(type=1, bool_value=True))
+    request = SetParameters.Request(parameters=[on])
+    assert served.call(SetParameters, "wanting/set_parameters", request).results[0].successful
+    clock = served.publisher(Clock, "/clock")
+    before, negative, now = Clock(), Clock(), Clock()
+    before.clock.sec, negative.clock.sec, now.clock.sec = 1, -5, 2
+    for message in (before, DAMAGED, negative, now):
+        clock.publish(message)
+        served.until(lambda: True)
+    served.until(lambda: served.node.get_clock().now().nanoseconds == 2 * 10**9)
+    assert any(line.startswith("/clock refused: ") for line in warnings(capfd))
+    assert served.call(SetBool, "switch", SetBool.Request(data=True)).success

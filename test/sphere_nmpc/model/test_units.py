@@ -65,9 +65,10 @@ def test_equivalent_robots_have_the_same_plan_in_their_units(name) -> None:
         situation = Situation(0.0, start, goal, np.zeros(2), robot.lumped)
         plan = make_strategy(settings, robot).plan(situation)
         plans.append((plan.hold.speeds / units.speed, plan.cost))
-    # Rounding of the products, carried through ten iterations.
-    np.testing.assert_allclose(plans[1][0], plans[0][0], atol=1e-6)
+    # Rounding of the products, which depends on the processor, carried through ten iterations.
+    # Near its minimum the cost is flat: the inputs agree to the root of what the costs do.
     assert plans[1][1] == pytest.approx(plans[0][1], rel=1e-9)
+    np.testing.assert_allclose(plans[1][0], plans[0][0], atol=100.0 * 1e-9**0.5)
 
 
 @pytest.mark.parametrize("robot", SIZES)

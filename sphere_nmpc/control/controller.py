@@ -10,6 +10,7 @@ import numpy as np
 from sphere_nmpc.control.arrival import Arrival
 from sphere_nmpc.control.commands import Commands
 from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.pose_step import impossible_step
 from sphere_nmpc.control.progress import Progress
 from sphere_nmpc.control.rotor_feedback import RotorFeedback
 from sphere_nmpc.errors import InvalidStateError
@@ -76,6 +77,12 @@ class Controller:
         """False ramps the rotors to rest and keeps them there."""
         self.late_poses = 0
         """Poses dropped: not newer than the newest, or too old to be fused."""
+        self._is_carried = False
+        """Whether the pose has jumped and the rotors have not been ramped to rest since."""
+        self.pose_jumps = 0
+        """Poses to which the sphere cannot have rolled from the one before."""
+        self.last_jump = ""
+        """Description of the step to the newest of these poses."""
         self.failures = 0
         """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
@@ -152,6 +159,7 @@ class Controller:
         if not np.isfinite(time):
             raise InvalidStateError("time of the pose", time, "a finite number [s]")
         try:
+            self._notice_step(time, checked)
             accepted = self._estimator.observe(time, checked)
         except Exception as error:
             # As in `decide`; without further poses the rotors are ramped to rest.
@@ -159,6 +167,27 @@ class Controller:
             return False
         self.late_poses += int(not accepted)
         return accepted
+
+    def _notice_step(self, time: float, state: Vector) -> None:
+        """Begin anew where the sphere has been carried since the newest pose.
+
+        What the rotors do then is not known: a simulator that is reset stops them. So nothing is
+        learnt until they have been ramped to rest.
+        """
+        newest = self._estimator.newest
+        if newest is not None and time > newest[0]:
+            step = impossible_step(
+                newest[1], state, time - newest[0], self._robot, self._settings
+            )
+            if step:
+                self.pose_jumps += 1
+                self.last_jump = step
+                self._is_carried = True
+                self._arrival.reset()
+                self._progress.reset()
+                self._reset_strategy()
+        if self._is_carried:
+            self._estimator.forget()
 
     def observe_rotors(self, time: float, speeds: Vector) -> None:
         """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s]."""
@@ -268,6 +297,10 @@ class Controller:
                 drift=self._estimator.drift,
             )
         self._interrupted = False
+        self._is_carried = self._is_carried and self._commands.sent.moves_after(time)
+        if self._is_carried:
+            mode = Mode.POSE_JUMPED
+            return Decision(mode, self._ramp_to_rest(time, mode), None, pose_age=age)
         estimate, failure = self._estimate(time)
         if estimate is not None:
             state = estimate.state

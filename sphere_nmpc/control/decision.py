@@ -23,6 +23,7 @@ class Mode(Enum):
     NO_GOAL = "no goal yet"
     DISABLED = "disabled"
     NO_FRESH_POSE = "no fresh pose, ramping to rest"
+    POSE_JUMPED = "the pose has jumped, ramping to rest"
     TRACKING = "on the way to the goal"
     AT_GOAL = "at the goal"
     NO_PROGRESS = "no progress towards the goal"

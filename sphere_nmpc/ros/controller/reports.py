@@ -41,6 +41,7 @@ _LEVELS = {
     Mode.DISABLED: OK,
     Mode.NO_POSE: STALE,
     Mode.NO_FRESH_POSE: ERROR,
+    Mode.POSE_JUMPED: WARN,
     Mode.FALLBACK: WARN,
 }
 _NO_PROGRESS = "no progress"
@@ -100,7 +101,8 @@ class ControllerReports:
         self._tick_times: deque[float] = deque(maxlen=_KEPT)
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
-        self._ticks = self._ticks_reported = self._failures_reported = 0
+        self._ticks = self._ticks_reported = 0
+        self._failures_reported = self._jumps_reported = 0
         self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._last_tick = float("nan")
         self._last_status = (float("-inf"), Mode.NO_POSE)
@@ -200,6 +202,8 @@ class ControllerReports:
         link = self._monitor.pose_link
         self._values |= {"pose_delay_s": link.delay, "pose_loss": link.loss}
         self._message = plan.message or plan.status.value
+        if decision.mode is Mode.POSE_JUMPED:
+            self._message = f"{decision.mode.value}: {self._controller.last_jump}"
         self._warned = bool(warnings)
         for kind, text in warnings.items():
             self._message = f"{kind}: {text}"
@@ -210,12 +214,15 @@ class ControllerReports:
             self._path.publish(path_to_ros(times, plan.states, radius, epoch))
 
     def _log_failure(self, decision: Decision) -> None:
-        """Log what has failed since the last tick: the solve, or a pose or command beside it."""
+        """Log what has failed since the last tick: the solve, a pose or a command."""
         failures, self._failures_reported = self._failures_reported, self._controller.failures
         if decision.mode is Mode.FALLBACK:
             self._fault_log.report("solve failed", decision.plan.message)
         elif self._controller.failures > failures:
             self._fault_log.report("controller failed", self._controller.last_failure)
+        jumps, self._jumps_reported = self._jumps_reported, self._controller.pose_jumps
+        if self._controller.pose_jumps > jumps:
+            self._fault_log.report("pose jumped", self._controller.last_jump)
 
     def _warnings(self, decision: Decision) -> dict[str, str]:
         """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""

@@ -50,6 +50,13 @@ class CommandFollower:
         """Return whether a hold starts no earlier than the previous one."""
         return self._trajectory is None or hold.start >= self._trajectory.start
 
+    def has_followed(self, hold: FirstOrderHold) -> bool:
+        """Return whether the newest trajectory is this one: the other may be a copy of it."""
+        newest = self._trajectory
+        return newest is not None and (
+            np.array_equal(newest.times, hold.times) and np.array_equal(newest.speeds, hold.speeds)
+        )
+
     def follow_speeds(self, speeds: Vector, time: float) -> None:
         """Follow rotor speeds [rad/s], shape (2,), received at `time` [s].
 

@@ -102,6 +102,9 @@ class CommandReceiver:
                 "the one in force, expected a newer one",
             )
             return
+        if simulator.follower.has_followed(hold):
+            self._on_trajectory(stamp)  # a copy, in case that the first one was lost
+            return
         fastest = max(np.abs(hold.speeds).max(), np.abs(simulator.speed_reference).max())
         if hold.end < simulator.time - 1e-9 and fastest > _NEGLIGIBLE_SPEED:
             # It may be a delayed ramp to rest: the command that it replaces must not continue.

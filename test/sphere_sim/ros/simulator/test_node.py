@@ -229,6 +229,20 @@ def test_late_trajectory_that_leaves_resting_rotors_at_rest_is_not_logged(graph,
     assert not node._fault_log.counts
 
 
+def test_late_copy_of_a_ramp_that_was_followed_is_not_logged(graph, capfd) -> None:
+    node = simulator(graph)
+    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
+    ramp = trajectory((0.0, (0.0, 0.0)), (0.1, (40.0, 0.0)), (0.2, (0.0, 0.0)),
+                      stamp=node.simulator.now + 200 * MS)
+    sender.publish(ramp)
+    graph.until(lambda: node.simulator.now > stamp_from_ros(ramp.header.stamp) + 250 * MS)
+    received = node._receiver.received
+    sender.publish(ramp)
+    graph.until(lambda: node._receiver.received > received)
+    assert "rotor_trajectory" not in capfd.readouterr().err
+    assert not node._fault_log.counts
+
+
 def test_lockstep_answer_for_time_zero_may_be_repeated_late(graph) -> None:
     node = simulator(graph, **LOCKSTEP)
     joints = graph.collect(JointState, "joint_states")

@@ -8,12 +8,11 @@ import sys
 from collections.abc import Sequence
 
 import rclpy
-from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.ros.startup import start_ros
+from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -68,7 +67,7 @@ def main(args: Sequence[str] | None = None) -> int:
         0 when the goal is in force, 1 when it is not.
     """
     given = list(sys.argv[1:] if args is None else args)
-    goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
+    goal, timeout = parse(without_ros_arguments(given))
     start_ros(given)
     node = rclpy.create_node("goal")
     sent = f"goal x {goal[0]:g} y {goal[1]:g} m, quaternion wxyz {goal[2:].round(4).tolist()}"

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monitor of the ROS graph around a node, which logs each fault when it begins and ends."""
 
+import time
 from collections.abc import Sequence
 from itertools import product
 
@@ -23,8 +24,10 @@ from sphere_nmpc.ros.network import network_addresses
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
-UNKNOWN = "a node that was just found"
+UNKNOWN = "a node without a name"
 """Stands for the name of a node of which only a topic has been discovered yet."""
+NAMED_WITHIN = 3.0
+"""Longest wait for the name of a node that was found [s, wall]; it mostly follows within one."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
@@ -45,21 +48,28 @@ class GraphMonitor:
         self._announced = network_addresses() if reaches_other_machines() else None
         self.faults: list[GraphFault] = []
         """The present faults, the most severe first."""
+        self._since: dict[str, float] = {}
+        self._logged: set[str] = set()
 
     def update(self, found: Sequence[GraphFault]) -> None:
         """Take `found` as the present faults, and log which are new and which have ended.
 
-        That of the network is added here.
+        That of the network is added here. A fault of a node without a name is logged once the
+        name is known, or after `NAMED_WITHIN`.
         """
         if self._announced is not None:
             found = [*found, *network_fault(self._announced, network_addresses())]
-        before = {fault.kind for fault in self.faults}
+        now = time.monotonic()
         self.faults = list(found)
+        self._since = {fault.kind: self._since.get(fault.kind, now) for fault in found}
         for fault in found:
-            if fault.kind not in before:
+            is_told = UNKNOWN not in fault.message or now > self._since[fault.kind] + NAMED_WITHIN
+            if is_told and fault.kind not in self._logged:
+                self._logged.add(fault.kind)
                 self._fault_log.report(fault.kind, fault.message)
-        for kind in before - {fault.kind for fault in found}:
+        for kind in self._logged - self._since.keys():
             self._node.get_logger().info(f"{kind}: over")
+        self._logged &= self._since.keys()
 
     def publishers(self, topic: str) -> list[str]:
         """Return the full names of the nodes that publish a topic, one for each endpoint."""

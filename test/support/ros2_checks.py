@@ -127,13 +127,14 @@ def check_subscription(words: Sequence[str]) -> None:
     kind = check_topic(given.topic, given.kind)
     message = filled(kind, "{}")
     qos = (given.qos_reliability, given.qos_durability)
-    if "transient local" in offers(given.topic)[kind] and (any(qos) or given.qos_profile):
-        # With any of these options `ros2 topic echo` begins with best effort and volatile.
-        if qos != ("reliable", "transient_local"):
-            raise WrongCommandError(
-                f"{given.topic} is published once, before the subscription: expected "
-                "--qos-reliability reliable and --qos-durability transient_local, or no --qos option"
-            )
+    # With any of these options `ros2 topic echo` begins with best effort and volatile.
+    is_adapted = not (any(qos) or given.qos_profile)
+    is_latched = "transient local" in offers(given.topic)[kind]
+    if is_latched and not is_adapted and qos != ("reliable", "transient_local"):
+        raise WrongCommandError(
+            f"{given.topic} is published once, before the subscription: expected "
+            "--qos-reliability reliable with --qos-durability transient_local, or neither"
+        )
     if given.field:
         try:
             reduce(getattr, given.field.split("."), message)

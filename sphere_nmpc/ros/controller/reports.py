@@ -70,6 +70,8 @@ class ControllerReports:
         Strategy, weights and rates.
     monitor : ControllerMonitor
         Source of the faults around the node.
+    frame : str
+        Frame of goal and path.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class ControllerReports:
         robot: RobotParameters,
         settings: ControllerSettings,
         monitor: ControllerMonitor,
+        frame: str,
     ) -> None:
         self._controller = controller
         self._logger = node.get_logger()
@@ -88,6 +91,7 @@ class ControllerReports:
         self._schedule = schedule
         self._fault_log = fault_log
         self._radius = robot.shell_radius
+        self._frame = frame
         self._period = settings.control_period
         self._strategy = settings.strategy
         self._status_values = ControllerStatus(controller, robot, settings)
@@ -113,7 +117,7 @@ class ControllerReports:
 
     def goal(self, goal: Vector, stamp: int) -> None:
         """Publish the goal, shape (6,), that is now in force."""
-        self._goal.publish(pose_to_ros(goal, stamp, self._radius))
+        self._goal.publish(pose_to_ros(goal, stamp, self._radius, self._frame))
         self._publish_arrival()
 
     @property
@@ -190,7 +194,9 @@ class ControllerReports:
         self._publish_status(decision.mode, self._message, self._values)
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
-            self._path.publish(path_to_ros(plan.hold.times, plan.states, self._radius, epoch))
+            self._path.publish(
+                path_to_ros(plan.hold.times, plan.states, self._radius, epoch, self._frame)
+            )
 
     def _log_failure(self, decision: Decision) -> None:
         """Log what has failed since the last tick: the solve, or a pose or command beside it."""

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
 
@@ -68,7 +68,7 @@ class BadGoals(Action):
         goal = random_goal(rng)
         if self._kind == "unreachable":
             goal[:2] = rng.choice([1e5, 1e9, 1e150, 1e300, -1e308], size=2)
-        message = pose_to_ros(goal, 0, RADIUS, WORLD_FRAME)
+        message = pose_to_ros(goal, 0, RADIUS)
         if self._kind == "malformed":
             broken = self._count % 4
             if broken == 0:

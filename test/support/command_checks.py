@@ -165,6 +165,6 @@ def check_launch(words: Sequence[str]) -> None:
     config = f"params_file:={ROOT}/config/sphere.yaml"
     words = [config if word.startswith("params_file:=") else word for word in arguments]
     try:
-        started(*(word for word in words if not word.startswith("-")))
+        started(*(word for word in words if not word.startswith("-")), installed=["rviz2"])
     except (RuntimeError, ValueError) as error:
         raise WrongCommandError(str(error)) from None

@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.model.state import Vector, upright_state
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
@@ -28,8 +28,9 @@ def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
 
 def upright_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
     """Return a goal, shape (6,), likewise, of an upright orientation with any heading."""
-    half = 0.5 * rng.uniform(-math.pi, math.pi)
-    return make_state(rng.uniform(-reach, reach, 2), (math.cos(half), 0.0, 0.0, math.sin(half)))
+    yaw = rng.uniform(-math.pi, math.pi)
+    x, y = rng.uniform(-reach, reach, 2)
+    return upright_state(x, y, yaw)
 
 
 class BadGoals(Action):

@@ -5,6 +5,7 @@
 import math
 import re
 import signal
+import subprocess
 import sys
 import venv
 from importlib.util import module_from_spec, spec_from_file_location
@@ -19,6 +20,7 @@ from parameter_tables import NODES, PARTS
 
 from sphere_nmpc.quantity import quantities
 from sphere_sim.cli.main import VERBS
+from sphere_sim.output.error_text import EXTRAS
 
 ARGUMENTS = {
     "strategy", "plant", "real_time_factor", "clock", "use_sim_time", "initial_state",
@@ -347,6 +349,19 @@ def test_it_is_refused_while_nodes_of_the_same_topics_run(capfd) -> None:
         assert nodes(started("clock:=system", looks=True))
     assert nodes(started("namespace:=left", looks=True))
     assert not capfd.readouterr().err
+
+
+def test_file_runs_without_the_python_packages_of_the_nodes() -> None:
+    # These may be in a virtual environment, while `ros2 launch` is that of the system.
+    of_extras = (name for extra, names in EXTRAS.items() if extra != "ros" for name in names)
+    of_nodes = {"casadi", "scipy", *of_extras}
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT / 'test' / 'support')!r}); "
+        f"sys.modules.update(dict.fromkeys({of_nodes}, None)); "
+        "from launch_stand_in import started; "
+        "started('rviz:=true', 'initial_state:=0,0,1', installed=['rviz2'])"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_arguments_of_launch_itself_are_known() -> None:

@@ -98,8 +98,10 @@ def test_colcon_installs_executables_and_shared_files(tree, tmp_path, option) ->
     for name in shared_files(tree):
         assert (prefix / "share" / "sphere_nmpc" / name).is_file(), name
     assert (prefix / "share/ament_index/resource_index/packages/sphere_nmpc").is_file()
-    setup = f". {tmp_path}/install/local_setup.sh && {prefix}/lib/sphere_nmpc/sphere_nmpc"
-    assert run("sh", "-c", f"{setup} --version").strip() == "sphere_nmpc 0.1.0"
+    for shell, setup in (("sh", "local_setup.sh"), ("bash", "setup.bash")):
+        words = f". {tmp_path}/install/{setup} && command -v sphere_nmpc && sphere_nmpc --version"
+        path, version = run(shell, "-c", words).splitlines()
+        assert Path(path).is_relative_to(prefix) and version == "sphere_nmpc 0.1.0"
 
 
 def test_setup_lists_the_verbs_of_the_command() -> None:

@@ -43,7 +43,8 @@ def _missing_package(error: BaseException) -> str:
 def how_to_install(missing: str) -> str:
     """Return what installs a Python package that is missing, given its import name."""
     if missing.endswith("_msgs"):
-        missing_from = "ros"
+        extra = "ros"
     else:
-        missing_from = next((e for e, names in EXTRAS.items() if missing in names), "all")
-    return f"'{missing}' is not installed; it comes with pip install 'sphere_nmpc[{missing_from}]'"
+        extra = next((e for e, names in EXTRAS.items() if missing in names), "")
+    source = f"'sphere_nmpc[{extra}]'" if extra else "sphere_nmpc"
+    return f"'{missing}' is not installed; it comes with pip install {source}"

@@ -18,11 +18,12 @@ import pytest
 from packaging.requirements import Requirement
 
 from sphere_sim.cli import main as cli
+from sphere_sim.output.error_text import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
 EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
-SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs")
+SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
 HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
 
@@ -36,7 +37,10 @@ def tree(tmp_path_factory) -> Path:
     for name in ("resource", "sphere_nmpc", "sphere_sim", *SHARED):
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, copy / name, ignore=ignore)
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "README.md"):
+    for name in (
+        "setup.py", "setup.cfg", "pyproject.toml", "package.xml", "colcon.pkg", "LICENSE",
+        "README.md",
+    ):
         if (ROOT / name).is_file():
             shutil.copy(ROOT / name, copy)
     return copy
@@ -146,6 +150,12 @@ def test_core_requires_three_packages_only() -> None:
     requirements = map(Requirement, metadata.requires("sphere_nmpc"))
     core = {r.name for r in requirements if "extra" not in str(r.marker)}
     assert core == {"numpy", "scipy", "casadi"}
+
+
+def test_tutorial_installs_every_extra_in_a_workspace_except_ros_and_tests() -> None:
+    text = (ROOT / "docs" / "tutorial.md").read_text()
+    (given,) = re.findall(r"^pip install 'sphere_nmpc\[(.*)\]'$", text, re.MULTILINE)
+    assert {*given.split(",")} == EXTRAS.keys() - {"ros"}
 
 
 def test_lock_satisfies_every_extra() -> None:

@@ -214,7 +214,8 @@ class Ending:
         if event.action not in self._running:
             return None  # of a file that includes this one
         self._running.remove(event.action)
-        is_first = not context.is_shutdown and (event.returncode or event.action in self._needed)
+        is_fault = not context.is_shutdown and (event.returncode or event.action in self._needed)
+        is_first = is_fault and self._ended is None
         self._ended = event if is_first else self._ended
         if self._ended and not self._running:
             name, code = self._ended.process_name, self._ended.returncode

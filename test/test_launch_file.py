@@ -166,21 +166,18 @@ class Run:
         events = [action.values[0] for action in actions if not action.named]
         (self._hear,) = (it["on_stderr"] for it in events if "on_stderr" in it.named)
         (self._end,) = (it["on_exit"] for it in events if "on_exit" in it.named)
-        self._is_shutdown = False
+        self.is_shutdown = False
 
     def ends(self, name: str, code: int, said: bytes = b"") -> bool:
         """End a process; return whether this shuts the launch down."""
         event = {"process_name": f"{name}-1", "action": self.nodes[name], "returncode": code}
         self._hear(SimpleNamespace(**event, text=said))
         answer = self._end(
-            SimpleNamespace(**event), SimpleNamespace(is_shutdown=self._is_shutdown)
+            SimpleNamespace(**event), SimpleNamespace(is_shutdown=self.is_shutdown)
         )
         assert answer is None or type(answer).__name__ == "Shutdown"
-        self._is_shutdown |= answer is not None
+        self.is_shutdown |= answer is not None
         return answer is not None
-
-    def is_interrupted(self) -> None:
-        self._is_shutdown = True
 
 
 @pytest.mark.parametrize(
@@ -203,10 +200,18 @@ def test_process_that_ends_ends_the_launch_with_the_reason_last(first, code, how
     assert str(caught.value) == f"{first}-1 has ended {how}"
 
 
+def test_process_that_ended_first_is_the_reason() -> None:
+    run = Run()
+    assert run.ends("controller", 2)
+    run.is_shutdown = False  # launch has not yet processed what was returned
+    with pytest.raises(RuntimeError, match="controller-1 has ended with exit code 2"):
+        run.ends("simulator", 3)
+
+
 def test_display_that_is_closed_and_an_interrupt_are_no_faults() -> None:
     run = Run("viewer:=true")
     assert not run.ends("viewer", 0)
-    run.is_interrupted()
+    run.is_shutdown = True
     for name in ("simulator", "controller"):
         assert not run.ends(name, 0)
 

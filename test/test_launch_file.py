@@ -291,7 +291,7 @@ def test_frames_have_no_prefix_without_a_namespace() -> None:
         (["real_time_factor:=nan"], "real_time_factor: given nan, expected a finite number"),
         (["clock:=system", "use_sim_time:=true"], "use_sim_time: given true, expected false"),
         (["clock:=system", "real_time_factor:=2"], "real_time_factor: given 2.0, expected 1.0"),
-        (["initial_state:=1,2"], "initial_state: given 1,2: state: given shape (2,), expected"),
+        (["initial_state:=1,2"], "initial_state: given 1,2: state: given"),
         (["initial_state:=1,north,0"], "initial_state: given 1,north,0, expected numbers"),
         (["initial_state:=1e9,0,0"], "initial_state: given 1e9,0,0: position: given"),
         (["world_frame:=/map"], "world_frame: given '/map', expected a name"),

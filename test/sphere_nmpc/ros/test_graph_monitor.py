@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log lines of the faults around a node: one when a fault begins, with names that are known."""
 
-import math
-
 import pytest
+from patience import PATIENCE
 
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros import graph_monitor
@@ -18,8 +17,8 @@ NAMED = GraphFault("other publisher of /pose", "given 2 (/simulator, /simulator)
 @pytest.mark.parametrize(
     ("limit", "seen", "logged"),
     [
-        (math.inf, [NAMELESS, NAMELESS, NAMED, NAMED], [NAMED]),
-        (math.inf, [NAMED, NAMELESS, NAMED], [NAMED]),
+        (PATIENCE, [NAMELESS, NAMELESS, NAMED, NAMED], [NAMED]),
+        (PATIENCE, [NAMED, NAMELESS, NAMED], [NAMED]),
         (-1.0, [NAMELESS, NAMELESS], [NAMELESS]),
     ],
     ids=["named soon", "named at once", "never named"],

@@ -7,7 +7,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "sphere_nmpc"
-SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs")
+SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 VERBS = (
     "demo", "simulator", "controller", "recorder", "goal", "viewer", "markers", "study",
     "benchmark", "report", "faults",
@@ -67,6 +67,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        # Where the hook of a colcon workspace (colcon.pkg) finds it.
+        (f"share/{NAME}/bin", [f"hook/{NAME}"]),
         *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in SHARED),
     ],
     install_requires=["numpy>=1.26,<3", "scipy>=1.11,<2", "casadi>=3.6.7,<4"],

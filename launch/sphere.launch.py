@@ -4,8 +4,8 @@
 
 ros2 launch sphere_nmpc sphere.launch.py record:=true viewer:=true rviz:=true namespace:=second
 
-A wrong argument, or nodes on the same topics that run already, are reported in one line, and
-nothing is started.
+A wrong argument, a missing package, or nodes on the same topics that run already, are reported in
+one line, and nothing is started. A process that ends ends the launch, see `Ending`.
 """
 
 import os
@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from ament_index_python.packages import (
@@ -24,15 +25,25 @@ from ament_index_python.packages import (
     get_package_prefix,
     get_package_share_directory,
 )
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    OpaqueFunction,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
-from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.model.state import as_state, upright_state
+from sphere_nmpc.ros.conversions import WORLD_FRAME, FrameSettings
 from sphere_nmpc.settings import STRATEGIES
+from sphere_sim.output.error_text import how_to_install
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
-from sphere_sim.ros.viewer.rviz_config import scaled_config
+from sphere_sim.ros.viewer.rviz_config import rviz_config
 from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
@@ -52,6 +63,11 @@ OF_LAUNCH = (
     "launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout",
 )
 """Arguments that launch itself reads."""
+RESPAWN_DELAY = 2.0
+"""Time between the end of a process and its restart [s]."""
+MISSING = 3
+FINDS = f"import sys, importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
+"""Program whose exit code tells whether a Python package is installed."""
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -81,6 +97,16 @@ def generate_launch_description() -> LaunchDescription:
             "clock:=simulated",
         ),
         DeclareLaunchArgument(
+            "initial_state", default_value="",
+            description="Start of the sphere: X,Y,YAW [m, rad], or X,Y,QW,QX,QY,QZ; empty: as in "
+            "params_file",
+        ),
+        DeclareLaunchArgument(
+            "world_frame", default_value=WORLD_FRAME,
+            description="Frame of poses, goals and plans, in place of that in params_file, and "
+            "fixed frame of RViz",
+        ),
+        DeclareLaunchArgument(
             "namespace", default_value="",
             description="Namespace of the robot: its topics and clock, and prefix of its frames",
         ),
@@ -97,13 +123,17 @@ def generate_launch_description() -> LaunchDescription:
             "viewer", default_value="false", choices=BOOLEAN,
             description="Serve the page of the viewer",
         ),
+        DeclareLaunchArgument(
+            "respawn", default_value="false", choices=BOOLEAN,
+            description="Restart nodes that have ended, rather than end the launch with them",
+        ),
     ]
     names = [argument.name for argument in arguments]
     return LaunchDescription([*arguments, OpaqueFunction(function=actions, args=[names])])
 
 
 def actions(context: LaunchContext, names: Sequence[str]) -> list:
-    """Return the actions to start, without those whose packages are not installed."""
+    """Return the actions to start."""
     refuse_unknown(context.argv, names)
     value = {name: context.launch_configurations[name] for name in names}
     params = existing(value["params_file"])
@@ -112,31 +142,88 @@ def actions(context: LaunchContext, names: Sequence[str]) -> list:
     place = valid_namespace(outer, value["namespace"])
     prefix = {"frame_prefix": f"{place}/"} if place else {}
     clock = {"use_sim_time": follows_clock(value["clock"], value["use_sim_time"])}
-    simulator = {"clock": value["clock"], **prefix, **unless_empty("plant", value["plant"])}
+    frame = world_frame(value["world_frame"])
+    simulator = {"clock": value["clock"], **frame, **prefix}
+    simulator |= unless_empty("plant", value["plant"])
     if pace := value["real_time_factor"]:
         simulator["real_time_factor"] = real_time_factor(pace, value["clock"])
-    controller = {**clock, **unless_empty("strategy", value["strategy"])}
+    if start := value["initial_state"]:
+        simulator["initial_state"] = initial_state(start)
+    controller = {**clock, **frame, **unless_empty("strategy", value["strategy"])}
+    record, viewer, shown, respawn = (
+        value[name] in TRUE for name in ("record", "viewer", "rviz", "respawn")
+    )
+    needed = {"viewer:=true": "viser"} if viewer else {}
+    needed |= {"plant:=rigid_body": "mujoco"} if value["plant"] == "rigid_body" else {}
+    refuse_missing(needed)
+    if shown and not is_installed("rviz2"):
+        raise RuntimeError("rviz:=true: 'rviz2' is not installed; apt install ros-jazzy-rviz2")
     refuse_other_nodes(place, value["clock"])
     common = {"namespace": f"/{place}", "output": "screen"}
     # The nodes of this package use the clock of their namespace; those of others are remapped.
     remapped = {**common, "remappings": [("/clock", "clock")]}
+    own = {**common, "package": PACKAGE}
+    own |= {"respawn": True, "respawn_delay": RESPAWN_DELAY} if respawn else {}
     nodes = [
         # The simulator publishes the clock: it must not wait for it.
-        Node(package=PACKAGE, executable="simulator", parameters=[params, simulator], **common),
-        Node(package=PACKAGE, executable="controller", parameters=[params, controller], **common),
+        Node(executable="simulator", parameters=[params, simulator], **own),
+        Node(executable="controller", parameters=[params, controller], **own),
     ]
-    shown = value["rviz"] in TRUE
     urdf = robot_description(params, place) if shown or is_installed(STATE_PUBLISHER) else ""
     if is_installed(STATE_PUBLISHER):
         nodes.append(state_publisher(urdf, {**clock, **prefix}, remapped))
-    if value["record"] in TRUE:
-        nodes.append(recording(clock, common, place))
-    if value["viewer"] in TRUE:
-        nodes.append(Node(package=PACKAGE, executable="viewer", **common))
+    if record:
+        nodes.append(recording(clock, own, place))
+    if viewer:
+        nodes.append(Node(executable="viewer", parameters=[frame], **own))
     if shown:
-        nodes.append(Node(package=PACKAGE, executable="markers", **common))
-        nodes.append(rviz(urdf, clock, remapped))
-    return nodes
+        nodes.append(Node(executable="markers", parameters=[frame], **own))
+        nodes.append(rviz(urdf, clock, frame["world_frame"], remapped))
+    return nodes if respawn else [*Ending(nodes).handlers(), *nodes]
+
+
+class Ending:
+    """End of the launch with one of its processes, and the reason as the last line.
+
+    Simulator and controller end it in whatever way they end, the others by an error.
+
+    Parameters
+    ----------
+    processes : list of Node or ExecuteProcess
+        What is started, simulator and controller first.
+    """
+
+    def __init__(self, processes: Sequence[ExecuteProcess]) -> None:
+        self._needed = processes[:2]
+        self._running = list(processes)
+        self._said: dict[str, str] = {}
+        self._ended: Any = None
+
+    def handlers(self) -> list[RegisterEventHandler]:
+        """Return the handlers of output and end of the processes."""
+        heard, ended = OnProcessIO(on_stderr=self._hear), OnProcessExit(on_exit=self._end)
+        return [RegisterEventHandler(heard), RegisterEventHandler(ended)]
+
+    def _hear(self, event: Any) -> None:
+        """Keep the last line that a process has printed."""
+        if lines := event.text.decode(errors="replace").strip().splitlines():
+            self._said[event.process_name] = lines[-1]
+
+    def _end(self, event: Any, context: LaunchContext) -> Shutdown | None:
+        """End the launch with a process that has ended, and report it behind the last one."""
+        if event.action not in self._running:
+            return None  # of a file that includes this one
+        self._running.remove(event.action)
+        is_fault = not context.is_shutdown and (event.returncode or event.action in self._needed)
+        is_first = is_fault and self._ended is None
+        self._ended = event if is_first else self._ended
+        if self._ended and not self._running:
+            name, code = self._ended.process_name, self._ended.returncode
+            how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
+            said = f": {self._said[name]}" if code > 0 and name in self._said else ""
+            # Only after an exception, which it logs, launch itself ends with another code than 0.
+            raise RuntimeError(f"{name} has ended {how}, and the launch with it{said}")
+        return Shutdown(reason=f"{event.process_name} has ended") if is_first else None
 
 
 def refuse_unknown(given: Sequence[str], known: Sequence[str]) -> None:
@@ -156,6 +243,16 @@ def is_this_file(package: str, file: str) -> bool:
     return (package, file) == (PACKAGE, here.name) or (
         Path(file).name == here.name and Path(file).exists() and here.samefile(file)
     )
+
+
+def refuse_missing(needed: dict[str, str]) -> None:
+    """Refuse arguments that need a Python package which the nodes do not have."""
+    for argument, package in needed.items():
+        # The nodes may be in a virtual environment in which this process is not.
+        script = Path(get_package_prefix(PACKAGE), "lib", PACKAGE, PACKAGE)
+        python = script.read_text(encoding="utf-8").partition("\n")[0].removeprefix("#!").strip()
+        if subprocess.run([python, "-c", FINDS, package], check=False).returncode == MISSING:
+            raise RuntimeError(f"{argument}: {how_to_install(package)} (for {python})")
 
 
 def refuse_other_nodes(place: str, clock: str) -> None:
@@ -200,6 +297,25 @@ def follows_clock(clock: str, use_sim_time: str) -> bool:
     return use_sim_time in TRUE if use_sim_time else clock == "simulated"
 
 
+def world_frame(name: str) -> dict[str, str]:
+    try:
+        return {"world_frame": FrameSettings(world_frame=name).world_frame}
+    except InvalidParameterError as error:
+        raise RuntimeError(str(error)) from None
+
+
+def initial_state(text: str) -> list[float]:
+    """Return the parameter of the simulator, which may be given as x, y and yaw."""
+    try:
+        numbers = [float(word) for word in text.strip("[] ").replace(",", " ").split()]
+        state = upright_state(*numbers) if len(numbers) == 3 else as_state(numbers)
+    except InvalidStateError as error:
+        raise RuntimeError(f"initial_state: given {text}: {error}") from None
+    except ValueError:
+        raise RuntimeError(f"initial_state: given {text}, expected numbers") from None
+    return state.tolist()
+
+
 def real_time_factor(text: str, clock: str) -> float:
     try:
         return SimulatorSettings(clock=clock, real_time_factor=float(text)).real_time_factor
@@ -230,11 +346,11 @@ def state_publisher(urdf: str, own: dict[str, object], remapped: dict[str, objec
     )
 
 
-def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Node | ExecuteProcess:
+def recording(clock: dict[str, bool], own: dict[str, Any], place: str) -> Node | ExecuteProcess:
     """Return rosbag2's recorder if installed, else the package's own; the format is the same."""
     # rosbag2 cannot use the clock of a namespace.
     if place or not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
-        return Node(package=PACKAGE, executable="recorder", parameters=[clock], **common)
+        return Node(executable="recorder", parameters=[clock], **own)
     topics = [f"/{topic}" for topic in RECORDED] + list(ABSOLUTE)
     folder = f"runs/{datetime.now():%Y-%m-%d_%H-%M-%S}"
     follow = ["--use-sim-time"] if clock["use_sim_time"] else []
@@ -244,14 +360,12 @@ def recording(clock: dict[str, bool], common: dict[str, str], place: str) -> Nod
     )
 
 
-def rviz(urdf: str, clock: dict[str, bool], remapped: dict[str, object]) -> Node | LogInfo:
-    """Return RViz with a view in the size of the robot, or a message that it is not installed."""
-    if not is_installed("rviz2"):
-        return LogInfo(msg="rviz:=true given, but rviz2 is not installed; it is not started")
+def rviz(urdf: str, clock: dict[str, bool], frame: str, remapped: dict[str, object]) -> Node:
+    """Return RViz with a view in the size of the robot."""
     radius = float(next(ElementTree.fromstring(urdf).iter("sphere")).attrib["radius"])
     shipped = Path(get_package_share_directory(PACKAGE), "rviz", "sphere.rviz")
     with tempfile.NamedTemporaryFile("w", suffix=".rviz", delete=False) as config:
-        config.write(scaled_config(shipped.read_text(encoding="utf-8"), radius))
+        config.write(rviz_config(shipped.read_text(encoding="utf-8"), radius, frame))
     return Node(
         package="rviz2", executable="rviz2", arguments=["-d", config.name], parameters=[clock],
         **remapped,

@@ -57,7 +57,7 @@ UNCHECKED = (
     # test_documents.py checks that targets and scripts exist.
     "make", "python", "python3", ".venv/bin/python",
     # Tools of the system.
-    ".", "apt", "done", "export", "for", "pip", ".venv-acados/bin/pip", "ssh",
+    ".", "apt", "done", "export", "for", "pip", ".venv-acados/bin/pip", "ssh", "touch",
     # Not a command but a line of /etc/security/limits.conf.
     "your_user - rtprio",
 )
@@ -117,6 +117,7 @@ def test_command_in_a_document_is_understood(command) -> None:
 
 
 GOAL = "geometry_msgs/msg/PoseStamped"
+BOOL = "std_msgs/msg/Bool"
 
 
 @pytest.mark.parametrize(
@@ -143,6 +144,8 @@ GOAL = "geometry_msgs/msg/PoseStamped"
         ("ros2 topic pub /rotor_commands std_msgs/msg/Float64MultiArray '{data: x}'", "data: g"),
         ("ros2 topic echo /controller/mood", "not in msg_docs"),
         ("ros2 topic echo --field pose.x /pose", "--field"),
+        (f"ros2 topic echo /controller/at_goal {BOOL} --qos-durability transient_local", "relia"),
+        (f"ros2 topic echo /controller/at_goal {BOOL} --qos-reliability reliable", "durability"),
         ("ros2 service call /simulator/stop std_srvs/srv/Trigger", "not in msg_docs"),
         ("ros2 service call /simulator/pause std_srvs/srv/Trigger", "expected std_srvs/srv/Set"),
         ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{on_: true}'", "no field on_"),

@@ -2,30 +2,41 @@
 # SPDX-License-Identifier: Apache-2.0
 """Actions of the launch file, which runs here with stand-ins for the launch package."""
 
+import math
 import re
+import signal
+import subprocess
+import sys
+import venv
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
 import yaml
 from launch_stand_in import LAUNCH, ROOT, Made, declared_arguments, started
+from parameter_tables import NODES, PARTS
 
 from sphere_nmpc.quantity import quantities
-from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.cli.main import VERBS
-from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.output.error_text import EXTRAS
 
 ARGUMENTS = {
-    "strategy", "plant", "real_time_factor", "clock", "use_sim_time", "namespace", "params_file",
-    "record", "rviz", "viewer",
+    "strategy", "plant", "real_time_factor", "clock", "use_sim_time", "initial_state",
+    "world_frame", "namespace", "params_file", "record", "rviz", "viewer", "respawn",
 }
 OTHERS = ("robot_state_publisher", "rviz2", "ros2bag", "rosbag2_storage_mcap")
 ALL = ("record:=true", "rviz:=true", "viewer:=true")
+FRAME = {"world_frame": "world"}
 
 
 def kinds(actions: list[Made]) -> list[str]:
     return [type(action).__name__ for action in actions]
+
+
+def known_parameters(node: str) -> set[str]:
+    return {name for it in (NODES[node], *(p[2] for p in PARTS[node])) for name in quantities(it)}
 
 
 def nodes(actions: list[Made]) -> dict[str, Made]:
@@ -43,17 +54,38 @@ def parameters(node: Made) -> dict[str, object]:
 
 
 def test_own_executables_are_installed() -> None:
-    own = [node for node in nodes(started(*ALL)).values() if node["package"] == "sphere_nmpc"]
+    found = nodes(started(*ALL, installed=["rviz2"])).values()
+    own = [node for node in found if node["package"] == "sphere_nmpc"]
     executables = {node["executable"] for node in own}
     assert executables == {"simulator", "controller", "recorder", "viewer", "markers"}
     assert executables <= VERBS.keys()
 
 
-def test_without_optional_packages_the_rest_is_started_with_a_message() -> None:
-    actions = started(*ALL)
-    assert {node["package"] for node in nodes(actions).values()} == {"sphere_nmpc"}
-    (message,) = (action["msg"] for action in actions if type(action).__name__ == "LogInfo")
-    assert "rviz2 is not installed" in message
+def test_packages_that_no_argument_asks_for_are_not_needed() -> None:
+    assert {node["package"] for node in nodes(started(*ALL[::2])).values()} == {"sphere_nmpc"}
+
+
+@pytest.fixture(scope="module")
+def bare_python(tmp_path_factory) -> Path:
+    """Interpreter of a virtual environment without packages."""
+    folder = tmp_path_factory.mktemp("bare")
+    venv.create(folder, symlinks=True)
+    return folder / "bin" / "python"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["rviz:=true"], r"rviz:=true: 'rviz2' is not installed; apt install ros-jazzy-rviz2"),
+        (["viewer:=true"], r"viewer:=true: 'viser' is not .*sphere_nmpc\[viewer\]' \(for {}\)"),
+        (["plant:=rigid_body"], r"rigid_body: 'mujoco' is not .*sphere_nmpc\[rigid\]' \(for {}\)"),
+    ],
+    ids=["rviz2", "viser", "mujoco"],
+)
+def test_missing_package_is_named_before_anything_starts(bare_python, words, told) -> None:
+    with pytest.raises(RuntimeError, match=told.format(bare_python)):
+        started(*words, python=bare_python)
+    started(*words, installed=["rviz2"], python=sys.executable)
 
 
 def test_optional_packages_are_used_where_they_are_installed() -> None:
@@ -76,8 +108,8 @@ def test_booleans_are_false_in_each_spelling(value) -> None:
 
 def test_parameters_are_those_of_the_file_without_arguments() -> None:
     started_nodes = nodes(started())
-    assert parameters(started_nodes["simulator"]) == {"clock": "simulated"}
-    assert parameters(started_nodes["controller"]) == {"use_sim_time": True}
+    assert parameters(started_nodes["simulator"]) == {"clock": "simulated", **FRAME}
+    assert parameters(started_nodes["controller"]) == {"use_sim_time": True, **FRAME}
     for node in started_nodes.values():
         assert node["parameters"][0] == str(ROOT / "config" / "sphere.yaml")
         # The last value is used, so the arguments must follow the file.
@@ -87,10 +119,107 @@ def test_parameters_are_those_of_the_file_without_arguments() -> None:
 def test_arguments_become_parameters_of_the_nodes() -> None:
     found = nodes(started("strategy:=paper", "plant:=rigid_body", "real_time_factor:=2"))
     simulator, controller = (parameters(found[name]) for name in ("simulator", "controller"))
-    assert simulator == {"clock": "simulated", "plant": "rigid_body", "real_time_factor": 2.0}
-    assert controller == {"use_sim_time": True, "strategy": "paper"}
-    assert simulator.keys() <= quantities(SimulatorSettings()).keys()
-    assert controller.keys() - {"use_sim_time"} <= quantities(ControllerSettings()).keys()
+    assert simulator == {
+        "clock": "simulated", "plant": "rigid_body", "real_time_factor": 2.0, **FRAME
+    }
+    assert controller == {"use_sim_time": True, "strategy": "paper", **FRAME}
+    assert simulator.keys() <= known_parameters("simulator")
+    assert controller.keys() - {"use_sim_time"} <= known_parameters("controller")
+
+
+@pytest.mark.parametrize(
+    ("text", "state"),
+    [
+        ("1,-1,1.5707963267948966", [1.0, -1.0, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]),
+        ("[2, 0, 0, 1, 0, 0]", [2.0, 0.0, 0.0, 1.0, 0.0, 0.0]),
+        ("1 -1 0", [1.0, -1.0, 1.0, 0.0, 0.0, 0.0]),
+    ],
+)
+def test_start_is_given_with_a_heading_or_a_quaternion(text, state) -> None:
+    simulator = parameters(nodes(started(f"initial_state:={text}"))["simulator"])
+    assert simulator["initial_state"] == pytest.approx(state)
+
+
+def test_world_frame_is_that_of_all_nodes_and_of_rviz() -> None:
+    found = nodes(started(*ALL, "world_frame:=map", installed=["rviz2"]))
+    for name in ("simulator", "controller", "viewer", "markers"):
+        assert parameters(found[name])["world_frame"] == "map"
+    view = yaml.safe_load(Path(found["rviz2"]["arguments"][1]).read_text())
+    assert view["Visualization Manager"]["Global Options"]["Fixed Frame"] == "map"
+    assert "world" not in re.findall(r"Frame: (\w+)", yaml.safe_dump(view))
+
+
+def test_nodes_are_restarted_if_wanted_and_then_none_ends_the_launch() -> None:
+    actions = started(*ALL, "respawn:=true", installed=OTHERS)
+    for node in nodes(actions).values():
+        assert node.named.get("respawn", False) is (node["package"] == "sphere_nmpc")
+    assert "RegisterEventHandler" not in kinds(actions)
+    assert not any("respawn" in node.named for node in nodes(started()).values())
+
+
+class Run:
+    """Processes of a launch, whose ends are told to its handlers."""
+
+    def __init__(self, *words: str) -> None:
+        actions = started(*words)
+        self.nodes = nodes(actions)
+        events = [action.values[0] for action in actions if not action.named]
+        (self._hear,) = (it["on_stderr"] for it in events if "on_stderr" in it.named)
+        (self._end,) = (it["on_exit"] for it in events if "on_exit" in it.named)
+        self.is_shutdown = False
+
+    def ends(self, name: str, code: int, said: bytes = b"") -> bool:
+        """End a process; return whether this shuts the launch down."""
+        event = {"process_name": f"{name}-1", "action": self.nodes[name], "returncode": code}
+        self._hear(SimpleNamespace(**event, text=said))
+        answer = self._end(
+            SimpleNamespace(**event), SimpleNamespace(is_shutdown=self.is_shutdown)
+        )
+        assert answer is None or type(answer).__name__ == "Shutdown"
+        self.is_shutdown |= answer is not None
+        return answer is not None
+
+
+@pytest.mark.parametrize(
+    ("first", "code", "how"),
+    [
+        ("simulator", 2, "with exit code 2, and the launch with it: [FATAL] plant: given 'cube'"),
+        ("controller", -signal.SIGKILL, "by signal 9, and the launch with it"),
+        ("controller", 0, "with exit code 0, and the launch with it"),
+        ("recorder", 1, "with exit code 1, and the launch with it: [FATAL] plant: given 'cube'"),
+    ],
+)
+def test_process_that_ends_ends_the_launch_with_the_reason_last(first, code, how) -> None:
+    run = Run("record:=true")
+    assert run.ends(first, code, b"[INFO] hello\n[FATAL] plant: given 'cube'\n")
+    *others, last = [name for name in run.nodes if name != first]
+    for name in others:
+        assert not run.ends(name, 0)
+    with pytest.raises(RuntimeError) as caught:
+        run.ends(last, 0)
+    assert str(caught.value) == f"{first}-1 has ended {how}"
+
+
+def test_process_that_ended_first_is_the_reason() -> None:
+    run = Run()
+    assert run.ends("controller", 2)
+    run.is_shutdown = False  # launch has not yet processed what was returned
+    with pytest.raises(RuntimeError, match="controller-1 has ended with exit code 2"):
+        run.ends("simulator", 3)
+
+
+def test_display_that_is_closed_and_an_interrupt_are_no_faults() -> None:
+    run = Run("viewer:=true")
+    assert not run.ends("viewer", 0)
+    run.is_shutdown = True
+    for name in ("simulator", "controller"):
+        assert not run.ends(name, 0)
+
+
+def test_processes_of_an_including_file_do_not_count() -> None:
+    run = Run()
+    run.nodes["camera"] = Made.__new__(Made)
+    assert not run.ends("camera", 1)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +259,7 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
     assert {node["namespace"] for node in found.values()} == {f"/{place}"}
     for executable in ("simulator", "robot_state_publisher"):
         assert parameters(found[executable])["frame_prefix"] == f"{place}/"
-    assert parameters(found["simulator"]).keys() <= quantities(SimulatorSettings()).keys()
+    assert parameters(found["simulator"]).keys() <= known_parameters("simulator")
     for executable, node in found.items():
         # Nodes of the package use the clock of their namespace without a remapping.
         remapped = node["package"] != "sphere_nmpc"
@@ -162,6 +291,11 @@ def test_frames_have_no_prefix_without_a_namespace() -> None:
         (["real_time_factor:=nan"], "real_time_factor: given nan, expected a finite number"),
         (["clock:=system", "use_sim_time:=true"], "use_sim_time: given true, expected false"),
         (["clock:=system", "real_time_factor:=2"], "real_time_factor: given 2.0, expected 1.0"),
+        (["initial_state:=1,2"], "initial_state: given 1,2: state: given"),
+        (["initial_state:=1,north,0"], "initial_state: given 1,north,0, expected numbers"),
+        (["initial_state:=1e9,0,0"], "initial_state: given 1e9,0,0: position: given"),
+        (["world_frame:=/map"], "world_frame: given '/map', expected a name"),
+        (["respawn:=often"], "respawn"),
         (["namespace:=2nd"], "namespace: given 2nd, expected letters"),
         (["namespace:=a//b"], "namespace: given a//b, expected letters"),
         (["params_file:=none.yaml"], "params_file: given none.yaml, expected a file"),
@@ -214,17 +348,25 @@ def test_it_is_refused_while_nodes_of_the_same_topics_run(capfd) -> None:
         refused = r"/left/simulator: running already in ROS domain \d+"
         with pytest.raises(RuntimeError, match=refused):
             for _ in range(20):  # discovery may take longer on a busy machine
-                try:
-                    started("namespace:=left", looks=True)
-                except RuntimeError as error:
-                    # The publisher may be found before the name of its node.
-                    if "a node that was just found" not in str(error):
-                        raise
+                started("namespace:=left", looks=True)
         assert nodes(started("namespace:=right", looks=True))
         # With the system clock for all nodes another /clock does not matter.
         assert nodes(started("clock:=system", looks=True))
     assert nodes(started("namespace:=left", looks=True))
     assert not capfd.readouterr().err
+
+
+def test_file_runs_without_the_python_packages_of_the_nodes() -> None:
+    # These may be in a virtual environment, while `ros2 launch` is that of the system.
+    of_extras = (name for extra, names in EXTRAS.items() if extra != "ros" for name in names)
+    of_nodes = {"casadi", "scipy", *of_extras}
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT / 'test' / 'support')!r}); "
+        f"sys.modules.update(dict.fromkeys({of_nodes}, None)); "
+        "from launch_stand_in import started; "
+        "started('rviz:=true', 'initial_state:=0,0,1', installed=['rviz2'])"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_arguments_of_launch_itself_are_known() -> None:
@@ -238,7 +380,7 @@ def test_files_that_are_named_are_installed() -> None:
 
 
 def test_robot_description_is_a_text_to_launch() -> None:
-    (node,) = (n for n in started(installed=OTHERS) if n["executable"] == OTHERS[0])
+    node = nodes(started(installed=OTHERS))[OTHERS[0]]
     description = parameters(node)["robot_description"]
     assert description["value_type"] is str and "<robot" in description.values[0]
 

@@ -18,11 +18,12 @@ import pytest
 from packaging.requirements import Requirement
 
 from sphere_sim.cli import main as cli
+from sphere_sim.output.error_text import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
 EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
-SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs")
+SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
 HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
 
@@ -36,7 +37,10 @@ def tree(tmp_path_factory) -> Path:
     for name in ("resource", "sphere_nmpc", "sphere_sim", *SHARED):
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, copy / name, ignore=ignore)
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "README.md"):
+    for name in (
+        "setup.py", "setup.cfg", "pyproject.toml", "package.xml", "colcon.pkg", "LICENSE",
+        "README.md",
+    ):
         if (ROOT / name).is_file():
             shutil.copy(ROOT / name, copy)
     return copy
@@ -98,8 +102,10 @@ def test_colcon_installs_executables_and_shared_files(tree, tmp_path, option) ->
     for name in shared_files(tree):
         assert (prefix / "share" / "sphere_nmpc" / name).is_file(), name
     assert (prefix / "share/ament_index/resource_index/packages/sphere_nmpc").is_file()
-    setup = f". {tmp_path}/install/local_setup.sh && {prefix}/lib/sphere_nmpc/sphere_nmpc"
-    assert run("sh", "-c", f"{setup} --version").strip() == "sphere_nmpc 0.1.0"
+    for shell, setup in (("sh", "local_setup.sh"), ("bash", "setup.bash")):
+        words = f". {tmp_path}/install/{setup} && command -v sphere_nmpc && sphere_nmpc --version"
+        path, version = run(shell, "-c", words).splitlines()
+        assert Path(path).is_relative_to(prefix) and version == "sphere_nmpc 0.1.0"
 
 
 def test_setup_lists_the_verbs_of_the_command() -> None:
@@ -144,6 +150,12 @@ def test_core_requires_three_packages_only() -> None:
     requirements = map(Requirement, metadata.requires("sphere_nmpc"))
     core = {r.name for r in requirements if "extra" not in str(r.marker)}
     assert core == {"numpy", "scipy", "casadi"}
+
+
+def test_tutorial_installs_every_extra_in_a_workspace_except_ros_and_tests() -> None:
+    text = (ROOT / "docs" / "tutorial.md").read_text()
+    (given,) = re.findall(r"^pip install 'sphere_nmpc\[(.*)\]'$", text, re.MULTILINE)
+    assert {*given.split(",")} == EXTRAS.keys() - {"ros"}
 
 
 def test_lock_satisfies_every_extra() -> None:

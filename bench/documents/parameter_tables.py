@@ -14,6 +14,7 @@ from typing import Any
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
+from sphere_nmpc.ros.conversions import FrameSettings
 from sphere_nmpc.ros.scheduling import SchedulingSettings
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.study.conditions import OF_NODES
@@ -27,11 +28,15 @@ NODES: dict[str, Any] = {"simulator": SimulatorSettings(), "controller": Control
 PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     "simulator": (
         ("", "Scheduling of the process.", SchedulingSettings()),
+        ("", "Frame of the world, the same for all nodes.", FrameSettings()),
         ("", "Push by the service `~/push`.", PushSettings()),
         ("", "Slope, centre of mass and friction, in both plants.", DisturbanceSettings()),
         ("rigid_body", "The plant `rigid_body`.", RigidBodySettings()),
     ),
-    "controller": (("", "Scheduling of the process.", SchedulingSettings()),),
+    "controller": (
+        ("", "Scheduling of the process.", SchedulingSettings()),
+        ("", "Frame of the world, the same for all nodes.", FrameSettings()),
+    ),
 }
 """Further settings of a node: prefix, purpose, values."""
 

@@ -93,6 +93,17 @@ def as_state(values: ArrayLike) -> Vector:
     return make_state(flat[POSITION], flat[QUATERNION])
 
 
+def upright_state(x: float, y: float, yaw: float) -> Vector:
+    """Return the state, shape (6,), of an upright sphere at x, y [m] with a heading [rad].
+
+    Raises
+    ------
+    InvalidStateError
+        See `make_state`.
+    """
+    return make_state((x, y), (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)))
+
+
 def nearer_sign(goal: Vector, state: Vector) -> Vector:
     """Return `goal` with the sign of its quaternion that is nearer to that of `state`."""
     signed = goal.copy()

@@ -8,6 +8,7 @@ decoded by a bag reader are accepted as well as those from a subscription.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,41 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError, InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
+from sphere_nmpc.quantity import quantity, validate
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
 """Names of the rotors about body x and body y."""
 WORLD_FRAME = "world"
 BODY_FRAME = "base_link"
 NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """Frame that poses and goals are given in.
+
+    Raises
+    ------
+    InvalidParameterError
+        If it is empty or begins with a slash, which tf2 refuses.
+    """
+
+    world_frame: str = quantity(
+        WORLD_FRAME, "-",
+        "Frame of poses, goals and plans; those in another frame are refused, those without one "
+        "are taken to be in it",
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if not self.world_frame or self.world_frame.startswith("/"):
+            raise InvalidParameterError(
+                "world_frame", self.world_frame, "a name that begins without /"
+            )
 
 
 def stamp_to_ros(stamp: int) -> Time:
@@ -95,7 +121,7 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """
     given = message.header.frame_id
     if given not in ("", frame):
-        raise InvalidStateError("frame", given, f"'{frame}' or none")
+        raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
     return pose_from_ros(message)
 
 
@@ -112,13 +138,13 @@ def transform_from_pose(
 
 def odometry_to_ros(
     state: Vector, velocity: Vector, body_rate: Vector, stamp: int, shell_radius: float,
-    body_frame: str = BODY_FRAME,
+    body_frame: str = BODY_FRAME, frame: str = WORLD_FRAME,
 ) -> Odometry:
     """Return pose and twist, the twist in the body frame as Odometry demands.
 
     Parameters
     ----------
-    state, stamp, shell_radius
+    state, stamp, shell_radius, frame
         See `pose_to_ros`.
     velocity : ndarray, shape (3,)
         Velocity of the centre [m/s; world frame].
@@ -129,7 +155,7 @@ def odometry_to_ros(
     """
     message = Odometry()
     message.header.stamp = stamp_to_ros(stamp)
-    message.header.frame_id = WORLD_FRAME
+    message.header.frame_id = frame
     message.child_frame_id = body_frame
     _fill_pose(message.pose.pose, state, shell_radius)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
@@ -232,13 +258,14 @@ def hold_from_trajectory(message: Any, now: int, epoch: int = 0) -> FirstOrderHo
 
 
 def path_to_ros(
-    times: Sequence[float] | Vector, states: Vector, shell_radius: float, epoch: int = 0
+    times: Sequence[float] | Vector, states: Vector, shell_radius: float, epoch: int = 0,
+    frame: str = WORLD_FRAME,
 ) -> Path:
     """Return predicted states, shape (K, 6), at control times [s] as a path of stamped poses."""
     message = Path()
-    message.header.frame_id = WORLD_FRAME
+    message.header.frame_id = frame
     message.poses = [
-        pose_to_ros(state, stamp_of(float(time), epoch), shell_radius)
+        pose_to_ros(state, stamp_of(float(time), epoch), shell_radius, frame)
         for time, state in zip(times, states, strict=False)
     ]
     if message.poses:

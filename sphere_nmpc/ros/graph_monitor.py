@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monitor of the ROS graph around a node, which logs each fault when it begins and ends."""
 
+import math
 import re
+import time
 from collections.abc import Sequence
 from itertools import product
 
@@ -24,12 +26,14 @@ from sphere_nmpc.ros.network import network_addresses
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
-UNKNOWN = "a node that was just found"
+UNKNOWN = "a node without a name"
 """Stands for the name of a node of which only a topic has been discovered yet."""
 INVALID = "a node whose name is invalid"
 """Stands for a name that no ROS node can have, but any participant of DDS can announce."""
 _NAME = re.compile(r"(?=.{1,200}\Z)(/[A-Za-z_][A-Za-z0-9_]*)+")
 """Full name of a node or topic, of a length that leaves room for that of a service."""
+NAMED_WITHIN = 3.0
+"""Longest wait for the name of a node that was found [s, wall]; it mostly follows within one."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 
 
@@ -50,16 +54,26 @@ class GraphMonitor:
         self._announced = network_addresses() if reaches_other_machines() else None
         self.faults: list[GraphFault] = []
         """The present faults, the most severe first."""
+        self._since: dict[str, float] = {}
 
     def update(self, found: Sequence[GraphFault]) -> None:
         """Take `found` as the present faults, and log which are new and which have ended.
 
-        That of the network is added here.
+        That of the network is added here. A fault of a node without a name is logged once the
+        name is known, or after `NAMED_WITHIN`.
         """
         if self._announced is not None:
             found = [*found, *network_fault(self._announced, network_addresses())]
+        now = time.monotonic()
         self.faults = list(found)
-        self._lasting.update({fault.kind: fault.message for fault in found})
+        self._since = {
+            fault.kind: self._since.get(fault.kind, now) if UNKNOWN in fault.message else -math.inf
+            for fault in found
+        }
+        self._lasting.update({
+            fault.kind: fault.message for fault in found
+            if now > self._since[fault.kind] + NAMED_WITHIN
+        })
 
     def publishers(self, topic: str) -> list[str]:
         """Return the full names of the nodes that publish a topic, one for each endpoint."""

@@ -19,7 +19,6 @@ from types import FrameType
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.task import Future
-from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
@@ -27,7 +26,7 @@ from sphere_nmpc.ros.garbage import GarbageCollection
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.loopback import network_reach
 from sphere_nmpc.ros.scheduling import refused_message, schedule
-from sphere_nmpc.ros.startup import one_line, start_ros
+from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
 
 _LONGEST_WAIT = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""
@@ -78,10 +77,10 @@ def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about
     """
     given = list(sys.argv[1:] if args is None else args)
     try:
-        own = remove_ros_args(["node", *given])[1:]
-    except Exception as error:  # rclpy's own types of error are private to it
-        print(f"cannot start: {one_line(error)}", file=sys.stderr)
-        return 2
+        own = without_ros_arguments(given)
+    except SphereNmpcError as error:
+        print(f"cannot start: {error}", file=sys.stderr)
+        return error.exit_code
     if "-h" in own or "--help" in own:
         print(about.strip())
         return 0

@@ -8,6 +8,7 @@ machine, is read by way of its object instead, with the same result.
 """
 
 import struct
+from functools import cache
 from math import isfinite
 from typing import Any
 
@@ -50,12 +51,6 @@ def _text(*words: str) -> bytes:
 
 
 _POSE = struct.Struct("<7d")
-_FRAMES = {
-    # The text without its padding, and where the numbers begin behind it.
-    _LENGTH.pack(len(frame) + 1) + frame.encode() + b"\x00": _BODY + len(_text(frame)) + pad
-    for frame, pad in (("", 0), (WORLD_FRAME, 4))
-}
-"""Accepted frames of a pose."""
 _JOINTS = _text("") + _LENGTH.pack(len(JOINT_NAMES)) + _text(*JOINT_NAMES)
 """From the stamp to the values: no frame, and the names of the joints."""
 _VALUES = _BODY + len(_JOINTS)
@@ -115,17 +110,19 @@ def header_stamp(message: Any) -> int:
     return stamp_from_ros(_pose_object(message).header.stamp)
 
 
-def pose_of_message(message: Any) -> Vector:
-    """Return the state, shape (6,), of a PoseStamped, given serialised or as object.
+def pose_of_message(message: Any, frame: str = WORLD_FRAME) -> Vector:
+    """Return the state, shape (6,), of a PoseStamped in the given frame or without one.
+
+    It is given serialised or as object.
 
     Raises
     ------
     InvalidStateError
         See `sphere_nmpc.ros.conversions.framed_pose_from_ros`; also if it cannot be read.
     """
-    at = _numbers_of_pose(message) if _is_plain(message) else None
+    at = _numbers_of_pose(message, frame) if _is_plain(message) else None
     if at is None:
-        return framed_pose_from_ros(_pose_object(message))
+        return framed_pose_from_ros(_pose_object(message), frame)
     x, y, _, qx, qy, qz, qw = _POSE.unpack_from(message, at)
     return make_state((x, y), (qw, qx, qy, qz))
 
@@ -222,9 +219,20 @@ def _stamp(raw: bytes) -> int:
     return stamp
 
 
-def _numbers_of_pose(raw: bytes) -> int | None:
+@cache
+def _accepted(frame: str) -> list[tuple[bytes, int]]:
+    """Return no frame and `frame` as CDR has them, and where the numbers of a pose begin."""
+    found = []
+    for name in ("", frame):
+        text = _text(name)
+        found.append((text[: _LENGTH.size + len(name.encode()) + 1],
+                      _BODY + len(text) + -len(text) % 8))
+    return found
+
+
+def _numbers_of_pose(raw: bytes, frame: str) -> int | None:
     """Return where the numbers of a pose begin, None where its frame is not an accepted one."""
-    for begin, numbers in _FRAMES.items():
+    for begin, numbers in _accepted(frame):
         # The bytes between are padding, in which there may be anything.
         if raw.startswith(begin, _BODY) and len(raw) >= numbers + _POSE.size:
             return numbers

@@ -5,9 +5,11 @@
 import re
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign_text import printable_line
@@ -17,10 +19,41 @@ from sphere_nmpc.ros.network import wait_for_network
 from sphere_nmpc.ros.shared_memory import avoid_foreign_shared_memory
 
 _WITHOUT_LOG_FILE = ("--ros-args", "--disable-external-lib-logs")
+_BEFORE_ASSIGNMENTS = ("-p", "--param", "-r", "--remap", "--log-level")
 
 
 class RosStartError(SphereNmpcError):
     """Failure to initialise ROS, or to create a node, in this process."""
+
+
+class RosArgumentsError(SphereNmpcError):
+    """Arguments on the command line that ROS refuses, or takes for something else."""
+
+    exit_code = 2
+
+
+def without_ros_arguments(words: Sequence[str]) -> list[str]:
+    """Return the arguments, after the program's name, that are not for ROS.
+
+    Raises
+    ------
+    RosArgumentsError
+        If ROS refuses an argument. Also for ``strategy:=paper`` alone, which ROS takes for the
+        remapping of a topic where no ``--ros-args`` precedes it.
+    """
+    for before, word in pairwise(["", *words]):
+        if ":=" in word and before not in _BEFORE_ASSIGNMENTS:
+            raise RosArgumentsError(
+                f"given {word}, expected --ros-args -p {word} for a parameter, -r {word} for a "
+                "remapping"
+            )
+    try:
+        return list(remove_ros_args(["node", *words])[1:])
+    except Exception as error:  # the error types of rclpy are private
+        reason = one_line(error)
+        if reason.startswith("["):  # of words that it does not know, it has only the list
+            reason = f"arguments after --ros-args: given {reason}, which ROS does not know"
+        raise RosArgumentsError(reason) from None
 
 
 def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:

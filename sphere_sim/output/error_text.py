@@ -22,7 +22,7 @@ def in_words(error: BaseException) -> str:
     """Return what an exception means to a user."""
     missing = _missing_package(error)
     if missing:
-        return _advice(missing)
+        return how_to_install(missing)
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename is not None else ""
         return f"{where}{error.strerror}"
@@ -42,9 +42,11 @@ def _missing_package(error: BaseException) -> str:
     return "" if find_spec(package) else package
 
 
-def _advice(missing: str) -> str:
+def how_to_install(missing: str) -> str:
+    """Return what installs a Python package that is missing, given its import name."""
     if missing.endswith("_msgs"):
-        missing_from = "ros"
+        extra = "ros"
     else:
-        missing_from = next((e for e, names in EXTRAS.items() if missing in names), "all")
-    return f"'{missing}' is not installed; it comes with pip install 'sphere_nmpc[{missing_from}]'"
+        extra = next((e for e, names in EXTRAS.items() if missing in names), "")
+    source = f"'sphere_nmpc[{extra}]'" if extra else "sphere_nmpc"
+    return f"'{missing}' is not installed; it comes with pip install {source}"

@@ -17,6 +17,7 @@ from parameter_tables import NODES, PARTS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
+from sphere_nmpc.ros.conversions import FrameSettings
 from sphere_sim.cli import benchmark, demo, faults, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.recording.recorder_settings import RecorderSettings
@@ -39,7 +40,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         for node, settings in NODES.items()
     },
     "recorder": {"": RecorderSettings()},
-    "goal": {}, "viewer": {}, "markers": {},
+    "goal": {}, "viewer": {"": FrameSettings()}, "markers": {"": FrameSettings()},
 }
 """Settings of each node by the prefix of their names."""
 ROOTLESS = {
@@ -164,6 +165,6 @@ def check_launch(words: Sequence[str]) -> None:
     config = f"params_file:={ROOT}/config/sphere.yaml"
     words = [config if word.startswith("params_file:=") else word for word in arguments]
     try:
-        started(*(word for word in words if not word.startswith("-")))
+        started(*(word for word in words if not word.startswith("-")), installed=["rviz2"])
     except (RuntimeError, ValueError) as error:
         raise WrongCommandError(str(error)) from None

@@ -3,6 +3,7 @@
 """Stand-ins for launch that record what the launch file creates, where launch is not installed."""
 
 import sys
+import tempfile
 from collections.abc import Iterable, Sequence
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -16,12 +17,15 @@ ON_COMMAND_LINE = ("ros2", "launch", "sphere_nmpc", LAUNCH.name)
 KNOWN = {
     "Node": {
         "executable", "package", "name", "namespace", "exec_name", "parameters", "remappings",
-        "ros_arguments", "arguments", "output",
+        "ros_arguments", "arguments", "output", "respawn", "respawn_delay",
     },
     "ExecuteProcess": {"cmd", "output"},
     "DeclareLaunchArgument": {"default_value", "description", "choices"},
-    "LogInfo": {"msg"},
     "OpaqueFunction": {"function", "args"},
+    "RegisterEventHandler": set(),
+    "OnProcessExit": {"on_exit"},
+    "OnProcessIO": {"on_stderr"},
+    "Shutdown": {"reason"},
     "ParameterValue": {"value_type"},
 }
 """Keywords of launch and launch_ros in Jazzy."""
@@ -48,16 +52,17 @@ class _NotFoundError(LookupError):
     pass
 
 
-def _modules(installed: Iterable[str]) -> dict[str, ModuleType]:
+def _modules(installed: Iterable[str], prefix: str = "") -> dict[str, ModuleType]:
     def find(package: str) -> str:
-        if package not in installed:
+        if package not in (*installed, "sphere_nmpc"):
             raise _NotFoundError(package)
-        return "/opt/ros/jazzy"
+        return prefix
 
     made = {name: type(name, (Made,), {}) for name in KNOWN}
     contents = {
         "launch": {"LaunchContext": object, "LaunchDescription": list},
         "launch.actions": made,
+        "launch.event_handlers": made,
         "launch_ros": {},
         "launch_ros.actions": made,
         "launch_ros.parameter_descriptions": made,
@@ -80,6 +85,7 @@ def started(
     pushed: str = "",
     command: Sequence[str] = ON_COMMAND_LINE,
     looks: bool = False,
+    python: str | Path = sys.executable,
 ) -> list[Made]:
     """Return what the launch file starts.
 
@@ -95,15 +101,20 @@ def started(
         Words before the arguments on the command line.
     looks : bool
         Whether to look for other nodes in the domain, which takes a second.
+    python : str or Path
+        Interpreter of the nodes.
 
     Raises
     ------
     RuntimeError
         If the file, or launch in its place, refuses an argument.
     """
-    with patch.dict(sys.modules, _modules(installed)), patch.object(
-        sys, "argv", [*command, *words]
-    ):
+    with tempfile.TemporaryDirectory() as prefix, patch.dict(
+        sys.modules, _modules(installed, prefix)
+    ), patch.object(sys, "argv", [*command, *words]):
+        executable = Path(prefix, "lib", "sphere_nmpc", "sphere_nmpc")
+        executable.parent.mkdir(parents=True)
+        executable.write_text(f"#!{python}\n")
         file = _loaded()
         if not looks:
             file.refuse_other_nodes = lambda place, clock: None

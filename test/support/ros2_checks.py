@@ -16,36 +16,42 @@ from command_checks import Options, WrongCommandError, check_value, settings_of
 TOPICS = Path(__file__).parents[2] / "msg_docs" / "topics.md"
 
 
-def offered() -> dict[str, list[str]]:
-    """Return the types of the documented topics and services, by full name.
+def offered() -> dict[str, dict[str, str]]:
+    """Return type and quality of service of the documented topics and services, by full name.
 
     A topic and a service may have the same name.
     """
-    found: dict[str, list[str]] = {}
+    found: dict[str, dict[str, str]] = {}
     node = ""
     # A service may be in the text, followed by its type in brackets.
     entry = re.compile(
-        r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \||"
+        r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \|[^|]*\|(?P<qos>[^|]*)|"
         r"`(?P<name>~/\w+)`\s+\((?P<srv>\S+/srv/\w+)\)", re.MULTILINE,
     )
     for match in entry.finditer(TOPICS.read_text("utf-8")):
         node = match["node"] or node
         if not match["node"]:
             name = (match["row"] or match["name"]).replace("~", node).lstrip("/")
-            found.setdefault(f"/{name}", []).append(match["type"] or match["srv"])
+            found.setdefault(f"/{name}", {})[match["type"] or match["srv"]] = match["qos"] or ""
     return found
 
 
-def check_topic(name: str, kind: str | None = None) -> str:
-    """Return the type of a topic or service, which may be that of a robot in a namespace."""
-    types = offered()
+def offers(name: str) -> dict[str, str]:
+    """Return the types of a topic or service, which may be that of a robot in a namespace."""
+    documented = offered()
     full = f"/{name.lstrip('/')}"
     second = re.sub(r"^/\w+(?=/)", "", full)
-    actual = types.get(full) or types.get(second)
+    actual = documented.get(full) or documented.get(second)
     if actual is None:
         raise WrongCommandError(f"{name}: not in msg_docs/topics.md")
+    return actual
+
+
+def check_topic(name: str, kind: str | None = None) -> str:
+    """Return the type of a topic or service."""
+    actual = offers(name)
     if kind is None:
-        return actual[0]
+        return next(iter(actual))
     for candidate in actual:
         if re.sub("/(msg|srv)/", "/", kind) == re.sub("/(msg|srv)/", "/", candidate):
             return candidate
@@ -118,7 +124,17 @@ def check_subscription(words: Sequence[str]) -> None:
     for name in ("--field", "--qos-reliability", "--qos-durability", "--qos-profile", "--window"):
         parser.add_argument(name)
     given = parser.parse_args(words)
-    message = filled(check_topic(given.topic, given.kind), "{}")
+    kind = check_topic(given.topic, given.kind)
+    message = filled(kind, "{}")
+    qos = (given.qos_reliability, given.qos_durability)
+    # With any of these options `ros2 topic echo` begins with best effort and volatile.
+    is_adapted = not (any(qos) or given.qos_profile)
+    is_latched = "transient local" in offers(given.topic)[kind]
+    if is_latched and not is_adapted and qos != ("reliable", "transient_local"):
+        raise WrongCommandError(
+            f"{given.topic} is published once, before the subscription: expected "
+            "--qos-reliability reliable with --qos-durability transient_local, or neither"
+        )
     if given.field:
         try:
             reduce(getattr, given.field.split("."), message)

@@ -36,7 +36,7 @@ from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
-from sphere_nmpc.ros.conversions import framed_pose_from_ros
+from sphere_nmpc.ros.conversions import FrameSettings, framed_pose_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.lifetime import RunnableNode, run
@@ -77,10 +77,12 @@ class ControllerNode(RunnableNode):
         own = ControllerSettings().of(robot.settings)
         declared = DeclaredSettings(self, own, on_change=self._change)
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        parts = (declared, robot, self._scheduling)
+        frames = DeclaredSettings(self, FrameSettings())
+        parts = (declared, robot, self._scheduling, frames)
         warn_of_unknown(self, [name for part in parts for name in part.names])
         self.add_on_set_parameters_callback(self._refuse)
         settings = self._settings = declared.settings
+        self._frame = frames.settings.world_frame
         self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (
@@ -105,7 +107,7 @@ class ControllerNode(RunnableNode):
         )
         self._reports = ControllerReports(
             self, self.controller, self._schedule, self._fault_log, robot.settings, settings,
-            self._monitor, self._event_log,
+            self._monitor, self._event_log, self._frame,
         )
         self._rotor_receiver = RotorReceiver(
             self, self.controller, self._control_clock, self._use_window
@@ -250,7 +252,7 @@ class ControllerNode(RunnableNode):
             stamp = header_stamp(message)
             measured = self._control_clock.time_of(stamp)
             self._monitor.pose_received(measured, self._schedule.pose_age(measured, now))
-            pose = TimedPose(stamp, measured, pose_of_message(message))
+            pose = TimedPose(stamp, measured, pose_of_message(message, self._frame))
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
             return
@@ -264,7 +266,7 @@ class ControllerNode(RunnableNode):
 
     def _receive_goal(self, message: PoseStamped) -> None:
         try:
-            goal = framed_pose_from_ros(message)
+            goal = framed_pose_from_ros(message, self._frame)
         except InvalidStateError as error:
             self._fault_log.report("goal_pose refused", f"{error}; the goal in force stays")
             return

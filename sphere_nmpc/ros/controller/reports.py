@@ -75,6 +75,8 @@ class ControllerReports:
         Source of the faults around the node.
     event_log : FaultLog
         Log of arrivals.
+    frame : str
+        Frame of goal and path.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class ControllerReports:
         settings: ControllerSettings,
         monitor: ControllerMonitor,
         event_log: FaultLog,
+        frame: str,
     ) -> None:
         self._controller = controller
         self._monitor = monitor
@@ -94,6 +97,7 @@ class ControllerReports:
         self._fault_log = fault_log
         self._event_log = event_log
         self._robot = robot
+        self._frame = frame
         self._period = settings.control_period
         self._strategy = settings.strategy
         self._status_values = ControllerStatus(controller, robot, settings)
@@ -121,7 +125,8 @@ class ControllerReports:
 
     def goal(self, goal: Vector, stamp: int) -> None:
         """Publish the goal, shape (6,), that is now in force."""
-        self._goal.publish(pose_to_ros(goal, stamp, self._robot.shell_radius))
+        radius = self._robot.shell_radius
+        self._goal.publish(pose_to_ros(goal, stamp, radius, self._frame))
         self._publish_arrival()
 
     @property
@@ -211,7 +216,7 @@ class ControllerReports:
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
             times, radius = plan.hold.times, self._robot.shell_radius
-            self._path.publish(path_to_ros(times, plan.states, radius, epoch))
+            self._path.publish(path_to_ros(times, plan.states, radius, epoch, self._frame))
 
     def _log_failure(self, decision: Decision) -> None:
         """Log what has failed since the last tick: the solve, a pose or a command."""

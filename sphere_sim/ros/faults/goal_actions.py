@@ -9,8 +9,8 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_nmpc.model.state import Vector, upright_state
+from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
 
@@ -28,8 +28,9 @@ def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
 
 def upright_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
     """Return a goal, shape (6,), likewise, of an upright orientation with any heading."""
-    half = 0.5 * rng.uniform(-math.pi, math.pi)
-    return make_state(rng.uniform(-reach, reach, 2), (math.cos(half), 0.0, 0.0, math.sin(half)))
+    yaw = rng.uniform(-math.pi, math.pi)
+    x, y = rng.uniform(-reach, reach, 2)
+    return upright_state(x, y, yaw)
 
 
 class BadGoals(Action):
@@ -68,7 +69,7 @@ class BadGoals(Action):
         goal = random_goal(rng)
         if self._kind == "unreachable":
             goal[:2] = rng.choice([1e5, 1e9, 1e150, 1e300, -1e308], size=2)
-        message = pose_to_ros(goal, 0, RADIUS, WORLD_FRAME)
+        message = pose_to_ros(goal, 0, RADIUS)
         if self._kind == "malformed":
             broken = self._count % 4
             if broken == 0:

@@ -9,14 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import rclpy
-from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.startup import start_ros
+from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
 from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -87,7 +86,7 @@ def main(args: Sequence[str] | None = None) -> int:
         is not.
     """
     given = list(sys.argv[1:] if args is None else args)
-    goal, timeout = parse(remove_ros_args(["goal", *given])[1:])
+    goal, timeout = parse(without_ros_arguments(given))
     start_ros(given)
     node = GuardedNode("goal")
     turn = np.degrees(rotation.logarithm(goal[QUATERNION])).round(1) + 0.0

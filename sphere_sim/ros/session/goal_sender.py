@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
 from sphere_sim.ros.session.serving import serve_until
 
 _SAME = 1e-9
@@ -97,8 +97,8 @@ class GoalSender:
         self._accepted = None
         end = time.monotonic() + timeout
         while (left := end - time.monotonic()) > 0.0:
-            # Stamp 0 means now; the controller looks at the frame and the pose only.
-            self._publisher.publish(pose_to_ros(goal, 0, shell_radius, WORLD_FRAME))
+            # Without a frame it is in that of the controller; stamp 0 means now.
+            self._publisher.publish(pose_to_ros(goal, 0, shell_radius, frame=""))
             if serve_until(self._spin, lambda: self._is_accepted(goal), min(left, repeat)):
                 return
         raise GoalNotAcceptedError(

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.environment import DOMAIN
 from sphere_nmpc.ros.graph_faults import names_of
-from sphere_nmpc.ros.graph_monitor import UNKNOWN, full_name
+from sphere_nmpc.ros.graph_monitor import NAMED_WITHIN, UNKNOWN, full_name
 from sphere_nmpc.ros.loopback import apply_localhost_only
 from sphere_nmpc.ros.startup import start_ros
 
@@ -32,7 +32,7 @@ participant finds them within 0.3 s, or else after the 3 s between two announcem
 of 30 participants 18 were quick, so that several participants are better than a long search.
 """
 _NAMES = 0.2
-"""How long a search continues after its first publisher was found, to name all [s]."""
+"""How long a search continues after its first publisher was found, to find all [s]."""
 _PERIOD = 0.02
 FOUND = 3
 """Exit code where publishers were found."""
@@ -77,12 +77,15 @@ def _search(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
     try:
         node = rclpy.create_node("search", namespace=namespace, start_parameter_services=False)
         try:
-            end, found = time.monotonic() + seconds, False
-            while (now := time.monotonic()) < end:
-                if not found and any(publishers(node, topics).values()):
-                    found, end = True, now + _NAMES
+            found: dict[str, list[str]] = {}
+            end = named = time.monotonic() + seconds
+            while (now := time.monotonic()) < (named if _lacks_names(found) else end):
+                seen = publishers(node, topics)
+                if any(seen.values()) and not any(found.values()):
+                    end, named = now + _NAMES, now + NAMED_WITHIN
+                found = seen
                 time.sleep(_PERIOD)
-            return _names(publishers(node, topics))
+            return _names(found)
         finally:
             node.destroy_node()
     finally:
@@ -116,6 +119,10 @@ def publishers(node: Node, topics: Sequence[str] = TOPICS) -> dict[str, list[str
         ]
         for topic in topics
     }
+
+
+def _lacks_names(found: dict[str, list[str]]) -> bool:
+    return any(UNKNOWN in nodes for nodes in found.values())
 
 
 def _names(found: dict[str, list[str]]) -> list[str]:

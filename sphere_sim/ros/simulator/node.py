@@ -25,7 +25,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
-from sphere_nmpc.ros.conversions import BODY_FRAME
+from sphere_nmpc.ros.conversions import BODY_FRAME, FrameSettings
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.graph_faults import GraphFault
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
@@ -85,7 +85,8 @@ class SimulatorNode(RunnableNode):
         disturbances = DeclaredSettings(self, DisturbanceSettings(), on_change=self._tilt)
         pushes = DeclaredSettings(self, PushSettings())
         self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        parts = (declared, robot, body, disturbances, pushes, self._scheduling)
+        frames = DeclaredSettings(self, FrameSettings())
+        parts = (declared, robot, body, disturbances, pushes, self._scheduling, frames)
         warn_of_unknown(self, [name for part in parts for name in part.names])
         settings = self._settings = declared.settings
         start = as_state(settings.initial_state)
@@ -113,7 +114,7 @@ class SimulatorNode(RunnableNode):
         self._awaited = AwaitedController(self) if settings.lockstep else None
         self._state_publisher = StatePublisher(
             self, robot.settings.shell_radius, prefix + BODY_FRAME,
-            clocked=not settings.is_on_system_clock,
+            frames.settings.world_frame, clocked=not settings.is_on_system_clock,
         )
         self._receiver = CommandReceiver(
             self, self.simulator, robot.settings.max_rotor_speed,
@@ -133,7 +134,7 @@ class SimulatorNode(RunnableNode):
         self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._push_receiver = PushReceiver(
             self, self.simulator, self._fault_log, self._event_log, lambda: pushes.settings,
-            lambda: self._epoch,
+            lambda: self._epoch, frames.settings.world_frame,
         )
         self._diagnostics = Diagnostics(
             self, lambda: self._epoch + self.simulator.now,

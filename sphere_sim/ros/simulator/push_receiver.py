@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.conversions import WORLD_FRAME, stamp_to_ros
+from sphere_nmpc.ros.conversions import stamp_to_ros
 from sphere_sim.world.settings import PushSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -30,6 +30,8 @@ class PushReceiver:
         Returns the present settings, which have the impulse of the service.
     epoch : callable
         Returns the stamp [ns] of simulated time 0.
+    frame : str
+        Frame of the impulses.
     """
 
     def __init__(
@@ -40,12 +42,14 @@ class PushReceiver:
         event_log: FaultLog,
         settings: Callable[[], PushSettings],
         epoch: Callable[[], int],
+        frame: str,
     ) -> None:
         self._simulator = simulator
         self._fault_log = fault_log
         self._event_log = event_log
         self._settings = settings
         self._epoch = epoch
+        self._frame = frame
         self._pushed = node.create_publisher(Vector3Stamped, "~/pushed", 10)
         self._pushes = node.create_subscription(Vector3, "~/push", self._receive, 10)
         self._service = node.create_service(Trigger, "~/push", self._serve)
@@ -71,7 +75,7 @@ class PushReceiver:
         x, y = settings.push_impulse
         self._simulator.plant.push((x, y))
         message = Vector3Stamped(vector=Vector3(x=x, y=y))
-        message.header.frame_id = WORLD_FRAME
+        message.header.frame_id = self._frame
         message.header.stamp = stamp_to_ros(self._epoch() + self._simulator.now)
         self._pushed.publish(message)
         done = f"{[x, y]} N s at t = {self._simulator.time:.3f} s"

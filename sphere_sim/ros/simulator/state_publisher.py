@@ -35,18 +35,18 @@ class StatePublisher:
         Node of the publishers.
     shell_radius : float
         Height of the centre [m].
-    body_frame : str
-        Name of the body frame.
+    body_frame, world_frame : str
+        Names of the frames.
     clocked : bool
         Whether to publish /clock.
     """
 
     def __init__(
         self, node: Node, shell_radius: float, body_frame: str = conversions.BODY_FRAME,
-        clocked: bool = True,
+        world_frame: str = conversions.WORLD_FRAME, clocked: bool = True,
     ) -> None:
         self._radius = shell_radius
-        self._frame = body_frame
+        self._body, self._world = body_frame, world_frame
         self.epoch = 0
         """Stamp of simulated time 0 [ns]."""
         self._pose = node.create_publisher(PoseStamped, "pose", _DEPTH)
@@ -63,13 +63,14 @@ class StatePublisher:
         # Tools should not draw the poses of a late or slow sensor: they get the true state then.
         measured = poses[-1][1] if simulator.settings.is_sensor_plain else plant.state
         self._last = [
-            (self._pose, pose_message(seen, self.epoch + stamp, self._radius))
+            (self._pose, pose_message(seen, self.epoch + stamp, self._radius, self._world))
             for stamp, seen in poses
         ]
         # At 2000 instants a second, messages without a subscriber would take too much time.
         if self._odometry.get_subscription_count() > 0:
             odometry = conversions.odometry_to_ros(
-                measured, plant.velocity, plant.body_rate, now, self._radius, self._frame
+                measured, plant.velocity, plant.body_rate, now, self._radius, self._body,
+                self._world,
             )
             self._last.append((self._odometry, odometry))
         if self._joints.get_subscription_count() > 0:
@@ -78,8 +79,8 @@ class StatePublisher:
             )
             self._last.append((self._joints, joints))
         if self._transforms and self._transforms.get_subscription_count() > 0:
-            pose = conversions.pose_to_ros(measured, now, self._radius)
-            transform = conversions.transform_from_pose(pose, self._frame)
+            pose = conversions.pose_to_ros(measured, now, self._radius, self._world)
+            transform = conversions.transform_from_pose(pose, self._body)
             self._last.append((self._transforms, TFMessage(transforms=[transform])))
         # The clock comes last, so that a node that acts on it has the pose of that instant.
         if self._clock is not None:

@@ -15,13 +15,15 @@ from geometry_msgs.msg import Point, PoseStamped
 from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import WORLD_FRAME
+from sphere_nmpc.ros.conversions import FrameSettings
 from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.frame import DEFAULT_RADIUS
@@ -36,10 +38,23 @@ _SPACING = 1.0 / 15.0
 
 
 class MarkerNode(RunnableNode):
-    """Node that publishes markers while they have a subscriber."""
+    """Node that publishes markers while they have a subscriber.
 
-    def __init__(self) -> None:
-        super().__init__("markers")
+    Parameters
+    ----------
+    parameter_overrides : list of Parameter, optional
+        Parameters as given on a command line; for use within a program.
+    """
+
+    def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__(
+            "markers",
+            parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        frames = DeclaredSettings(self, FrameSettings())
+        warn_of_unknown(self, frames.names)
+        self._frame = frames.settings.world_frame
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._pose: PoseStamped | None = None
@@ -83,6 +98,9 @@ class MarkerNode(RunnableNode):
         markers[1].pose = self._pose.pose
         if self._goal is not None:
             markers.append(_shell("goal", self._goal, radius, colours.GOAL, 0.3))
+        for marker in markers:
+            # With stamp 0 RViz uses the newest transform, and never waits for one of that time.
+            marker.header.frame_id, marker.header.stamp = self._frame, Time()
         self._markers.publish(MarkerArray(markers=markers))
 
 
@@ -93,8 +111,6 @@ def _radius(pose: PoseStamped) -> float:
 
 def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
-    # With stamp 0 RViz uses the newest transform, and never waits for one of that time.
-    marker.header.frame_id, marker.header.stamp = WORLD_FRAME, Time()
     red, green, blue = (part / 255.0 for part in colour)
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
     marker.pose.orientation.w = 1.0

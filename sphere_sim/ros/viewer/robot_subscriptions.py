@@ -37,15 +37,17 @@ class RobotSubscriptions:
     ----------
     node : Node
         Owner of the subscriptions, in the namespace of the robot.
+    frame : str
+        Frame of the poses.
     controller : str
         Name of the controller node.
     """
 
-    def __init__(self, node: Node, controller: str = "controller") -> None:
+    def __init__(self, node: Node, frame: str, controller: str = "controller") -> None:
         self.message_count = 0
         """Number of messages received."""
         self._live = LiveFrame(time.monotonic())
-        self._node = node
+        self._node, self._frame = node, frame
         self._diagnostics_prefix = f"{node.get_namespace()}/{controller}:".lstrip("/")
         self._status_topic = f"{controller}/status"
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -78,7 +80,7 @@ class RobotSubscriptions:
     def _take_pose(self, message: PoseStamped) -> None:
         now = self._arrival()
         try:
-            state = framed_pose_from_ros(message)
+            state = framed_pose_from_ros(message, self._frame)
         except InvalidStateError as error:
             self._live.refuse_pose(str(error))
             return

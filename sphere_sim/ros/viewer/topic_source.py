@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped, Vector3
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
 from sphere_sim.viewer.frame import Capabilities, Drive, Frame
@@ -36,10 +36,12 @@ class TopicSource:
     ----------
     node : Node
         Owner of subscriptions, publisher and clients, in the namespace of the robot.
+    frame : str, optional
+        Frame of the poses.
     """
 
-    def __init__(self, node: Node) -> None:
-        self.subscriptions = RobotSubscriptions(node)
+    def __init__(self, node: Node, frame: str = WORLD_FRAME) -> None:
+        self.subscriptions = RobotSubscriptions(node, frame)
         """Subscriptions to the robot's topics."""
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 1)
         self._pause = node.create_client(SetBool, "simulator/pause")
@@ -83,8 +85,8 @@ class TopicSource:
     def _send_goal(self, request: SetGoal) -> str:
         if self._goals.get_subscription_count() == 0:
             return "goal_pose has no subscriber: is a controller running?"
-        # The controller reads frame and pose only; stamp 0 means now.
-        self._goals.publish(pose_to_ros(request.goal, 0, self.subscriptions.radius))
+        # Without a frame it is in that of the controller; stamp 0 means now.
+        self._goals.publish(pose_to_ros(request.goal, 0, self.subscriptions.radius, frame=""))
         return ""
 
     def _call(self, client: Any, request: Any) -> str:

@@ -55,10 +55,15 @@ def test_verb_gets_the_rest_and_its_code_is_returned(install_verb, capsys) -> No
 
 
 @pytest.mark.parametrize(
-    ("absent", "extra"),
-    [("rclpy.node", "ros"), ("geometry_msgs.msg", "ros"), ("viser", "viewer"), ("other", "all")],
+    ("absent", "source"),
+    [
+        ("rclpy.node", "'sphere_nmpc[ros]'"), ("geometry_msgs.msg", "'sphere_nmpc[ros]'"),
+        ("viser", "'sphere_nmpc[viewer]'"), ("casadi", "sphere_nmpc"),
+    ],
 )
-def test_missing_package_names_the_extra(absent, extra, install_verb, monkeypatch, capsys) -> None:
+def test_missing_package_is_named_with_its_source(
+    absent, source, install_verb, monkeypatch, capsys
+) -> None:
     install_verb(f"import {absent}\n")
     package = absent.partition(".")[0]
     for name in (package, absent):
@@ -66,7 +71,7 @@ def test_missing_package_names_the_extra(absent, extra, install_verb, monkeypatc
     assert cli.main(["roll"]) == 1
     message = capsys.readouterr().err
     assert f"'{package}'" in message
-    assert f"'sphere_nmpc[{extra}]'" in message
+    assert message.endswith(f"pip install {source}\n")
     assert message.count("\n") == 1
 
 

@@ -86,6 +86,12 @@ def test_nodes_in_the_domain_that_is_set_are_named(simulator) -> None:
         pass
 
 
+def test_search_goes_on_until_the_names_of_the_nodes_are_known(simulator, monkeypatch) -> None:
+    monkeypatch.setattr(other_publishers, "NAMED_WITHIN", PATIENCE)
+    monkeypatch.setattr(other_publishers, "_NAMES", 0.0)
+    assert [find_publishers() for _ in range(5)] == 5 * [["/simulator"]]
+
+
 def test_a_domain_in_use_is_passed_over(simulator, locks, domain_unset) -> None:
     with own_domain(domains=(SESSION, *SPARE)) as domain:
         assert domain == SPARE[0] == int(os.environ["ROS_DOMAIN_ID"])

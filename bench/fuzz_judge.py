@@ -79,7 +79,9 @@ class Judge:
         self.now = 0
         """True time: the newest of the simulator [ns]."""
         self.state: Vector | None = None
-        """True state, shape (6,)."""
+        """Newest measured state, shape (6,); None if it is none that can be."""
+        self.pose_stamp = 0
+        """Stamp of that state [ns]."""
         self.speeds: Vector = np.zeros(2)
         """Measured rotor speeds [rad/s]."""
         self.goal: Vector | None = None
@@ -95,11 +97,11 @@ class Judge:
         self._hold: tuple[float, int, FirstOrderHold] | None = None
         self._true_times: deque[tuple[int, int]] = deque(maxlen=500)
         self._back_until = 0
-        self._joint_stamp = self._pose_stamp = 0
+        self._joint_stamp = 0
 
     def restarted(self) -> None:
         """Expect the time of a new simulator."""
-        self._pose_stamp = 0
+        self.pose_stamp = 0
 
     def clock(self, raw: bytes, wall: int, shift: int) -> None:
         """Take the time of the simulator, published at `wall` [ns] and passed on with `shift`."""
@@ -112,8 +114,11 @@ class Judge:
     def pose(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a pose of the simulator, unless it comes late, from a slow sensor."""
         stamp = header_stamp(raw)
-        if stamp >= self._pose_stamp:
-            self._pose_stamp, self.state = stamp, pose_of_message(raw)
+        if stamp < self.pose_stamp:
+            return
+        self.pose_stamp, self.state = stamp, None
+        with suppress(InvalidStateError):  # pushed away too far
+            self.state = pose_of_message(raw)
 
     def joints(self, raw: bytes, wall: int, shift: int) -> None:
         """Take joint states of the simulator."""

@@ -139,6 +139,7 @@ class Campaign:
         return {
             "machine": machine(), "seed": self._given.seed, "tries": self._number,
             "commands_judged": judge.count, "worst": rounded(judge.worst),
+            "most_log_lines_of_a_node_in_a_try": self.session.most_lines,
             "counts": dict(self.counts), "seconds_without_control": _distribution(self._back),
             "kinds": table, "failures": self.failures,
         }

@@ -34,7 +34,7 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.conversions import NANOSECONDS, pose_to_ros
 from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.child_process import parameter_options, verb_command
 from sphere_sim.ros.session.process_set import ProcessSet
@@ -57,6 +57,8 @@ PATIENCE = 60.0
 _SPIN = 4e-3
 _NOTICED = 1.0
 """Wall time until a controller and the judge have noticed what was restored [s]."""
+_LATER = NANOSECONDS // 20
+"""Time from the newest known one to a pose after a reset; earlier ones may still come [ns]."""
 _REPEAT = 1.0
 """Wall time after which a goal or request that is not confirmed is sent again [s]."""
 _SAME = 1e-9
@@ -108,11 +110,13 @@ class Session:
         """Services of the nodes other than those of parameters."""
         self.parameters: dict[str, dict[str, ParameterValue]] = {}
         """Parameters of each node, as they were at the beginning."""
+        self.most_lines = 0
+        """Largest number of lines that a node has logged in a try."""
         self._folder = folder
         self.processes = ProcessSet(folder)
         for name in NODES:
             port = ("--port", "0") if name == "viewer" else ()
-            self.processes.add(name, verb_command(name, *port), append=True)
+            self.processes.add(name, verb_command(name, *port))
         self._examples: dict[str, bytes] = {}
         self._read: Counter[str] = Counter()
         self.node, self._reader = rclpy.create_node("fuzz"), rclpy.create_node("fuzz_reader")
@@ -261,7 +265,8 @@ class Session:
             if "plant" in changed or not self._is_near():
                 judge.reset_until = math.inf
                 self.call("simulator/reset", Trigger.Request())
-                if not self.until(self._is_near, READY):
+                done = judge.now + _LATER
+                if not self.until(lambda: judge.pose_stamp > done and self._is_near(), READY):
                     raise NoAnswerError(f"no pose of the start within {READY:g} s of a reset")
         finally:
             judge.reset_until = min(judge.reset_until, time.monotonic() + _NOTICED)
@@ -315,7 +320,9 @@ class Session:
                 log.seek(self._read[process.name])
                 whole, _, _ = log.read().rpartition(b"\n")
             self._read[process.name] += len(whole) + (1 if whole else 0)
-            for line in whole.decode(errors="replace").split("\n"):
+            lines = whole.decode(errors="replace").split("\n")
+            self.most_lines = max(self.most_lines, len(lines))
+            for line in lines:
                 for what in _faults_of(line):
                     self.fail(what, f"{process.name}: {line}", process.name)
 

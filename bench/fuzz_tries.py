@@ -206,7 +206,8 @@ def clock_changed(session: "Session", rng: random.Random) -> Try:
 def second_simulator(session: "Session", rng: random.Random) -> Try:
     """A second simulator on the same topics."""
     name = "second"
-    process = session.processes.add(name, verb_command("simulator"), append=True)
+    again = name in session.processes.pids
+    process = session.processes.add(name, verb_command("simulator"), append=again)
     session.expected.discard(name)
     process.start(["--ros-args", "-r", "__node:=simulator_2"])
     session.until(lambda: session.node.count_publishers("pose") > 1, 30.0)

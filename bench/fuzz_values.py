@@ -27,7 +27,8 @@ TEXTS = (
 _BITS = {"int8": 8, "int16": 16, "int32": 32, "int64": 64}
 _SEQUENCE = re.compile(r"sequence<(.+?)(?:, \d+)?>$")
 _ARRAY = re.compile(r"(.+)\[\d+\]$")
-_UNKNOWN_TYPES = (10, 99, 255)
+_SHARE_UNKNOWN = 0.01
+"""Share of parameter values of an unknown type."""
 
 
 def damaged(rng: random.Random, data: bytes) -> bytes:
@@ -89,11 +90,12 @@ def extreme_value(rng: random.Random, name: str) -> Any:
 
 
 def parameter_value(rng: random.Random, present: ParameterValue) -> ParameterValue:
-    """Return a value for a parameter, half of the time of the type that it has."""
+    """Return a value for a parameter, mostly of a type that there is, and often of its own."""
     fields = list(ParameterValue.get_fields_and_field_types().items())[1:]
-    kind = rng.choice((*range(len(fields) + 1), *_UNKNOWN_TYPES))
-    value = ParameterValue(type=present.type if rng.random() < 0.5 else kind)
-    if 0 < value.type <= len(fields):
+    value = ParameterValue(type=rng.choice((present.type, rng.randrange(len(fields) + 1))))
+    if rng.random() < _SHARE_UNKNOWN:
+        value.type = rng.choice((len(fields) + 1, 99, 255))
+    elif value.type > 0:
         field, name = fields[value.type - 1]
         setattr(value, field, extreme_value(rng, name))
     return value

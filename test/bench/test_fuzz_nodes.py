@@ -142,8 +142,8 @@ def test_a_seed_repeats_damaged_and_extreme_messages(kind) -> None:
 
 def test_parameters_are_given_values_of_every_type_and_of_unknown_ones() -> None:
     rng = random.Random(1)
-    values = [parameter_value(rng, ParameterValue(type=3, double_value=1.0)) for _ in range(300)]
-    assert {*range(10), 99} <= {value.type for value in values}
+    values = [parameter_value(rng, ParameterValue(type=3, double_value=1.0)) for _ in range(2000)]
+    assert {*range(11), 99, 255} <= {value.type for value in values}
     for value in values:
         serialize_message(value)
 

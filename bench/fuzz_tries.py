@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from fuzz_session import Session
 
 Try = Generator[None, None, None]
+_PUSH = "/simulator/push"
 _RADIUS = RobotParameters().shell_radius
 _JUMPS = (1.0, 10.0, 60.0, 600.0, 3600.0, 1e9)
 """Jumps of the clock [s]."""
@@ -62,11 +63,11 @@ _RESTS_SOON = 0.5
 def malformed(session: "Session", rng: random.Random) -> Try:
     """Malformed serialised messages on topics that a node subscribes to."""
     topics = rng.sample(sorted(session.topics), 3)
+    _note_pushes(session, topics)
     with session.publishers(topics) as publishers:
         while True:
             for topic in topics:
-                # The middleware refuses what is longer than any message of the type.
-                with suppress(RuntimeError):
+                with suppress(RuntimeError):  # longer than the middleware can send
                     publishers[topic].publish(damaged(rng, session.current_example(topic)))
             yield
 
@@ -74,13 +75,19 @@ def malformed(session: "Session", rng: random.Random) -> Try:
 def extremes(session: "Session", rng: random.Random) -> Try:
     """Messages with extreme values on topics that a node subscribes to."""
     topics = rng.sample(sorted(session.topics), 3)
-    session.changed.add("plant")  # it may have been pushed
+    _note_pushes(session, topics)
     with session.publishers(topics) as publishers:
         while True:
             for topic in topics:
                 valid = session.current_example(topic)
-                publishers[topic].publish(extreme(rng, session.topics[topic], valid))
+                with suppress(RuntimeError):  # likewise
+                    publishers[topic].publish(extreme(rng, session.topics[topic], valid))
             yield
+
+
+def _note_pushes(session: "Session", topics: list[str]) -> None:
+    if _PUSH in topics:  # some are valid: with that momentum no goal can be promised
+        session.changed.add("plant")
 
 
 def parameters(session: "Session", rng: random.Random) -> Try:
@@ -248,14 +255,14 @@ def pushes(session: "Session", rng: random.Random) -> Try:
     """Pushes, some of them absurd."""
     session.changed.add("plant")
     due = 0.0
-    with session.publishers(["/simulator/push"]) as publishers:
+    with session.publishers([_PUSH]) as publishers:
         while True:
             if time.monotonic() > due:
                 due = time.monotonic() + rng.choice((0.05, 1.0))
                 push = Vector3(x=rng.uniform(-2.0, 2.0), y=rng.uniform(-2.0, 2.0))
                 if rng.random() < 0.3:
                     push.x = rng.choice(NUMBERS)
-                publishers["/simulator/push"].publish(push)
+                publishers[_PUSH].publish(push)
             yield
 
 

@@ -159,24 +159,24 @@ def _distribution(back: list[tuple[float, int, str]]) -> dict[str, object]:
 
 
 def main() -> int:
-    """Run the campaign; return 0 if there is no complaint."""
+    """Run the campaign; return 0 if there is no complaint, 130 if it was interrupted without."""
     given = _parse()
     with tempfile.TemporaryDirectory(prefix="fuzz_nodes_") as scratch, own_domain():
         folder = given.logs or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         start_ros([], quiet=True)
-        campaign = Campaign(given, folder)
+        campaign, code = Campaign(given, folder), 0
         try:
             with campaign.session.processes:
                 campaign.run()
         except KeyboardInterrupt:
-            print("interrupted")
+            code = 130
         finally:
             campaign.session.close()
             rclpy.try_shutdown()
     write_json(given, campaign.result())
     print(f"seed {given.seed}, {campaign.summary()}")
-    return 1 if campaign.counts else 0
+    return 1 if campaign.counts else code
 
 
 def _parse() -> argparse.Namespace:

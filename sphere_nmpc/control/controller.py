@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.control.arrival import Arrival
-from sphere_nmpc.control.commands import Commands
+from sphere_nmpc.control.commands import REACH, Commands
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.pose_step import impossible_step
 from sphere_nmpc.control.progress import Progress
@@ -26,6 +26,9 @@ from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.registry import make_strategy
 from sphere_nmpc.worker.contract import Worker
+
+_OVERSPEED = 2.0
+"""Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
 
 class Controller:
@@ -175,7 +178,10 @@ class Controller:
         learnt until they have been ramped to rest.
         """
         newest = self._estimator.newest
-        if newest is not None and time > newest[0]:
+        if newest is not None and time > newest[0] + REACH:
+            # All commands have ended; a prediction over hours would take seconds.
+            self._estimator.forget()
+        elif newest is not None and time > newest[0]:
             step = impossible_step(
                 newest[1], state, time - newest[0], self._robot, self._settings
             )
@@ -190,7 +196,12 @@ class Controller:
             self._estimator.forget()
 
     def observe_rotors(self, time: float, speeds: Vector) -> None:
-        """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s]."""
+        """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s].
+
+        Speeds that the drives cannot have are ignored.
+        """
+        if not (np.abs(speeds) <= _OVERSPEED * self._robot.max_rotor_speed).all():
+            return
         try:
             self.rotor_feedback.observe(time, speeds, self._estimator.plant.lag)
         except Exception as error:

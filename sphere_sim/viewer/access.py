@@ -8,6 +8,7 @@ another site that has obtained the token, or that uses a name which resolves to 
 rebinding).
 """
 
+import errno
 import secrets
 from collections.abc import Callable
 from http import HTTPStatus
@@ -59,7 +60,12 @@ class AccessControl:
                 answer = connection.respond(HTTPStatus.FOUND, "")
                 answer.headers["Location"] = f"/?token={self._token}&websocket={websocket}"
                 return answer
-            return serve(connection, request)
+            try:
+                return serve(connection, request)
+            except OSError as error:
+                if error.errno != errno.ENAMETOOLONG:
+                    raise
+                return connection.respond(HTTPStatus.NOT_FOUND, "path: no file has this name\n")
 
         return process
 
@@ -75,7 +81,8 @@ class AccessControl:
         # Browsers always send the origin of a page that opens a WebSocket; other programs may not.
         if any(origin != f"http://{hosts[0]}" for origin in origins):
             return f"Origin: expected http://{hosts[0]}; open the address that the viewer printed"
-        given = _query(request, "token").encode()
+        # Bytes of a request that are not ASCII arrive as lone surrogates.
+        given = _query(request, "token").encode(errors="surrogateescape")
         if not secrets.compare_digest(given, self._token.encode()):
             return (
                 "token: missing or wrong; open the address that the viewer printed when it was "

@@ -104,6 +104,25 @@ def test_page_and_websocket_need_the_token(server, query) -> None:
     assert get(f"http://{page.netloc}/index.html?{query}")[0] == 403
 
 
+@pytest.mark.parametrize(
+    ("target", "status"),
+    [("/?token=\u00e9", b"403"), ("/?token={token}&x=\u00e9", b"302"),
+     ("/" + 300 * "a" + "?token={token}&websocket={websocket}", b"404"),
+     ("/" + 3000 * "a/" + "?token={token}&websocket={websocket}", b"404"),
+     ("/\u00e9%00%ff?token={token}&websocket={websocket}", b"404")],
+    ids=["token", "other field", "long name", "long path", "no name"],
+)
+def test_requests_that_name_no_file_are_errors_of_the_page_that_sends_them(
+    server, target, status
+) -> None:
+    port, token = server.get_port(), urlsplit(server.url).query.removeprefix("token=")
+    target = target.format(token=token, websocket=f"ws://127.0.0.1:{port}/?token%3D{token}")
+    request = f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as end:
+        end.sendall(request.encode("latin-1"))
+        assert end.makefile("rb").readline().split()[1] == status
+
+
 def test_repeated_token_is_refused(server) -> None:
     assert get(f"{server.url}&{urlsplit(server.url).query}")[0] == 403
 

@@ -16,8 +16,7 @@ def shown(value: object) -> str:
     """
     if isinstance(value, str | bytes | bytearray):
         value = value[: LONGEST + 1]  # the rest would only be escaped to be cut off
-    text = repr(value)
-    return _cut(text, LONGEST)
+    return cut(repr(value), LONGEST)
 
 
 def printable_line(line: str) -> str:
@@ -25,9 +24,10 @@ def printable_line(line: str) -> str:
 
     For the place where lines are written, whatever they were made of.
     """
-    line = _cut(line, LONGEST_LINE)
-    return line if line.isprintable() else _cut(repr(line)[1:-1], LONGEST_LINE)
+    line = cut(line, LONGEST_LINE)
+    return line if line.isprintable() else cut(repr(line)[1:-1], LONGEST_LINE)
 
 
-def _cut(text: str, longest: int) -> str:
+def cut(text: str, longest: int) -> str:
+    """Return a text, or its beginning with ``...`` where it has more characters than `longest`."""
     return text if len(text) <= longest else f"{text[: longest - 3]}..."

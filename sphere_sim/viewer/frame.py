@@ -3,15 +3,25 @@
 """Frame: the state of one robot at one instant, as the viewer shows it."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 
 _DEFAULT = RobotParameters()
 DEFAULT_RADIUS = _DEFAULT.shell_radius
 """Radius of the shell where it is not known [m]."""
+LARGEST = 1e9
+"""Largest magnitude of a number that is shown [SI units]; larger ones count as unknown."""
+LONGEST_TEXT = 300
+"""Characters of a text that are shown."""
+_NUMBERS = ("rotor_speeds", "rotor_torques", "solve_time", "cost", "to_go", "momentum")
+_TEXTS = ("strategy", "mode")
+_LISTS_OF_TEXTS = ("alerts", "notices")
 
 
 def _unknown() -> Vector:
@@ -80,6 +90,9 @@ class Capabilities:
 class Frame:
     """State of one robot at one instant; unknown values are None, nan or empty.
 
+    Messages and bags are of others and may hold any number and any text: here numbers beyond
+    `LARGEST` become nan, and texts are cut to `LONGEST_TEXT`.
+
     Attributes
     ----------
     time : float
@@ -135,3 +148,29 @@ class Frame:
     notices: tuple[str, ...] = ()
     restarted: bool = False
     capabilities: Capabilities = field(default_factory=Capabilities)
+
+    def __post_init__(self) -> None:
+        for names, limited in (
+            (_NUMBERS, _known),
+            (_TEXTS, lambda text: cut(text, LONGEST_TEXT)),
+            (_LISTS_OF_TEXTS, lambda texts: tuple(cut(text, LONGEST_TEXT) for text in texts)),
+        ):
+            for name in names:
+                object.__setattr__(self, name, limited(getattr(self, name)))
+
+
+def radius_at(height: float) -> float:
+    """Return the radius of a sphere whose centre is at this height [m].
+
+    It is `DEFAULT_RADIUS` where no robot has it, as in poses in the plane, whose height is 0.
+    """
+    try:
+        return RobotParameters(shell_radius=height, rotor_offset=0.0).shell_radius
+    except InvalidParameterError:
+        return DEFAULT_RADIUS
+
+
+def _known(value: Any) -> Any:
+    """Return a number, or an array of numbers, with nan for each beyond `LARGEST`."""
+    kept = np.where(np.abs(value) <= LARGEST, value, np.nan)
+    return kept if kept.ndim else float(kept)

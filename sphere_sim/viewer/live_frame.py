@@ -9,7 +9,7 @@ import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_sim.recording.controller_status import HOLDING, reported_momentum, solve_status
-from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
+from sphere_sim.viewer.frame import Frame, radius_at
 from sphere_sim.viewer.liveness import Liveness
 
 _PAUSE_TIMEOUT = 0.5
@@ -18,8 +18,6 @@ _MAX_SPEED = 20.0
 """Speed above which a change of position is a restart at another place [m/s]."""
 _POSITION_TOLERANCE = 0.1
 """Change of position that is never a restart [m]."""
-_MIN_HEIGHT = 1e-3
-"""Height of the centre below which it does not give the radius of the shell [m]."""
 
 
 class LiveFrame:
@@ -62,7 +60,7 @@ class LiveFrame:
         state : ndarray, shape (6,)
             Its state.
         height : float
-            Height of the centre [m], which is the radius; the default radius if it is 0.
+            Height of the centre [m], which is the radius, see `radius_at`.
         now : float
             Time of arrival [s].
         """
@@ -70,9 +68,8 @@ class LiveFrame:
         last = self.frame
         if stamp != last.time:
             self._stamp_changed_at = now
-        radius = height if height > _MIN_HEIGHT else DEFAULT_RADIUS
         self.frame = replace(
-            last, time=stamp, state=state, radius=radius,
+            last, time=stamp, state=state, radius=radius_at(height),
             restarted=last.restarted or _is_restart(last, stamp, state),
         )
 

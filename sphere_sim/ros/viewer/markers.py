@@ -20,13 +20,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import FrameSettings
+from sphere_nmpc.ros.conversions import FrameSettings, pose_from_ros
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
-from sphere_sim.viewer.frame import DEFAULT_RADIUS
+from sphere_sim.viewer.frame import radius_at
 from sphere_sim.viewer.geometry import great_circle
 
 _PERIOD = 0.1
@@ -70,14 +71,17 @@ class MarkerNode(RunnableNode):
         self.create_timer(_PERIOD, self._publish, clock=wall)
 
     def _take_pose(self, message: PoseStamped) -> None:
+        if not _is_valid(message):
+            return
         self._pose = message
         place = (message.pose.position.x, message.pose.position.y)
-        spacing = _SPACING * _radius(message)
+        spacing = _SPACING * radius_at(message.pose.position.z)
         if not self._path or np.hypot(*np.subtract(place, self._path[-1])) > spacing:
             self._path.append(place)
 
     def _take_goal(self, message: PoseStamped) -> None:
-        self._goal = message
+        if _is_valid(message):
+            self._goal = message
 
     def _take_plan(self, message: Path) -> None:
         self._plan = message
@@ -85,7 +89,7 @@ class MarkerNode(RunnableNode):
     def _publish(self) -> None:
         if self._pose is None or self._markers.get_subscription_count() == 0:
             return
-        radius = _radius(self._pose)
+        radius = radius_at(self._pose.pose.position.z)
         markers = [
             _shell("sphere", self._pose, radius, colours.BLUE, 0.3),
             _line("gamma", great_circle(1.005 * radius), 0.02 * radius, colours.GAMMA),
@@ -104,9 +108,12 @@ class MarkerNode(RunnableNode):
         self._markers.publish(MarkerArray(markers=markers))
 
 
-def _radius(pose: PoseStamped) -> float:
-    """Return the radius of the shell, the height of its centre [m]; the default one without it."""
-    return float(pose.pose.position.z) or DEFAULT_RADIUS
+def _is_valid(message: PoseStamped) -> bool:
+    try:
+        pose_from_ros(message)
+    except InvalidStateError:
+        return False
+    return True
 
 
 def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:

@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+
+from sphere_nmpc.errors import InvalidParameterError
 
 _PERIOD = 2.0
 """Wall time between two polls [s]."""
@@ -27,6 +29,9 @@ class RemoteParameter:
         Name of the node that has the parameter.
     name : str
         Name of the parameter.
+    settings : type
+        Dataclass with a field of this name. Values that it does not accept are taken as unknown:
+        any node may have this name, and a parameter of any type.
     on_refusal : callable
         Called with the reason if the node refuses a value.
     read_only : sequence of str, optional
@@ -34,10 +39,11 @@ class RemoteParameter:
     """
 
     def __init__(
-        self, node: Node, remote: str, name: str, on_refusal: Callable[[str], object],
-        read_only: Sequence[str] = (),
+        self, node: Node, remote: str, name: str, settings: type,
+        on_refusal: Callable[[str], object], read_only: Sequence[str] = (),
     ) -> None:
         self._name = name
+        self._settings = settings
         self._read_only = tuple(read_only)
         self._on_refusal = on_refusal
         self._client = AsyncParameterClient(node, remote)
@@ -45,9 +51,9 @@ class RemoteParameter:
         self._changes = 0
         self._descriptor = ParameterDescriptor(read_only=True)
         self.value: Any = None
-        """Value; None while the node or the parameter is not available."""
+        """Value; None while the node or a valid parameter is not available."""
         self.others: tuple[Any, ...] = ()
-        """Values of `read_only`; empty while they are not available."""
+        """Values of `read_only`, unchecked; empty while they are not available."""
 
     @property
     def writable(self) -> bool:
@@ -56,9 +62,9 @@ class RemoteParameter:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Allowed values, if the description of the parameter lists them."""
+        """Valid values that the description of the parameter lists, each once."""
         _, _, listed = self._descriptor.additional_constraints.partition("one of: ")
-        return tuple(filter(None, listed.split(", ")))
+        return tuple(filter(self._accepts, dict.fromkeys(listed.split(", "))))
 
     def refresh(self) -> None:
         """Request the value, at most once a period; the answer arrives later."""
@@ -84,8 +90,16 @@ class RemoteParameter:
         if changes != self._changes:
             return  # the value before the newest change
         values = getattr(future.result(), "values", None) or ()
-        found = [parameter_value_to_python(value) for value in values]
-        self.value, self.others = (found[0] if found else None), tuple(found[1:])
+        found = [_plain(value) for value in values]
+        self.value = found[0] if found and self._accepts(found[0]) else None
+        self.others = tuple(found[1:])
+
+    def _accepts(self, value: Any) -> bool:
+        try:
+            self._settings(**{self._name: value})
+        except InvalidParameterError:
+            return False
+        return True
 
     def _take_descriptor(self, future: Any) -> None:
         descriptors = getattr(future.result(), "descriptors", None)
@@ -97,3 +111,11 @@ class RemoteParameter:
         if not results or not results[0].successful:
             self._on_refusal(results[0].reason if results else f"{self._name}: no answer")
         self._polled = -_PERIOD  # request the value in force immediately
+
+
+def _plain(value: ParameterValue) -> Any:
+    """Return the value of a message; None where its type is none of ROS."""
+    try:
+        return parameter_value_to_python(value)
+    except RuntimeError:
+        return None

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Live topics of one robot as a source of frames."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,7 +10,9 @@ from geometry_msgs.msg import PoseStamped, Vector3
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
 from sphere_sim.viewer.frame import Capabilities, Drive, Frame
@@ -24,9 +25,10 @@ from sphere_sim.viewer.source import (
     SetSpeed,
     SetStrategy,
 )
+from sphere_sim.world.settings import SimulatorSettings
 
-_DRIVE = ("robot.rotor_axial_inertia", "robot.max_rotor_speed", "robot.max_rotor_acceleration")
-"""Parameters of the controller that are the fields of `Drive`."""
+_DRIVE = ("rotor_axial_inertia", "max_rotor_speed", "max_rotor_acceleration")
+"""Parameters of the controller's robot that are the fields of `Drive`."""
 
 
 class TopicSource:
@@ -49,8 +51,13 @@ class TopicSource:
         self._pushes = node.create_publisher(Vector3, "simulator/push", 10)
         self._notices: list[str] = []
         notify = self._notices.append
-        self._speed = RemoteParameter(node, "simulator", "real_time_factor", notify)
-        self._strategy = RemoteParameter(node, "controller", "strategy", notify, _DRIVE)
+        self._speed = RemoteParameter(
+            node, "simulator", "real_time_factor", SimulatorSettings, notify
+        )
+        self._strategy = RemoteParameter(
+            node, "controller", "strategy", ControllerSettings, notify,
+            [f"robot.{name}" for name in _DRIVE],
+        )
 
     def frames(self) -> Sequence[Frame]:
         """Return the newest frame."""
@@ -101,11 +108,13 @@ class TopicSource:
             self._notices.append(answer.message)
 
     def _drive(self) -> Drive:
+        """Return the controller's drive; the default one while it is unknown or not valid."""
         values = self._strategy.others
-        known = len(values) == len(_DRIVE) and all(
-            isinstance(value, float) and 0.0 < value < math.inf for value in values
-        )
-        return Drive(*values) if known else Drive()
+        try:
+            RobotParameters(**dict(zip(_DRIVE, values, strict=True)))
+        except ValueError:  # not valid, or one is missing
+            return Drive()
+        return Drive(*values)
 
     def _capabilities(self) -> Capabilities:
         speed, strategy = self._speed, self._strategy

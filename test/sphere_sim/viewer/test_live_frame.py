@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of a live robot: restarts, pauses, radius, and values of status messages."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,8 +56,12 @@ def test_clock_is_paused_while_poses_repeat_a_stamp() -> None:
     assert not live.paused
 
 
-@pytest.mark.parametrize(("height", "radius"), [(0.25, 0.25), (0.0, DEFAULT_RADIUS)])
-def test_radius_is_the_height_of_the_centre(height, radius) -> None:
+@pytest.mark.parametrize(
+    ("height", "radius"),
+    [(0.25, 0.25), *((height, DEFAULT_RADIUS) for height in (0.0, -0.3, 1e-3, 11.0, 1e300,
+                                                             float("inf"), float("nan")))],
+)
+def test_radius_is_the_height_of_the_centre_if_a_robot_can_have_it(height, radius) -> None:
     live = LiveFrame(0.0)
     live.add_pose(1.0, state(0.0), height, 0.0)
     assert live.frame.radius == radius
@@ -85,6 +91,27 @@ def test_status_gives_momentum_and_what_is_given_up_as_an_alert() -> None:
     assert live.take(0.1, 1).alerts == ("no progress: given a sphere that has stood",)
     live.add_status({"mode": "at the goal"})  # of a controller that reports no momentum
     assert np.all(np.isnan(live.frame.momentum)) and live.take(0.1, 1).alerts == ()
+
+
+def test_numbers_that_cannot_be_drawn_are_unknown_and_long_texts_are_cut() -> None:
+    live, far = LiveFrame(0.0), (np.inf, -np.inf, 1e308, -1e10)
+    live.add_pose(1.0, state(0.0), 0.3, 0.0)
+    for number in far:
+        live.add_rotors(np.array([number, 1e9]), np.array([-1e9, number]))
+        live.add_status({name: str(number) for name in ("cost", "momentum_x", "solve_time_s")})
+        frame = live.take(0.0, 1)
+        np.testing.assert_array_equal(frame.rotor_speeds, [np.nan, 1e9])
+        np.testing.assert_array_equal(frame.rotor_torques, [-1e9, np.nan])
+        assert np.isnan([frame.cost, frame.solve_time, *frame.momentum]).all()
+        live.add_status({"time_s": "0", "arrival_s": str(number)})
+        assert np.isnan(live.frame.to_go)
+    long = 100_000 * "x"
+    live.controller_seen(0.0)
+    live.add_status({"mode": long, "strategy": long, "giving_up": long, "no_progress": "short"})
+    frame = replace(live.take(0.1, 1), notices=(long, "short"))
+    assert frame.mode == frame.strategy == frame.notices[0] == frame.alerts[0]
+    assert frame.mode == 297 * "x" + "..."
+    assert frame.alerts[1:] == ("no progress: short",) and frame.notices[1] == "short"
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -20,13 +22,15 @@ from robots import GIANT, PALM
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.conversions import joint_states_to_ros, pose_from_ros, pose_to_ros
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.viewer import remote_parameter
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.topic_source import TopicSource
 from sphere_sim.viewer.frame import Drive
 from sphere_sim.viewer.source import Pause, Push, Reset, SetGoal, SetSpeed, SetStrategy
+from sphere_sim.viewer.viewer import Viewer
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
@@ -123,6 +127,78 @@ def test_drive_is_that_of_the_controller(graph, source) -> None:
     graph.until(lambda: newest(source).drive == Drive(0.9, 60.0, 50.0))
 
 
+NOT_OF_A_SIMULATOR = ("fast", 1e308, float("nan"), -1.0, True, [1.0, 2.0], [b"\x01"])
+NOT_OF_A_CONTROLLER = (
+    {"strategy": 5}, {"strategy": "<b>"}, {"strategy": ["paper"]},
+    {"robot.max_rotor_speed": "100"}, {"robot.rotor_axial_inertia": 1e308},
+    {"robot.max_rotor_acceleration": True}, {"robot.max_rotor_speed": 1e-320},
+)
+FAR = (float("inf"), 1e300, -1e300, float("nan"))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_viewer_goes_on_with_messages_and_parameters_that_no_robot_has(
+    graph, source, monkeypatch
+) -> None:
+    monkeypatch.setattr(remote_parameter, "_PERIOD", 0.0)
+    viewer = Viewer(source, 0, live=True)
+    strange = {name: Node(name, allow_undeclared_parameters=True)
+               for name in ("simulator", "controller")}
+    for node in strange.values():
+        graph.add(node)
+    node = strange["controller"]
+
+    def show() -> None:
+        viewer._panel_updated = 0.0
+        viewer.tick()
+        viewer._plots.show(viewer._history, viewer._frame.drive)
+
+    def taken(parameter, node, values) -> None:
+        """Show frames until the viewer has taken values that the node has now."""
+        node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        answers, take = [], parameter._take_value
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                parameter, "_take_value", lambda *about: answers.append(take(*about))
+            )
+            graph.until(lambda: show() or len(answers) > 1)  # the first one may be older
+
+    try:
+        for value in NOT_OF_A_SIMULATOR:
+            taken(source._speed, strange["simulator"], {"real_time_factor": value})
+            assert newest(source).capabilities.speed is None
+        ordinary = {"strategy": "paper", "robot.rotor_axial_inertia": 0.9,
+                    "robot.max_rotor_speed": 60.0, "robot.max_rotor_acceleration": 50.0}
+        for values in NOT_OF_A_CONTROLLER:
+            taken(source._strategy, node, {**ordinary, **values})
+            if "strategy" in values:
+                assert newest(source).strategy == ""
+            else:
+                assert newest(source).drive == Drive()
+        taken(source._strategy, node, ordinary)
+        assert newest(source).drive == Drive(0.9, 60.0, 50.0)
+
+        poses, joints = graph.publisher(PoseStamped, "pose"), graph.publisher(
+            JointState, "joint_states"
+        )
+        for i in range(40):
+            pose = pose_to_ros(START, i, FAR[i % 4])
+            poses.publish(pose)
+            joints.publish(joint_states_to_ros(*np.full((3, 2), (1e308, -1e308)[i % 2]), i))
+            pose.pose.position.x, pose.pose.orientation.w = FAR[i % 4], FAR[i // 4 % 4]
+            poses.publish(pose)
+            count = source.subscriptions.message_count
+            graph.until(lambda count=count: source.subscriptions.message_count > count + 1)
+            show()
+        assert newest(source).radius == 0.3 and np.isnan(newest(source).rotor_speeds).all()
+        poses.publish(pose_to_ros(GOAL, 50, 0.25))
+        graph.until(lambda: newest(source).radius == 0.25)
+        show()
+        assert viewer._scene.radius == 0.25
+    finally:
+        viewer.close()
+
+
 def test_strategy_can_be_selected(graph, source) -> None:
     node = ControllerNode()
     graph.add(node)
@@ -192,12 +268,23 @@ def test_lines_of_the_markers_are_in_the_size_of_the_robot(graph, robot) -> None
     assert path()[0].points[0].z == pytest.approx(0.003 * radius / 0.3)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_markers_are_published_to_a_subscriber(graph) -> None:
     graph.add(MarkerNode())
-    graph.publisher(PoseStamped, "pose").publish(pose_to_ros(START, 1, 0.3))
     received = graph.collect(MarkerArray, "markers")
-    graph.until(lambda: received)
+    poses = graph.publisher(PoseStamped, "pose")
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    goals = graph.probe.create_publisher(PoseStamped, "controller/active_goal", latched)
+    for i, far in enumerate(FAR):
+        goal = pose_to_ros(START, i, 0.3)
+        goal.pose.position.x = far
+        goals.publish(goal)
+        poses.publish(pose_to_ros(START, i, far))  # its height is that of no robot
+        graph.until(lambda i=i: len(received) > i)
+    assert received[-1].markers[0].scale.x == 0.6
+    poses.publish(pose_to_ros(START, 1, 0.25))
+    graph.until(lambda: received[-1].markers[0].scale.x == 0.5)
     markers = {marker.ns: marker for marker in received[-1].markers}
-    assert markers["sphere"].scale.x == pytest.approx(0.6)
+    assert markers["sphere"].pose.position.x == START[0] and "goal" not in markers
     assert markers["gamma"].action == Marker.ADD and len(markers["gamma"].points) > 50
     assert markers["plan"].action == Marker.DELETE

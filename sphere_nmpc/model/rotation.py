@@ -111,7 +111,9 @@ def angle_between(a: Vector, b: Vector) -> Vector:
 
 def is_unit(q: Vector) -> NDArray[np.bool_]:
     """Return whether the norm is 1 within `NORM_TOLERANCE`, shape (...); False for nan."""
-    found: NDArray[np.bool_] = np.abs(np.linalg.norm(q, axis=-1) - 1.0) <= NORM_TOLERANCE
+    # The square of a large component would overflow.
+    possible = np.where(np.abs(q) < 2.0, q, np.nan)
+    found: NDArray[np.bool_] = np.abs(np.linalg.norm(possible, axis=-1) - 1.0) <= NORM_TOLERANCE
     return found
 
 

@@ -9,7 +9,7 @@ Position of the sphere's centre in the plane [m; world frame], then the unit qua
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
@@ -102,6 +102,13 @@ def upright_state(x: float, y: float, yaw: float) -> Vector:
         See `make_state`.
     """
     return make_state((x, y), (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)))
+
+
+def are_states(rows: Vector) -> NDArray[np.bool_]:
+    """Return which rows, shape (n, 6), `as_state` accepts, shape (n,)."""
+    near = np.all(np.abs(rows[:, POSITION]) <= FARTHEST, axis=1)  # False for nan
+    accepted: NDArray[np.bool_] = near & rotation.is_unit(rows[:, QUATERNION])
+    return accepted
 
 
 def nearer_sign(goal: Vector, state: Vector) -> Vector:

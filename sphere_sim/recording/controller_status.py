@@ -11,6 +11,7 @@ import numpy as np
 from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_sim.recording.message_fields import known
 
 HOLDING = "holding"
 """Status of a plan that has reached the goal and holds the sphere there."""
@@ -75,8 +76,8 @@ def reported_drift(values: Mapping[str, str], robot: RobotParameters) -> Drift |
 
 
 def number(values: Mapping[str, str], key: str) -> float:
-    """Return a value as a number; nan where it is missing or none."""
+    """Return a value as a number; nan where it is missing, none, or beyond `LARGEST`."""
     try:
-        return float(values.get(key, "nan"))
+        return known(float(values.get(key, "nan")))
     except ValueError:
         return float("nan")

@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.message_fields import stamp_of, state_of
 from sphere_sim.recording.messages import Messages
@@ -46,7 +45,7 @@ def read_goals(
     entries = []
     for received, message in messages.decoded[topic]:
         state = np.array(state_of(message))
-        if not (np.all(np.isfinite(state)) and rotation.is_unit(state[QUATERNION])):
+        if not are_states(state[None])[0]:
             continue
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         # The controller stamps a goal when it accepts it; stamps set by users mean nothing.

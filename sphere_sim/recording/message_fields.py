@@ -6,11 +6,18 @@ from typing import Any
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second."""
+LARGEST = 1e30
+"""Largest magnitude of a number that is believed [SI units]: its square is one, too."""
 
 
 def stamp_of(message: Any) -> int:
     """Return the stamp [ns] of a message with a header."""
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+
+
+def known(number: float) -> float:
+    """Return a number of a message; nan, as for an unknown one, where it is beyond `LARGEST`."""
+    return float(number) if abs(number) <= LARGEST else float("nan")
 
 
 def state_of(message: Any) -> list[float]:

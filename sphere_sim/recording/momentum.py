@@ -5,9 +5,10 @@
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.controller_status import reported_drift, reported_momentum
-from sphere_sim.recording.message_fields import stamp_of
+from sphere_sim.recording.message_fields import known, stamp_of
 from sphere_sim.recording.messages import Messages
 from sphere_sim.recording.run import Momentum
 from sphere_sim.recording.status_messages import read_statuses
@@ -35,12 +36,14 @@ def read_momentum(
         if (drift := reported_drift(values, parameters)) is not None
     ]
     pushes = [
-        (clock.time_of_message(stamp_of(message), received), message.vector.x, message.vector.y)
+        (clock.time_of_message(stamp_of(message), received),
+         known(message.vector.x), known(message.vector.y))
         for topic, entries in messages.decoded.items()
         if topic.startswith(f"{robot}/") and topic.endswith("/pushed")
         for received, message in entries
     ]
-    pushed = np.array(pushes, dtype=float).reshape(-1, 3)
+    pushed: Vector = np.array(pushes, dtype=float).reshape(-1, 3)
+    pushed = pushed[np.all(np.isfinite(pushed), axis=1)]
     return Momentum(
         np.array([time for time, _, _ in reports]),
         np.array([momentum for _, momentum, _ in reports]).reshape(-1, 3),

@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.recording.bag_clock import BagClock, longest_run
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.message_fields import stamp_of, state_of
@@ -34,7 +33,7 @@ def read_poses(messages: Messages, robot: str) -> tuple[BagClock, Vector, Vector
         reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
         raise BagError(messages.path, reason)
     states = np.array([state_of(message) for _, message in entries])
-    valid = rotation.is_unit(states[:, QUATERNION]) & np.all(np.isfinite(states), axis=1)
+    valid = are_states(states)
     if not np.any(valid):
         raise BagError(messages.path, f"no message on {topic} holds a valid pose")
     if not np.all(valid):

@@ -12,7 +12,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.errors import BagError
-from sphere_sim.recording.message_fields import stamp_of
+from sphere_sim.recording.message_fields import known, stamp_of
 from sphere_sim.recording.messages import Messages
 
 ROTORS = ("rotor_1_joint", "rotor_2_joint")
@@ -105,5 +105,5 @@ def read_plans(messages: Messages, robot: str, clock: BagClock) -> tuple[FirstOr
 
 
 def _select(values: Sequence[float], order: Sequence[int]) -> list[float]:
-    """Return values by index; nan where a message has fewer values than names."""
-    return [float(values[i]) if i < len(values) else float("nan") for i in order]
+    """Return values by index; nan where a message has fewer values than names, see `known`."""
+    return [known(values[i]) if i < len(values) else float("nan") for i in order]

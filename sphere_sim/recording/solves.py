@@ -10,6 +10,9 @@ from sphere_sim.recording.messages import Messages
 from sphere_sim.recording.run import Solves
 from sphere_sim.recording.status_messages import read_statuses
 
+_LONGEST = 1e5
+"""Duration that no solve has [s]."""
+
 
 def read_solves(messages: Messages, robot: str, clock: BagClock) -> Solves:
     """Return the solves of a robot's controller.
@@ -26,7 +29,7 @@ def read_solves(messages: Messages, robot: str, clock: BagClock) -> Solves:
     rows: list[tuple[float, float, float, float, str]] = []
     for time, values in read_statuses(messages, robot, clock):
         solve = solve_status(values)
-        if "plan" not in values or not solve.duration > 0.0:
+        if "plan" not in values or not 0.0 < solve.duration < _LONGEST:
             continue  # nothing was solved at this sample
         rows.append((time, solve.duration, solve.cost, solve.time_to_go, solve.plan))
     if not rows:

@@ -84,7 +84,7 @@ class Ball:
             2.0 * _PROPORTIONS.rotor_axial_inertia / _PROPORTIONS.rotor_mass
         )
         self._rotors = [self._add_rotor(scene, axis, disc) for axis in range(2)]
-        self._angles = np.zeros(2)
+        self._angles: Vector = np.zeros(2)
         self._time: float | None = None
 
     def place(self, state: Vector, speeds: Vector, time: float) -> None:
@@ -94,7 +94,8 @@ class Ball:
         self._shadow.position = (float(state[0]), float(state[1]), 0.0)
         elapsed = 0.0 if self._time is None else min(max(0.0, time - self._time), 1.0)
         self._time = time
-        self._angles += np.nan_to_num(speeds) * elapsed / _SLOWDOWN
+        turned = np.nan_to_num(speeds) * elapsed / _SLOWDOWN
+        self._angles = (self._angles + turned) % (4.0 * math.pi)
         for axis, rotor in enumerate(self._rotors):
             half = 0.5 * float(self._angles[axis])
             rotor.wxyz = (math.cos(half), *(math.sin(half) * np.eye(3)[axis]))

@@ -3,7 +3,6 @@
 """Frame: the state of one robot at one instant, as the viewer shows it."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +14,8 @@ from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 _DEFAULT = RobotParameters()
 DEFAULT_RADIUS = _DEFAULT.shell_radius
 """Radius of the shell where it is not known [m]."""
-LARGEST = 1e9
-"""Largest magnitude of a number that is shown [SI units]; larger ones count as unknown."""
 LONGEST_TEXT = 300
 """Characters of a text that are shown."""
-_NUMBERS = ("rotor_speeds", "rotor_torques", "solve_time", "cost", "to_go", "momentum")
-_TEXTS = ("strategy", "mode")
-_LISTS_OF_TEXTS = ("alerts", "notices")
 
 
 def _unknown() -> Vector:
@@ -90,8 +84,7 @@ class Capabilities:
 class Frame:
     """State of one robot at one instant; unknown values are None, nan or empty.
 
-    Messages and bags are of others and may hold any number and any text: here numbers beyond
-    `LARGEST` become nan, and texts are cut to `LONGEST_TEXT`.
+    Texts, which come from messages of others, are cut to `LONGEST_TEXT`.
 
     Attributes
     ----------
@@ -150,13 +143,11 @@ class Frame:
     capabilities: Capabilities = field(default_factory=Capabilities)
 
     def __post_init__(self) -> None:
-        for names, limited in (
-            (_NUMBERS, _known),
-            (_TEXTS, lambda text: cut(text, LONGEST_TEXT)),
-            (_LISTS_OF_TEXTS, lambda texts: tuple(cut(text, LONGEST_TEXT) for text in texts)),
-        ):
-            for name in names:
-                object.__setattr__(self, name, limited(getattr(self, name)))
+        for name in ("strategy", "mode"):
+            object.__setattr__(self, name, cut(getattr(self, name), LONGEST_TEXT))
+        for name in ("alerts", "notices"):
+            texts = tuple(cut(text, LONGEST_TEXT) for text in getattr(self, name))
+            object.__setattr__(self, name, texts)
 
 
 def radius_at(height: float) -> float:
@@ -168,9 +159,3 @@ def radius_at(height: float) -> float:
         return RobotParameters(shell_radius=height, rotor_offset=0.0).shell_radius
     except InvalidParameterError:
         return DEFAULT_RADIUS
-
-
-def _known(value: Any) -> Any:
-    """Return a number, or an array of numbers, with nan for each beyond `LARGEST`."""
-    kept = np.where(np.abs(value) <= LARGEST, value, np.nan)
-    return kept if kept.ndim else float(kept)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import viser
 
 from sphere_nmpc.errors import InvalidStateError
@@ -80,10 +79,8 @@ class GoalGizmo:
     @property
     def goal(self) -> Vector | None:
         """Pose of the gizmo, shape (6,); None if a page has sent an invalid one."""
-        wxyz = np.array(self._orientation.wxyz, dtype=float)
         try:
-            with np.errstate(all="ignore"):
-                return make_state(self._position.position[:2], wxyz / np.linalg.norm(wxyz))
+            return make_state(self._position.position[:2], self._orientation.wxyz)
         except InvalidStateError:
             return None
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_sim.recording.controller_status import HOLDING, reported_momentum, solve_status
+from sphere_sim.recording.message_fields import known
 from sphere_sim.viewer.frame import Frame, radius_at
 from sphere_sim.viewer.liveness import Liveness
 
@@ -79,7 +80,10 @@ class LiveFrame:
 
     def add_rotors(self, speeds: Vector, torques: Vector) -> None:
         """Update rotor speeds, shape (2,) [rad/s], and torques, shape (2,) [N m]."""
-        self.frame = replace(self.frame, rotor_speeds=speeds, rotor_torques=torques)
+        self.frame = replace(
+            self.frame, rotor_speeds=np.array([*map(known, speeds)]),
+            rotor_torques=np.array([*map(known, torques)]),
+        )
 
     def add_goal(self, goal: Vector) -> None:
         """Update the goal in force, shape (6,)."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.model.integrator import integrate, integrate_with_drift
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import Vector, are_states
 from sphere_sim.recording.controller_status import HOLDING
 from sphere_sim.recording.run import Run
 from sphere_sim.viewer.frame import Capabilities, Drive, Frame
@@ -19,6 +19,8 @@ _LINE_DURATION = 60.0
 """Length of the lines that are drawn after a seek [s]."""
 _STEP = 0.05
 """Longest time between two frames that lines pass through [s]."""
+_LONGEST_PLAN = 100.0
+"""Part of a plan that is drawn [s]: each step of it is integrated."""
 
 
 class Replay:
@@ -125,7 +127,7 @@ class Replay:
         Returns
         -------
         ndarray, shape (n, 6)
-            States at the knots of the plan; empty before the first plan.
+            States at the knots of the plan, as far as it tells any; empty before the first plan.
         """
         plans = self._run.plans
         starts = [plan.start for plan in plans]
@@ -139,7 +141,7 @@ class Replay:
         at = max(0, int(np.searchsorted(self._run.times, hold.start, side="right")) - 1)
         states = [self._run.states[at]]
         drift = self._run.momentum.drift_at(hold.start)
-        for i, duration in enumerate(np.diff(hold.times)):
+        for i, duration in enumerate(np.diff(hold.times[hold.times < hold.start + _LONGEST_PLAN])):
             interval = hold.speeds[i], hold.speeds[i + 1], float(duration), self._constants
             if drift.is_zero:
                 states.append(integrate(states[-1], *interval))
@@ -147,5 +149,6 @@ class Replay:
                 state, momentum = integrate_with_drift(states[-1], drift, *interval)
                 states.append(state)
                 drift = replace(drift, momentum=momentum)
-        self._plan = np.array(states)
+        plan = np.array(states)
+        self._plan = plan[np.logical_and.accumulate(are_states(plan))]
         return self._plan

@@ -96,7 +96,8 @@ def solve_times(run: Run) -> Figure:
             over_time.set_xlabel("time [s]")
             over_time.set_ylabel("solve time [ms]")
             over_time.set_ylim(bottom=0.0)
-            histogram.hist(durations[known], bins="auto", color=COLOURS[0], alpha=0.85)
+            # By their number: by the spread, one long solve would take any number of bins.
+            histogram.hist(durations[known], bins="sturges", color=COLOURS[0], alpha=0.85)
             for percent, colour, name in ((50, ORANGE, "median"), (99, VERMILION, "p99")):
                 value = float(np.percentile(durations[known], percent))
                 label = f"{name} {three_digits(value)} ms"

@@ -94,7 +94,7 @@ def test_status_gives_momentum_and_what_is_given_up_as_an_alert() -> None:
 
 
 def test_numbers_that_cannot_be_drawn_are_unknown_and_long_texts_are_cut() -> None:
-    live, far = LiveFrame(0.0), (np.inf, -np.inf, 1e308, -1e10)
+    live, far = LiveFrame(0.0), (np.inf, -np.inf, 1e308, -1e31)
     live.add_pose(1.0, state(0.0), 0.3, 0.0)
     for number in far:
         live.add_rotors(np.array([number, 1e9]), np.array([-1e9, number]))

@@ -99,8 +99,9 @@ def _read_mcap(file: Path, storage: Storage, selects: TopicFilter) -> None:
                     schemas[record.id] = record
                 elif isinstance(record, Channel) and record.schema_id in schemas:
                     msgtype = schemas[record.schema_id].name
-                    storage.types[record.topic] = msgtype
-                    channels[record.id] = record.topic, selects(record.topic, msgtype)
+                    if _are_names(record.topic, msgtype):
+                        storage.types[record.topic] = msgtype
+                        channels[record.id] = record.topic, selects(record.topic, msgtype)
                 elif isinstance(record, Metadata) and record.name == "rosbag2":
                     _add_metadata(storage, record.metadata.get("serialized_metadata", ""))
         except Exception as error:
@@ -125,7 +126,7 @@ def _read_sqlite(file: Path, storage: Storage, selects: TopicFilter) -> None:
             connection.execute("PRAGMA writable_schema=ON")
             topics = {}
             for number, topic, msgtype in connection.execute("SELECT id, name, type FROM topics"):
-                if isinstance(topic, str) and isinstance(msgtype, str):  # False in damaged rows
+                if _are_names(topic, msgtype):
                     storage.types[topic] = msgtype
                     topics[number] = topic, selects(topic, msgtype)
             rows = connection.execute("SELECT topic_id, timestamp, data FROM messages")
@@ -143,6 +144,14 @@ def _read_sqlite(file: Path, storage: Storage, selects: TopicFilter) -> None:
         storage.problem = f"is damaged ({one_line_reason(error)})"
     if _is_truncated(file):
         storage.problem = _TRUNCATED
+
+
+def _are_names(*values: object) -> bool:
+    """Return whether values are names that a topic or a type can have, which notes will show.
+
+    Those of damaged files, or of files that are made to fool their reader, are not.
+    """
+    return all(isinstance(it, str) and it.isprintable() and len(it) < 256 for it in values)
 
 
 def _is_truncated(file: Path) -> bool:

@@ -40,7 +40,7 @@ class ControlPanel:
         self._requests: queue.SimpleQueue[Request | str] = queue.SimpleQueue()
         gui = server.gui
         self._status = gui.add_html("")
-        self._numbers = gui.add_markdown("")
+        self._numbers = gui.add_html("")
         self._live = live
         with gui.add_folder("Goal", visible=live):
             gui.add_markdown("Drag the arrows, turn the rings, or pick:")

@@ -1,6 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Texts of the control panel: status bar, numbers and legend."""
+"""Texts of the control panel: status bar, numbers and legend.
+
+What other programs have written is escaped here, and plain text everywhere else on the page. It is
+never part of Markdown, which has links, images and HTML.
+"""
 
 import html
 
@@ -19,6 +23,7 @@ _LEGEND = """
 - **pink sphere**: the goal
 - **floor**: a line every {cell:g} m
 """
+_NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
 
 
 def legend(cell: float) -> str:
@@ -36,17 +41,18 @@ def status_bar(frame: Frame, live: bool) -> str:
 
 
 def numbers(frame: Frame) -> str:
-    """Return time, mode and distance to the goal as Markdown.
+    """Return time, mode and distance to the goal as HTML.
 
     There are always three lines: the widgets below must not move under the mouse pointer.
     """
     distance = "–"
     if frame.state is not None and frame.goal is not None:
         distance = (
-            f"to the goal: **{position_error(frame.state, frame.goal):.3f} m**, "
-            f"**{angle_error(frame.state, frame.goal):.3f} rad**"
+            f"to the goal: <b>{position_error(frame.state, frame.goal):.3f} m</b>, "
+            f"<b>{angle_error(frame.state, frame.goal):.3f} rad</b>"
         )
-    return "  \n".join((f"t = **{frame.time:.2f} s**", frame.mode or "–", distance))
+    lines = f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance
+    return f'<div style="{_NUMBERS}">{"<br>".join(lines)}</div>'
 
 
 def _box(colour: Colour, text: str) -> str:

@@ -93,6 +93,14 @@ def test_missing_topics_are_noted_and_the_rest_is_read(make_bag, messages) -> No
         assert name in notes
 
 
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_names_that_act_on_a_terminal_are_no_topics(make_bag, messages, kind) -> None:
+    lures = ("\x1b]0;mine\x07", "\n[FATAL] all is lost ", 1000 * "x")
+    strange = [(f"/{lure}/active_goal", *next(messages())[1:]) for lure in lures]
+    run = read_run(make_bag([*messages(), *strange], kind))
+    assert run.notes == () and len(run.times) == 301
+
+
 def test_goal_pose_replaces_a_missing_active_goal(make_bag, messages) -> None:
     run = read_run(make_bag(without(messages(), "active_goal")))
     assert run.goal is not None and any("goal_pose is used" in note for note in run.notes)

@@ -26,12 +26,14 @@ pytestmark = [
     pytest.mark.skipif(BROWSER is None, reason="no Chromium here: apt-get install chromium"),
 ]
 STORE = get_typestore(Stores.ROS2_JAZZY)
-POSE = "geometry_msgs/msg/PoseStamped"
+POSE, STATUS = "geometry_msgs/msg/PoseStamped", "diagnostic_msgs/msg/DiagnosticStatus"
 LENGTH, STEP = 20.0, 0.02
 """Length of the recording and time between its poses [s]; the sphere rolls at 0.2 m/s in x."""
 
 
-def write_bag(folder: Path) -> Path:
+def write_bag(folder: Path, plan: str = "") -> Path:
+    """Write the recording, with a controller that reports a solve of this status if it is given.
+    """
     kinds, writer = STORE.types, BagWriter(folder)
     writer.add_topic("/pose", POSE)
     for i in range(round(LENGTH / STEP) + 1):
@@ -46,6 +48,13 @@ def write_bag(folder: Path) -> Path:
             kinds["geometry_msgs/msg/Quaternion"](0.0, np.sin(half), 0.0, np.cos(half)),
         ))
         writer.write("/pose", stamp, bytes(STORE.serialize_cdr(message, POSE)))
+    if plan:
+        values = {"plan": plan, "solve_time_s": "0.01", "time_s": "1"}
+        solve = kinds[STATUS](0, "controller", "", "", [
+            kinds["diagnostic_msgs/msg/KeyValue"](key, value) for key, value in values.items()
+        ])
+        writer.add_topic("/controller/status", STATUS)
+        writer.write("/controller/status", 10**9, bytes(STORE.serialize_cdr(solve, STATUS)))
     writer.close()
     return folder
 

@@ -14,6 +14,7 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     SMALLEST_ERROR,
+    literal,
     mark_missing,
     styled,
 )
@@ -26,7 +27,7 @@ def comparison(runs: Sequence[Run]) -> Figure:
         error, path, speed, solve = figure.subplots(2, 2).flat
         for i, run in enumerate(runs):
             style = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)],
-                     "label": run.name}
+                     "label": literal(run.name)}
             times, errors = run.errors()
             error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), **style)
             path.plot(run.states[:, 0], run.states[:, 1], **style)

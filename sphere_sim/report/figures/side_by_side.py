@@ -8,7 +8,15 @@ from matplotlib.figure import Figure
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.paper_panels import draw_rotor_speeds
-from sphere_sim.report.figures.style import BLACK, COLOURS, DASHES, GREY, SMALLEST_ERROR, styled
+from sphere_sim.report.figures.style import (
+    BLACK,
+    COLOURS,
+    DASHES,
+    GREY,
+    SMALLEST_ERROR,
+    literal,
+    styled,
+)
 
 _AFTERWARDS = 2.0
 """Time shown after both runs have settled [s]."""
@@ -36,10 +44,10 @@ def side_by_side(first: Run, second: Run, title: str | None = None) -> Figure:
         for i, run in enumerate(runs):
             times, errors = run.errors()
             error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), DASHES[i], color=COLOURS[i],
-                           label=run.name)
+                           label=literal(run.name))
             path.plot(run.states[:, 0], run.states[:, 1], DASHES[i], color=COLOURS[i])
             draw_rotor_speeds(speeds[i], run)
-            speeds[i].set_title(f"{'cd'[i]}: rotor speeds, {run.name}")
+            speeds[i].set_title(f"{'cd'[i]}: rotor speeds, {literal(run.name)}")
             speeds[i].set_xlim(0.0, end)
         path.plot(*first.states[0, :2], "o", color=BLACK, markersize=6, label="start")
         if first.goal is not None:

@@ -50,6 +50,11 @@ _STYLE = {
 }
 
 
+def literal(text: str) -> str:
+    """Return a text so that Matplotlib draws it as it is, and never as a formula."""
+    return text.replace("$", r"\$")
+
+
 @contextmanager
 def styled() -> Iterator[None]:
     """Set the style of the project in this context, independent of the user's settings."""

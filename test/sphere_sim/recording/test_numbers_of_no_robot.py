@@ -14,6 +14,7 @@ pytest.importorskip("viser")
 
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.report_files import write_report
+from sphere_sim.report.reported import Reported, select_goals
 from sphere_sim.viewer.replay import Replay
 from sphere_sim.viewer.source import Seek
 from sphere_sim.viewer.viewer import Viewer
@@ -78,7 +79,8 @@ def test_numbers_that_no_robot_has_are_left_out(
     assert np.nanmax(np.abs(run.rotor_speeds)) <= 1e30
     assert all(np.abs(plan.speeds).max() < 5.0 for plan in run.plans)
     (out := tmp_path / "report").mkdir()
-    assert write_report([run], [""], out, csv=True, parquet=False, animation=False).exists()
+    reported = [Reported(run, select_goals(run, None))]
+    assert write_report(reported, out, csv=True, parquet=False, animation=False).exists()
     replay = Replay(run)
     viewer = Viewer(replay, 0, live=False)
     try:

@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Text of other programs on the page, live and in replay, in a real browser: it is shown as text.
-"""
+"""Text of other programs on a page, live, in replay and in a report, is text in a real browser."""
 
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from page_helpers import page_of
 from ros_graph import Graph
 from std_srvs.srv import Trigger
 from test_replay_in_browser import wait_until, write_bag
-from verb_process import start, stop
+from verb_process import start, stop, verb_command
 
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.conversions import pose_to_ros
@@ -60,6 +60,18 @@ def test_text_of_a_bag_is_shown_as_text(page, tmp_path) -> None:
         nothing_of_it_ran(page)
     finally:
         stop([viewer])
+
+
+def test_text_of_bags_is_text_in_a_report(page, tmp_path) -> None:
+    named = r'<img src=x onerror="ran=1"><b>$\fail{$'  # which is no formula, either
+    bags = [write_bag(tmp_path / name, LURE) for name in ("bag", named)]
+    command = verb_command("report", *map(str, bags), "--out", str(tmp_path / "report"))
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120.0)
+    assert done.returncode == 0, done.stderr
+    page.open((tmp_path / "report" / "report.html").as_uri())
+    page.wait_for(named)
+    page.wait_for("sphere_nmpc")
+    nothing_of_it_ran(page)
 
 
 def test_text_of_the_network_is_shown_as_text(graph: Graph, page, tmp_path) -> None:

@@ -44,7 +44,8 @@ class ClockWatch:
         self.step = 0.0
         """Control time after the last jump less that before it [s]."""
         self.has_returned = False
-        """Whether the clock has become steady at a time that it could show without jumps."""
+        """Whether the clock has become steady within `MOST_AHEAD` of what it would show without
+        jumps."""
 
     @property
     def pace(self) -> float | None:
@@ -85,7 +86,7 @@ class ClockWatch:
         if jumped or self._jumped_at is None or wall < self._jumped_at + _STEADY_AFTER:
             return jumped
         self._jumped_at = None
-        self.has_returned = not self._is_jump(*self._before, now, wall)
+        self.has_returned = abs(now - self.expected(wall)) <= MOST_AHEAD
         return True
 
     def expected(self, wall: float) -> float:

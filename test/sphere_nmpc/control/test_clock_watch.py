@@ -68,7 +68,7 @@ def test_process_that_was_held_up_finds_no_jump(simulated: bool, pace: float) ->
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-@pytest.mark.parametrize("step", [3600.0, 2.0, -2.0, -3600.0])
+@pytest.mark.parametrize("step", [3600.0, 2.0, 1.0, 0.6, -0.6, -2.0, -3600.0])
 def test_jump_is_told_at_once_and_over_when_the_clock_has_been_steady(
     simulated: bool, step: float
 ) -> None:

@@ -62,6 +62,11 @@ class SimulatedClock:
         self.restart(0, 0.0)
         self._measured_from = (0, 0.0)
 
+    @property
+    def stops(self) -> bool:
+        """Whether time is stopped, or will be at the end of a step."""
+        return self.paused or self._stop_at is not None
+
     def next_sample(self, now: int) -> int:
         """Return the sampling instant after `now` [ns]."""
         return (now // self._sample_period + 1) * self._sample_period

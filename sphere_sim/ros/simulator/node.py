@@ -279,7 +279,7 @@ class SimulatorNode(RunnableNode):
         if request.data:
             self._simulated_clock.pause()
             self._state_publisher.flush(_FLUSH_TIMEOUT)
-        elif self._simulated_clock.paused:
+        elif self._simulated_clock.stops:
             self._simulated_clock.resume(self.simulator.now, time.monotonic())
             self._state_publisher.repeat()
         response.success = True

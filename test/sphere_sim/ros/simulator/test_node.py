@@ -182,6 +182,15 @@ def test_pause_stops_the_clock_and_step_goes_one_sample(graph) -> None:
     graph.until(lambda: node.simulator.now > goal)
 
 
+def test_simulator_that_is_resumed_during_a_step_runs_on_after_it(graph) -> None:
+    node = simulator(graph)
+    assert graph.call(SetBool, "simulator/pause", SetBool.Request(data=True)).success
+    assert graph.call(Trigger, "simulator/step", Trigger.Request()).success
+    step_ends = (node.simulator.now // SAMPLE + 1) * SAMPLE
+    assert graph.call(SetBool, "simulator/pause", SetBool.Request(data=False)).success
+    graph.until(lambda: node.simulator.now > step_ends)
+
+
 def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> None:
     node = simulator(graph, real_time_factor=10.0, command_timeout=60.0)
     poses = graph.collect(PoseStamped, "pose")

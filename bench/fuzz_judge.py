@@ -58,6 +58,8 @@ _FOLLOWED = 5.0
 """Largest difference of commanded and measured speeds that counts as following [rad/s]."""
 _MOVING = 1.0
 """Speed above which a command counts as motion [rad/s]."""
+_AT_ONCE = 50
+"""Messages of a topic that are passed on before anything else is done."""
 _STAMP = struct.Struct("<iI")
 _NEWEST = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -260,10 +262,15 @@ class Relay:
 
 
 def taken(subscription: Any) -> list[tuple[bytes, dict[str, int]]]:
-    """Return the serialised messages that have arrived, each with what the middleware knows."""
+    """Return the serialised messages that have arrived, each with what the middleware knows.
+
+    At most `_AT_ONCE`: a simulator without a limit of its pace publishes faster than this reads.
+    """
     handle, found = subscription.handle, []
     with handle:
-        while (message := handle.take_message(subscription.msg_type, True)) is not None:
+        while len(found) < _AT_ONCE and (
+            message := handle.take_message(subscription.msg_type, True)
+        ) is not None:
             found.append((bytes(message[0]), message[1]))
     return found
 

@@ -266,7 +266,8 @@ def taken(subscription: Any) -> list[tuple[bytes, dict[str, int]]]:
 
     At most `_AT_ONCE`: a simulator without a limit of its pace publishes faster than this reads.
     """
-    handle, found = subscription.handle, []
+    handle = subscription.handle
+    found: list[tuple[bytes, dict[str, int]]] = []
     with handle:
         while len(found) < _AT_ONCE and (
             message := handle.take_message(subscription.msg_type, True)

@@ -37,6 +37,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
+from sphere_nmpc.child_command import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.state import as_state, upright_state
 from sphere_nmpc.ros.conversions import WORLD_FRAME, FrameSettings
@@ -66,7 +67,7 @@ OF_LAUNCH = (
 RESPAWN_DELAY = 2.0
 """Time between the end of a process and its restart [s]."""
 MISSING = 3
-FINDS = f"import sys, importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
+FINDS = f"import importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
 """Program whose exit code tells whether a Python package is installed."""
 
 
@@ -251,15 +252,16 @@ def refuse_missing(needed: dict[str, str]) -> None:
         # The nodes may be in a virtual environment in which this process is not.
         script = Path(get_package_prefix(PACKAGE), "lib", PACKAGE, PACKAGE)
         python = script.read_text(encoding="utf-8").partition("\n")[0].removeprefix("#!").strip()
-        if subprocess.run([python, "-c", FINDS, package], check=False).returncode == MISSING:
+        look = python_command(FINDS, package, python=python)
+        if subprocess.run(look, check=False).returncode == MISSING:
             raise RuntimeError(f"{argument}: {how_to_install(package)} (for {python})")
 
 
 def refuse_other_nodes(place: str, clock: str) -> None:
     """Refuse to start beside nodes of this namespace that publish the same topics."""
     topics = [topic for topic in TOPICS if topic != "clock" or clock == "simulated"]
-    look = ["-m", "sphere_sim.ros.session.other_publishers", f"/{place}", *topics]
-    done = subprocess.run([sys.executable, *look], stdout=subprocess.PIPE, text=True, check=False)
+    look = module_command("sphere_sim.ros.session.other_publishers", f"/{place}", *topics)
+    done = subprocess.run(look, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode == FOUND:
         raise RuntimeError(
             f"{done.stdout.strip()}: running already in ROS domain "
@@ -327,11 +329,11 @@ def real_time_factor(text: str, clock: str) -> float:
 
 def robot_description(params: str, place: str) -> str:
     """Return the model of the simulator's robot with a file of parameters."""
-    done = subprocess.run(
-        [sys.executable, "-m", "sphere_sim.ros.simulator.robot_description", "--ros-args",
-         "--params-file", params, "-r", f"__ns:=/{place}"],
-        capture_output=True, text=True, check=False,
+    look = module_command(
+        "sphere_sim.ros.simulator.robot_description", "--ros-args", "--params-file", params,
+        "-r", f"__ns:=/{place}",
     )
+    done = subprocess.run(look, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"params_file: given {params}: {done.stderr.strip()}")
     return done.stdout

@@ -31,10 +31,6 @@ ALLOWED = {
     # Pipes between processes of the package, one of which has started the other: they have no name
     # that anyone else could open.
     "sphere_nmpc/worker/channel.py": {"pickle"},
-    "sphere_sim/study/processes.py": {"multiprocessing"},
-    "sphere_sim/study/worker_process.py": {"multiprocessing"},
-    "sphere_sim/ros/faults/trial_process.py": {"multiprocessing"},
-    "sphere_sim/ros/faults/trial_processes.py": {"multiprocessing"},
     "bench/documents/momentum_holding.py": {"ProcessPoolExecutor"},
     "bench/documents/strategies_of_robots.py": {"ProcessPoolExecutor"},
     # A cluster of Dask, which the user has started and named with --scheduler.

@@ -4,13 +4,13 @@
 
 import os
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from sphere_nmpc.child_command import module_command
 from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
@@ -145,13 +145,9 @@ class WorkerProcess:
             self._on_fault(f"worker not started: {error}")
             return
         try:
-            # What is found here has to be found there, and nothing else: the folder that a module
-            # is started in comes first.
-            path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)
-            command = [sys.executable, "-m", "sphere_nmpc.worker.serve", str(there.fileno())]
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, pass_fds=[there.fileno()], cwd=os.sep,
-                env={**os.environ, "PYTHONPATH": path},
+                module_command("sphere_nmpc.worker.serve", str(there.fileno())),
+                stdin=subprocess.DEVNULL, pass_fds=[there.fileno()],
             )
             here.never_wait()
             self._connection = here

@@ -2,14 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Program of the worker process: does the tasks that arrive until its channel is closed.
 
-It is started by `sphere_nmpc.worker.process` as ``python -m sphere_nmpc.worker.serve DESCRIPTOR``.
+It is started by `sphere_nmpc.worker.process`.
 """
 
 import contextlib
 import gc
 import os
 import signal
-import sys
 from importlib import import_module
 
 from sphere_nmpc.end_signals import END_SIGNALS
@@ -53,7 +52,3 @@ def main(argv: list[str]) -> int:
     gc.freeze()
     serve(Channel.inherited(int(argv[0])))
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import sphere_sim
+from sphere_nmpc.child_command import python_command
 from sphere_nmpc.model.state import Vector
 from sphere_sim.benchmark.acados_process import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
 from sphere_sim.benchmark.benchmarked_solver import Answer, Maker
@@ -21,7 +22,7 @@ HOW_TO_GET_IT = (
     "`pip install comma-deps-acados`"
 )
 # Last on the path: other packages in this folder must not hide those of that Python.
-IMPORT_PATH = "import sys; sys.path.append(sys.argv[1]); "
+IMPORT_PATH = "sys.path.append(sys.argv[1]); "
 _CHILD = f"{IMPORT_PATH}from sphere_sim.benchmark.acados_process import main; main(sys.argv[2])"
 PACKAGES = str(Path(sphere_sim.__file__).parents[1])
 
@@ -55,7 +56,7 @@ class Acados:
             raise ModuleNotFoundError(HOW_TO_GET_IT)
         try:
             child = subprocess.Popen(
-                [python, "-c", _CHILD, PACKAGES, kind],
+                python_command(_CHILD, PACKAGES, kind, python=python),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

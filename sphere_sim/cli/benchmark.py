@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sphere_nmpc.child_command import python_command
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
@@ -97,8 +98,9 @@ def _first_use() -> float | None:
         with tempfile.TemporaryDirectory() as empty:
             began = time.perf_counter()
             environment = {**os.environ, CACHE_VARIABLE: empty}
-            command = [sys.executable, "-c", _FIRST_SOLVE]
-            subprocess.run(command, check=True, env=environment, capture_output=True)
+            subprocess.run(
+                python_command(_FIRST_SOLVE), check=True, env=environment, capture_output=True
+            )
             return time.perf_counter() - began
     except (OSError, subprocess.CalledProcessError) as error:
         print(f"sphere_nmpc benchmark: first use not measured: {error}", file=sys.stderr)

@@ -8,20 +8,19 @@ when one of them ends unexpectedly it does not report during which call, and can
 
 import contextlib
 import logging
-import multiprocessing
+import select
 import signal
+import subprocess
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from multiprocessing import connection, resource_tracker
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
+from sphere_nmpc.child_command import module_command
 from sphere_nmpc.end_signals import END_SIGNALS, TERMINAL_SIGNALS
+from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_sim.study.errors import WorkersError
-from sphere_sim.study.worker_process import serve
 
 TRIES = 3
 """Largest number of attempts at a call whose process ends during it."""
@@ -47,9 +46,7 @@ class Processes:
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        # New interpreters: a fork would copy the locks of other threads of this process.
-        self._context = multiprocessing.get_context("spawn")
-        self._processes: dict[Connection, BaseProcess] = {}
+        self._processes: dict[Channel, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> "Processes":
         return self
@@ -90,13 +87,13 @@ class Processes:
                 yield name, call(*arguments)
             return
         deaths: Counter[Any] = Counter()
-        busy: dict[Connection, Task] = {}
+        busy: dict[Channel, Task] = {}
 
-        def hand_out(link: Connection) -> None:
+        def hand_out(link: Channel) -> None:
             busy[link] = waiting.popleft()
             # If the process has ended, reading its answer fails.
             with contextlib.suppress(OSError):
-                link.send((call, busy[link][1]))
+                link.send(encoded((call, busy[link][1])))
 
         while waiting or busy:
             while waiting and len(busy) < self._jobs:
@@ -104,11 +101,11 @@ class Processes:
                 link = idle or self._start()
                 if link is not None:
                     hand_out(link)
-            ready = connection.wait(list(busy))
+            ready, _, _ = select.select(list(busy), [], [])
             for link in [each for each in busy if each in ready]:
                 task = name, _ = busy.pop(link)
                 try:
-                    result, failure = link.recv()
+                    result, failure = link.receive()
                 except (EOFError, OSError):
                     deaths[name] += 1
                     reason = self._remove(link)
@@ -125,19 +122,21 @@ class Processes:
                     hand_out(link)
                 yield name, result
 
-    def _start(self) -> Connection | None:
+    def _start(self) -> Channel | None:
         """Return the connection to a new process; None where the system allows no further one.
 
         The number of processes is then reduced to those that run.
         """
         try:
-            resource_tracker.ensure_running()  # its start would unblock the signal below
             with _interrupts_deferred():
-                parent_end, child_end = self._context.Pipe()
-                process = self._context.Process(target=serve, args=(child_end,), daemon=True)
-                with child_end:
-                    process.start()
-                self._processes[parent_end] = process
+                here, there = Channel.pair()
+                with contextlib.closing(there), contextlib.ExitStack() as unless_started:
+                    unless_started.callback(here.close)
+                    self._processes[here] = subprocess.Popen(
+                        module_command("sphere_sim.study.worker_process", str(there.fileno())),
+                        stdin=subprocess.DEVNULL, pass_fds=[there.fileno()],
+                    )
+                    unless_started.pop_all()
         except OSError as error:
             if not self._processes:
                 raise WorkersError(
@@ -149,15 +148,13 @@ class Processes:
             )
             self._jobs = len(self._processes)
             return None
-        return parent_end
+        return here
 
-    def _remove(self, link: Connection) -> str:
+    def _remove(self, link: Channel) -> str:
         """Remove a process that has ended and return how it ended."""
         process = self._processes.pop(link)
         link.close()
-        process.join()
-        code = process.exitcode or 0
-        process.close()
+        code = process.wait()
         return f"signal {-code}" if code < 0 else f"exit code {code}"
 
 

@@ -8,7 +8,6 @@ import platform
 import shlex
 import shutil
 import subprocess
-import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -66,8 +65,10 @@ def compilers() -> list[list[str]]:
         if path:
             # cc is most often a second name of one of the others.
             found.setdefault(os.path.realpath(path), [path, *candidate[1:]])
-    if not named and find_spec("ziglang"):
-        found["ziglang"] = [sys.executable, "-m", "ziglang", "cc"]
+    package = None if named else find_spec("ziglang")
+    for folder in (package and package.submodule_search_locations) or ():
+        if path := shutil.which("zig", path=folder):
+            found["ziglang"] = [path, "cc"]
     if found:
         return list(found.values())
     if named:

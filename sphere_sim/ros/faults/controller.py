@@ -6,7 +6,6 @@ It is the controller node itself, with every strategy wrapped before the node st
 controller needs no hook for it. FILE holds the failure mode, see `BadStrategy`.
 """
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,7 +29,3 @@ def main(arguments: Sequence[str]) -> int:
 
     controller.make_strategy = make
     return run_controller(rest)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

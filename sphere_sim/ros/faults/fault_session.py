@@ -20,13 +20,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.child_command import module_command
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.faults.monitor import FaultMonitor
 from sphere_sim.ros.faults.proxy import REMAPPED, FaultProxy
-from sphere_sim.ros.session.child_process import module_command, parameter_options, verb_command
+from sphere_sim.ros.session.child_process import parameter_options, verb_command
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
@@ -99,7 +100,7 @@ class FaultSession:
         self._bags = (settings.folder / f"bag_{i}" for i in itertools.count(1))
         self.solver_file = settings.folder / "solver"
         self.processes = ProcessSet(settings.folder)
-        fault_controller = module_command("sphere_sim.ros.faults.controller")
+        fault_controller = module_command("sphere_sim.ros.faults.controller", str(os.getpid()))
         self.processes.add("controller", [*fault_controller, str(self.solver_file)])
         for verb in ("simulator", "recorder"):
             self.processes.add(verb, verb_command(verb))

@@ -4,17 +4,19 @@
 
 import contextlib
 import itertools
-import multiprocessing
 import os
 import signal
+import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NoReturn
 
+from sphere_nmpc.child_command import module_command
 from sphere_nmpc.end_signals import TERMINAL_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_sim.faults.catalogue import Fault
 from sphere_sim.faults.outcome import Outcome
 from sphere_sim.ros.faults.fault_session import SessionSettings, fault_session
@@ -56,19 +58,17 @@ class TrialProcess:
     """
 
     def __init__(self, settings: SessionSettings) -> None:
-        # A new interpreter: rclpy and its threads must not be forked.
-        context = multiprocessing.get_context("spawn")
-        self.link, theirs = context.Pipe()
-        self._process = context.Process(
-            target=_serve, args=(theirs, settings, os.getpid()), daemon=True
-        )
-        self._process.start()
-        theirs.close()
+        self.link, theirs = Channel.pair()
+        with contextlib.closing(theirs):
+            self._process = subprocess.Popen(
+                module_command(__name__, str(theirs.fileno()), str(os.getpid())),
+                stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()],
+            )
+        self._send(settings)
 
     def begin(self, plan: TrialPlan | None) -> None:
         """Begin a trial, or end the process with None."""
-        with contextlib.suppress(BrokenPipeError):  # `outcome` reports why it has ended
-            self.link.send(plan)
+        self._send(plan)
 
     def outcome(self) -> tuple[Outcome, tuple[Path, ...]]:
         """Wait for the outcome of the trial and return it with the bags that are to be judged.
@@ -79,11 +79,12 @@ class TrialProcess:
             If the nodes cannot be started, or the process has ended.
         """
         try:
-            received = self.link.recv()
+            received = self.link.receive()
         except (EOFError, OSError):
-            self._process.join(_ENDED_WITHIN)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_ENDED_WITHIN)
             raise TrialsError(
-                f"a process of the campaign ended, exit code {self._process.exitcode}"
+                f"a process of the campaign ended, exit code {self._process.returncode}"
             ) from None
         if isinstance(received, str):
             raise TrialsError(received)
@@ -93,35 +94,47 @@ class TrialProcess:
     def close(self) -> None:
         """End process and nodes, also during a trial."""
         self._process.terminate()
-        self._process.join(_ENDED_WITHIN)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_ENDED_WITHIN)
         self._process.kill()
+        self._process.wait()
         self.link.close()
 
+    def _send(self, message: SessionSettings | TrialPlan | None) -> None:
+        with contextlib.suppress(BrokenPipeError):  # `outcome` reports why it has ended
+            self.link.send(encoded(message))
 
-def _serve(link: Connection, settings: SessionSettings, parent: int) -> None:
-    """Run trials until None is received; after one that was not survived nodes are restarted."""
+
+def main(argv: Sequence[str]) -> int:
+    """Run trials until None is received; after one that was not survived nodes are restarted.
+
+    The arguments are the file descriptor of the channel and the id of the parent.
+    """
     for number in TERMINAL_SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, _end)
-    end_with_parent(parent)
+    end_with_parent(int(argv[1]))
+    link = Channel.inherited(int(argv[0]))
+    settings: SessionSettings = link.receive()
     folders = (settings.folder / f"session_{i}" for i in itertools.count(1))
     try:
         with own_domain():
-            plan = link.recv()
+            plan = link.receive()
             while plan is not None:
                 folder = next(folder for folder in folders if not folder.exists())
                 with fault_session(replace(settings, folder=folder)) as session:
                     while plan is not None:
                         trial = Trial(session, plan.faults, plan.repetition)
                         outcome = trial.run()
-                        link.send((outcome, trial.bags))
-                        plan = link.recv()
+                        link.send(encoded((outcome, trial.bags)))
+                        plan = link.receive()
                         if not outcome.survived:
                             break
     except SphereNmpcError as error:
-        link.send(str(error))
+        link.send(encoded(str(error)))
     except EOFError:  # the parent has ended
         pass
+    return 0
 
 
 def _end(*_: object) -> NoReturn:

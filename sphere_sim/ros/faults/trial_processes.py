@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trials that are run in several processes at the same time."""
 
+import select
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from multiprocessing.connection import wait
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
@@ -55,11 +55,11 @@ def run_trials(
             processes.append(TrialProcess(replace(settings, folder=folder)))
         busy = {process.link: process for process in processes if go_on(process)}
         while busy:
-            for link in wait(list(busy)):
-                process = busy[link]  # type: ignore[index]
+            for link in select.select(list(busy), [], [])[0]:
+                process = busy[link]
                 outcome, bags = process.outcome()
                 if not go_on(process):
-                    del busy[link]  # type: ignore[arg-type]
+                    del busy[link]
                 yield _with_bags(outcome, bags)  # while the next trial runs
     finally:
         for process in processes:

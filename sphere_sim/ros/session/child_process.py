@@ -7,13 +7,13 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sphere_nmpc.child_command import module_command
 from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 
@@ -29,12 +29,7 @@ def verb_command(verb: str, *arguments: str) -> list[str]:
 
     The process ends when this one ends, for whatever reason.
     """
-    return module_command("sphere_sim.cli.child", verb, *arguments)
-
-
-def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line of a module whose first argument is the id of its parent."""
-    return [sys.executable, "-m", module, str(os.getpid()), *arguments]
+    return module_command("sphere_sim.cli.child", str(os.getpid()), verb, *arguments)
 
 
 def parameter_options(parameters: Mapping[str, object]) -> list[str]:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Other publishers in a domain, whose clock, poses or commands would mix with those of our nodes.
 
-``python -m sphere_sim.ros.session.other_publishers NAMESPACE TOPIC ...`` prints their names, for a
-process that must not start ROS itself. Its exit code is 0 if there are none, 3 if there are some.
+`main` is the program of a child process, for a process that must not start ROS itself.
 """
 
 import argparse
@@ -133,12 +132,12 @@ def _names(found: dict[str, list[str]]) -> list[str]:
     return sorted(name for name, times in named.items() for _ in range(times))
 
 
-def main() -> int:
-    """Print the names in one line and return the exit code."""
+def main(argv: Sequence[str]) -> int:
+    """Print the names in one line for ``NAMESPACE TOPIC ...``; return `FOUND`, or 0 for none."""
     parser = argparse.ArgumentParser(description="Print the nodes that publish topics of a robot.")
     parser.add_argument("namespace")
     parser.add_argument("topics", nargs="+")
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     try:
         nodes = find_publishers(given.namespace, given.topics)
     except SphereNmpcError as error:
@@ -146,7 +145,3 @@ def main() -> int:
         return 1
     print(names_of(nodes))
     return FOUND if nodes else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

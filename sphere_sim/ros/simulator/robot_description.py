@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model of the robot that the simulator would have with the same ROS arguments, as URDF.
 
-``python -m sphere_sim.ros.simulator.robot_description --ros-args --params-file FILE`` prints it:
-rcl itself finds out which parameters of a file are those of this node.
+`main` is the program of a child process: rcl itself finds out which parameters of a file are those
+of this node.
 """
 
 import sys
@@ -18,10 +18,10 @@ from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.world.robot_description import make_urdf
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Print the model; return 0, or 2 after one line on what is wrong."""
+def main(args: Sequence[str]) -> int:
+    """Print the model for ``--ros-args ...``; return 0, or 2 after one line on what is wrong."""
     try:
-        start_ros(list(sys.argv[1:] if args is None else args))
+        start_ros(list(args))
         node = rclpy.create_node(
             "simulator", automatically_declare_parameters_from_overrides=True,
             enable_rosout=False, start_parameter_services=False,
@@ -34,7 +34,3 @@ def main(args: Sequence[str] | None = None) -> int:
         rclpy.try_shutdown()
     print(make_urdf(robot), end="")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

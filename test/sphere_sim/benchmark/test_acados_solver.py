@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("rich")
 
+from sphere_nmpc.child_command import python_command
 from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.solver.reference.objective import cost
 from sphere_sim.benchmark import acados_solver
@@ -148,7 +149,9 @@ def test_acados_has_the_same_cost_and_dynamics():
         rows.append(np.concatenate((np.hstack((states, knots / LIMIT)).ravel(), v, scenario.goal)))
         expected.append(cost(paper_problem(scenario.start, scenario.goal, in_force), v)[0])
     done = subprocess.run(
-        [PYTHON, "-c", acados_solver.IMPORT_PATH + EVALUATE, acados_solver.PACKAGES],
+        python_command(
+            acados_solver.IMPORT_PATH + EVALUATE, acados_solver.PACKAGES, python=PYTHON
+        ),
         input=np.array(rows).tobytes(),
         env=clean_environment(),
         capture_output=True,

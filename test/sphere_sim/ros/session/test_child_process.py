@@ -17,17 +17,12 @@ import pytest
 from patience import PATIENCE
 
 from sphere_nmpc.end_signals import END_SIGNALS
-from sphere_sim.ros.session.child_process import (
-    ChildEndedError,
-    ChildProcess,
-    module_command,
-    verb_command,
-)
+from sphere_sim.ros.session.child_process import ChildEndedError, ChildProcess, verb_command
 from sphere_sim.ros.session.process_set import ProcessSet
 
 WAITING = """
 import signal, subprocess, sys, time
-parent, *words = sys.argv[1:]
+words = sys.argv[1:]
 signal.signal(signal.SIGINT, lambda *_: sys.exit(7))
 if "ignoring" in words:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -44,11 +39,10 @@ time.sleep(60)
 
 
 @pytest.fixture
-def process(tmp_path, monkeypatch) -> Iterator[ChildProcess]:
+def process(tmp_path) -> Iterator[ChildProcess]:
     """Return a process that prints that it is up, and then waits."""
-    (tmp_path / "waiting.py").write_text(WAITING)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    process = ChildProcess("waiting", module_command("waiting"), tmp_path / "waiting.log")
+    command = [sys.executable, "-c", WAITING]
+    process = ChildProcess("waiting", command, tmp_path / "waiting.log")
     yield process
     process.kill()
 

@@ -1,0 +1,125 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Child processes never import what lies in the working directory, as a `random.py` by a bag."""
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from patience import PATIENCE
+
+from sphere_nmpc.child_command import module_command, python_command
+
+NAMES = ("random", "numpy", "re", "os", "sys", "subprocess", "selectors", "sphere_nmpc", "zig")
+HOSTILE = """
+import pathlib
+pathlib.Path(__file__).with_name("executed").touch()
+raise SystemExit(9)
+"""
+ROOT = Path(__file__).parents[1]
+CHILDREN = {
+    "worker of the controller": """
+import time
+from sphere_nmpc.worker.process import WorkerProcess
+worker = WorkerProcess(print)
+reply = worker.submit(len)
+while reply.pending:
+    worker.poll()
+    time.sleep(0.01)
+assert reply.ready, reply.error
+""",
+    "node of a demo": """
+from pathlib import Path
+from sphere_sim.ros.session.child_process import ChildProcess, verb_command
+child = ChildProcess("report", verb_command("report", "--help"), Path("log"))
+child.start()
+assert child.wait(60.0) == 0, child.output
+""",
+    "process of a study": """
+import math
+from sphere_sim.study.processes import Processes
+with Processes(2) as processes:
+    assert len(list(processes.run(math.sqrt, [(i, (4.0,)) for i in range(4)], "root"))) == 4
+""",
+    "search for other publishers": """
+import subprocess
+from sphere_nmpc.child_command import module_command
+subprocess.run(module_command("sphere_sim.ros.session.other_publishers", "/", "pose"), check=True)
+""",
+    "model of the robot": """
+import subprocess
+from sphere_nmpc.child_command import module_command
+subprocess.run(module_command("sphere_sim.ros.simulator.robot_description"), check=True)
+""",
+    "first solve of the benchmark": """
+from sphere_sim.cli.benchmark import _first_use
+assert _first_use() > 0.0
+""",
+    "acados": """
+import sys
+from sphere_sim.benchmark.acados_solver import Acados
+try:
+    Acados("rti", sys.executable)
+except RuntimeError as error:
+    assert "acados" in str(error), error
+""",
+    "process of a campaign of faults": """
+from pathlib import Path
+from sphere_sim.ros.faults.fault_session import SessionSettings
+from sphere_sim.ros.faults.trial_process import TrialProcess
+process = TrialProcess(SessionSettings(Path("faults").absolute()))
+process.begin(None)
+assert process._process.wait(60.0) == 0
+""",
+}
+"""Programs that start a child of each kind."""
+
+
+@pytest.fixture
+def hostile_folder(tmp_path: Path) -> Path:
+    """Return a folder with modules that leave a mark when they are imported."""
+    folder = tmp_path / "bags"
+    folder.mkdir()
+    for name in NAMES:
+        (folder / f"{name}.py").write_text(HOSTILE)
+    return folder
+
+
+def run_in(folder: Path, command: list[str]) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False, timeout=PATIENCE,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert not (folder / "executed").exists(), done.stderr
+    return done
+
+
+@pytest.mark.parametrize("kind", CHILDREN)
+def test_child_imports_nothing_from_the_working_directory(kind, hostile_folder, tmp_path) -> None:
+    if "sphere_sim.ros" in CHILDREN[kind] and find_spec("rclpy") is None:
+        pytest.skip("rclpy is not installed here")
+    (tmp_path / "program.py").write_text(CHILDREN[kind])
+    done = run_in(hostile_folder, [sys.executable, str(tmp_path / "program.py")])
+    assert done.returncode == 0, done.stderr
+
+
+def test_modules_of_the_folder_would_be_imported_otherwise(hostile_folder) -> None:
+    done = subprocess.run([sys.executable, "-c", "import random"], cwd=hostile_folder, check=False)
+    assert done.returncode == 9 and (hostile_folder / "executed").exists()
+
+
+def test_child_imports_what_its_parent_imports(tmp_path, monkeypatch, hostile_folder) -> None:
+    (tmp_path / "beside").mkdir()
+    (tmp_path / "beside" / "answer.py").write_text("def main(words): return len(words)")
+    monkeypatch.syspath_prepend(tmp_path / "beside")
+    assert run_in(hostile_folder, module_command("answer", "a", "b c")).returncode == 2
+
+
+def test_another_python_imports_from_its_own_path(monkeypatch, hostile_folder, tmp_path) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    program = "import random; print(sys.argv[1:], sys.path)"
+    done = run_in(hostile_folder, python_command(program, "x", python=sys.executable))
+    assert done.stdout.startswith("['x'] ['") and str(tmp_path) not in done.stdout

@@ -14,13 +14,17 @@ from sphere_nmpc.ros.conversions import seconds
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.serialised import clock_stamp
 
+_RESOLVED = 10**15
+"""Time [ns] up to which a float of seconds resolves a nanosecond: the knots of commands keep their
+distances, on which the accelerations depend."""
 _CHANGED = (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED)
 
 
 class ControlClock:
     """Conversion from stamps to control time, with a watch for jumps of the clock.
 
-    In simulated time control time is the time on ``/clock``; otherwise it begins with the node.
+    In simulated time control time is the time on ``/clock``, less a multiple of a million seconds
+    where that is later, as when a bag is played; otherwise it begins with the node.
     rclpy's subscription of ``/clock`` is taken over, as reading message objects with it takes as
     long as a solve.
 
@@ -63,9 +67,8 @@ class ControlClock:
         stamp = self.stamp()
         if self.simulated:
             return self.time_of(stamp) if stamp else None
-        time = self.time_of(stamp)
-        self._watch(time)
-        return time
+        self._watch(stamp)
+        return self.time_of(stamp)
 
     def steady_now(self) -> float | None:
         """Return control time [s]; None also while the clock jumps."""
@@ -75,7 +78,9 @@ class ControlClock:
     def final_now(self) -> float | None:
         """Return control time [s] for last commands; while the clock jumps that without jumps."""
         now = self.now()
-        return now if now is None or self.watch.is_steady else self.watch.expected(monotonic())
+        if now is None or self.watch.is_steady:
+            return now
+        return self.watch.expected(monotonic()) - seconds(self.epoch)
 
     def time_of(self, stamp: int) -> float:
         """Return the control time [s] of a stamp [ns]."""
@@ -89,14 +94,22 @@ class ControlClock:
 
     def _hear(self, message: bytes) -> None:
         stamp = clock_stamp(message)
+        if self._heard is None:
+            self._set_epoch(stamp)
         self._heard = stamp
         clock = self._ros_clock
         clock.set_ros_time_override(Time(nanoseconds=stamp, clock_type=clock.clock_type))
-        self._watch(self.time_of(stamp))
+        self._watch(stamp)
 
-    def _watch(self, time: float) -> None:
-        if self.watch.read(time, monotonic()):
+    def _watch(self, stamp: int) -> None:
+        if self.watch.read(seconds(stamp), monotonic()):
+            if self.simulated and self.watch.is_steady and not self.watch.has_returned:
+                self._set_epoch(stamp)
             self._on_jump(False)
+
+    def _set_epoch(self, stamp: int) -> None:
+        if self._has_pace:  # in lockstep the simulator's sampling instants count from zero
+            self.epoch = stamp // _RESOLVED * _RESOLVED
 
     def _begin(self) -> None:
         # Not from the parameter, which is changed only after the clock.

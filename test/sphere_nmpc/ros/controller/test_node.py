@@ -547,6 +547,23 @@ def test_no_command_is_ahead_of_a_clock_that_jumps_ahead(robot, capfd, returns) 
     assert printed.count("runs on at another time") == (0 if returns else 1)
 
 
+@pytest.mark.parametrize("jumps", [False, True], ids=["from the start", "after a jump"])
+def test_nanoseconds_are_resolved_at_the_time_of_a_bag_that_is_played(robot, jumps) -> None:
+    if jumps:
+        robot.pass_time(0.5)
+    robot.now = played = 1_764_000_000 * NANOSECONDS
+    robot.send_goal()
+    until_on_the_way(robot)
+    clock = robot.node._control_clock
+    step = clock.time_of(robot.now + 1) - clock.time_of(robot.now)
+    assert step == pytest.approx(1e-9, abs=2e-10), "control time is below 1e6 s"
+    sent = len(robot.trajectories)
+    robot.pass_time(1.0)
+    holds = [hold_from_trajectory(message, played) for message in robot.trajectories[sent:]]
+    slews = [np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None] for hold in holds]
+    assert max(map(np.max, slews)) <= 400.0 * (1.0 + 1e-6)
+
+
 def test_nothing_is_sent_while_two_clocks_are_published(robot) -> None:
     robot.send_goal()
     until_on_the_way(robot)

@@ -5,6 +5,10 @@
 import math
 from argparse import ArgumentTypeError
 from collections.abc import Callable
+from urllib.parse import urlsplit
+
+_SCHEMES = ("tcp", "tls", "ws", "wss")
+"""Protocols of Dask between machines."""
 
 
 def finite(text: str) -> float:
@@ -28,18 +32,31 @@ def number(least: float, most: float) -> Callable[[str], float]:
     return lambda text: _number(text, expected, lambda value: least <= value <= most)
 
 
-def whole(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Return a type of integers from `least` on, up to `most` if that is given."""
+def whole(least: int, most: int = 2**63 - 1) -> Callable[[str], int]:
+    """Return a type of integers from `least` to `most`."""
 
     def convert(text: str) -> int:
         digits = text.removeprefix("-")
-        within = digits.isascii() and digits.isdigit() and len(digits) < 20 and least <= int(text)
-        if within and (most is None or int(text) <= most):
+        is_short = digits.isascii() and digits.isdigit() and len(digits) < 20
+        if is_short and least <= int(text) <= most:
             return int(text)
-        end = "on" if most is None else f"to {most}"
-        raise ArgumentTypeError(f"given {text}, expected a whole number from {least} {end}")
+        raise ArgumentTypeError(f"given {text}, expected a whole number from {least} to {most}")
 
     return convert
+
+
+def cluster_address(text: str) -> str:
+    """Return the address of a Dask scheduler, such as ``tcp://host:8786``; tcp may be left out."""
+    address = text if "://" in text else f"tcp://{text}"
+    try:
+        parts = urlsplit(address)
+        is_whole = parts.scheme in _SCHEMES and bool(parts.hostname and parts.port)
+    except ValueError:
+        is_whole = False
+    if is_whole:
+        return address
+    expected = f"tcp://HOST:PORT, or {', '.join(_SCHEMES[1:])} instead of tcp"
+    raise ArgumentTypeError(f"given {text}, expected {expected}")
 
 
 def _number(text: str, expected: str, fits: Callable[[float], bool]) -> float:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.cli.arguments import not_negative, number, positive, whole
+from sphere_sim.cli.arguments import cluster_address, not_negative, number, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.world.settings import PLANTS
@@ -203,7 +203,8 @@ def _parser() -> argparse.ArgumentParser:
         help="processes; all cores by default",
     )
     where.add_argument(
-        "--scheduler", metavar="URL", help="run on this Dask cluster, such as tcp://host:8786"
+        "--scheduler", type=cluster_address, metavar="URL",
+        help="run on this Dask cluster, such as tcp://host:8786"
     )
     parser.add_argument(
         "--no-learning", action="store_true", help="do not estimate the robot's parameters"

@@ -2,19 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calls made by the workers of an existing Dask cluster."""
 
+import asyncio
 import contextlib
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from distributed import Client, as_completed
+from distributed import Client, Security, as_completed
+from distributed.comm import connect
 
+from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_sim.study.errors import WorkersError
 from sphere_sim.study.fingerprint import worker_code_digest
 from sphere_sim.study.processes import Task
 
 _CONNECT_TIMEOUT = 15.0
 """How long to wait for the scheduler [s]."""
+_TOLD_AFTER = 2.0
+"""Wait for the scheduler after which it is said [s]."""
+
+_log = logging.getLogger("sphere_nmpc")
 
 _AHEAD = 4
 """Tasks submitted for each thread of the cluster, so that none is idle."""
@@ -70,14 +77,16 @@ def joined_cluster(address: str) -> Iterator[Client]:
     Raises
     ------
     WorkersError
-        If it cannot be reached, has no workers, or these fail or run other code.
+        If it cannot be reached, is none, has no workers, or these fail or run other code.
     """
     for name in ("distributed", "distributed.client"):  # Dask sets the level of each
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
+        # A client that fails to connect takes half a minute more, and then shows a traceback.
+        asyncio.run(_find_scheduler(address))
         client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        reason = str(error) or type(error).__name__
+    except Exception as error:  # the answer of another program can cause any, also MemoryError
+        reason = printable_line(str(error) or type(error).__name__)
         raise WorkersError(f"scheduler {address}: cannot be reached ({reason})") from None
     with client:
         try:
@@ -90,6 +99,32 @@ def joined_cluster(address: str) -> Iterator[Client]:
             if not _same_code(digest):
                 raise WorkersError(f"worker {worker}: runs another version of sphere_nmpc")
         yield client
+
+
+async def _find_scheduler(address: str) -> None:
+    """Raise unless a Dask scheduler answers at an address within `_CONNECT_TIMEOUT`."""
+    async def ask() -> object:
+        security = Security().get_connection_args("client")
+        comm = await connect(address, timeout=_CONNECT_TIMEOUT, **security)
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            return (await comm.read())["type"]
+        finally:
+            comm.abort()
+
+    asking = asyncio.ensure_future(ask())
+    done, _ = await asyncio.wait({asking}, timeout=_TOLD_AFTER)
+    if not done:
+        _log.warning(
+            "sphere_nmpc study: waiting for the scheduler %s, at most %g s", address,
+            _CONNECT_TIMEOUT,
+        )
+    try:
+        found = await asyncio.wait_for(asking, _CONNECT_TIMEOUT - _TOLD_AFTER)
+    except asyncio.TimeoutError:
+        raise OSError(f"no answer of a scheduler within {_CONNECT_TIMEOUT:g} s") from None
+    if found != "Scheduler":
+        raise ValueError(f"given Dask's {shown(found)}, expected a scheduler")
 
 
 def _same_code(digest: str) -> bool:

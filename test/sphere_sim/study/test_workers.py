@@ -3,6 +3,9 @@
 """Results do not depend on where the runs are made."""
 
 import os
+import socket
+import threading
+from contextlib import suppress
 
 import pytest
 from distributed import LocalCluster
@@ -79,6 +82,36 @@ def test_unreachable_scheduler_is_an_error(monkeypatch) -> None:
     monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", 0.5)
     with pytest.raises(WorkersError, match="cannot be reached"):
         make(Workers(scheduler="tcp://127.0.0.1:1"))
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [(b"", r"no answer of a scheduler within 2.5 s"), (b"HTTP/1.1 400 Bad Request\r\n\r\n", "")],
+)
+def test_listener_that_is_no_scheduler_is_one_error_in_the_time_that_is_told(
+    answer, words, monkeypatch, caplog
+) -> None:
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                connected.append(listener.accept()[0])
+                connected[-1].sendall(answer)
+
+    monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", 2.5)
+    connected: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, daemon=True).start()
+        address = "tcp://{}:{}".format(*listener.getsockname())
+        with pytest.raises(WorkersError, match=rf"{address}: cannot be reached \(.*{words}"):
+            make(Workers(scheduler=address))
+        listener.shutdown(socket.SHUT_RDWR)
+    assert bool(answer) != ("waiting for the scheduler" in caplog.text)
+
+
+def test_worker_is_no_scheduler(cluster) -> None:
+    address = next(iter(cluster.scheduler_info["workers"]))
+    with pytest.raises(WorkersError, match="given Dask's 'Worker', expected a scheduler"):
+        make(Workers(scheduler=address))
 
 
 def test_cluster_that_ends_is_one_error() -> None:

@@ -51,9 +51,9 @@ def test_faults_are_named_and_the_goal_is_reached_within_the_limits(tmp_path, ca
     [
         (["--fault", "pose_lost"], "choose from"),
         (["--rtf", "50"], "expected 0.5 to 5"),
-        (["--seed", "-1"], "expected a whole number from 0 on"),
-        (["--repeat", "0"], "expected a whole number from 1 on"),
-        (["--triples", "0"], "expected a whole number from 1 on"),
+        (["--seed", "-1"], "expected a whole number from 0 to"),
+        (["--repeat", "0"], "expected a whole number from 1 to"),
+        (["--triples", "0"], "expected a whole number from 1 to"),
         (["--rate", "1000"], "expected a number from 20 to 500"),
         (["--plant", "flat"], "choose from"),
     ],

@@ -57,7 +57,8 @@ UNCHECKED = (
     # test_documents.py checks that targets and scripts exist.
     "make", "python", "python3", ".venv/bin/python",
     # Tools of the system.
-    ".", "apt", "done", "export", "for", "pip", ".venv-acados/bin/pip", "ssh", "touch",
+    ".", "apt", "done", "export", "for", "dask", "openssl", "pip",
+    ".venv-acados/bin/pip", "ssh", "touch",
     # Not a command but a line of /etc/security/limits.conf.
     "your_user - rtprio",
 )

@@ -12,6 +12,8 @@ import numpy as np
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
+FASTEST = 1e6
+"""Largest rotor speed [rad/s]; far beyond it differences over short times overflow."""
 _SHORTEST = 1e-6
 """Shortest interval between two knots of a command [s]: a thousand times the resolution of a
 stamp."""
@@ -32,7 +34,8 @@ class FirstOrderHold:
     Raises
     ------
     InvalidInputError
-        If the shapes do not fit, a number is not finite, or the times do not increase.
+        If the shapes do not fit, a number is not finite, a speed is beyond `FASTEST`, or the times
+        do not increase.
     """
 
     times: Vector
@@ -49,9 +52,13 @@ class FirstOrderHold:
             )
         # On so few numbers Python is faster than NumPy, and this runs several times a control
         # period.
-        knots = times.tolist()
-        if not all(map(math.isfinite, knots + speeds.ravel().tolist())):
+        knots, numbers = times.tolist(), speeds.ravel().tolist()
+        if not all(map(math.isfinite, knots + numbers)):
             raise InvalidInputError("first-order hold", [knots, speeds.tolist()], "finite numbers")
+        if max(numbers) > FASTEST or min(numbers) < -FASTEST:
+            raise InvalidInputError(
+                "rotor speeds", speeds.tolist(), f"at most {FASTEST:g} rad/s in either direction"
+            )
         if not all(map(lt, knots, knots[1:])):
             raise InvalidInputError("first-order hold", knots, "strictly rising times [s]")
         self._keep(times, speeds)

@@ -97,6 +97,8 @@ def test_arrays_are_copies_that_cannot_be_written() -> None:
         ([0.0, np.nan], np.zeros((2, 2)), "finite"),
         ([0.0, np.inf], np.zeros((2, 2)), "finite"),
         ([0.0, 1.0], np.array([[0, 0], [0, np.nan]]), "finite"),
+        ([0.0, 1e-3], np.array([[0, 0], [0, -1e308]]), "at most 1e\\+06 rad/s"),
+        ([0.0], np.array([[1.1e6, 0]]), "at most 1e\\+06 rad/s"),
     ],
 )
 def test_invalid_knots_are_refused(

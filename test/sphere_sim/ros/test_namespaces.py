@@ -3,6 +3,7 @@
 """Robots in namespaces: clock, frames and names in the diagnostics."""
 
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -37,7 +38,10 @@ def test_robot_in_a_namespace_has_a_clock_frames_and_names_of_its_own(graph) -> 
     reports = graph.collect(DiagnosticArray, "/diagnostics")
     place = ("-r", "__ns:=/second")
     follow = ("-p", "use_sim_time:=true", *place)
-    with started("simulator", *place), started("controller", *follow) as controller:
+    with started("simulator", *place), ExitStack() as later:
+        graph.until(lambda: clock)  # otherwise a busy machine has a controller without a clock
+        controller = later.enter_context(started("controller", *follow))
+
         def names() -> set[str]:
             return {status.name for report in reports for status in report.status}
 

@@ -53,6 +53,6 @@ def worker_of(controller: int) -> int:
         with contextlib.suppress(OSError):
             state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
             if int(parent) == controller and state != "Z" and \
-                    _PROGRAM in (entry / "cmdline").read_bytes().split(b"\0"):
+                    _PROGRAM in (entry / "cmdline").read_bytes():
                 return int(entry.name)
     return 0

@@ -41,6 +41,7 @@ class ClockWatch:
         self._known_pace: float | None = None if simulated else 1.0
         self._jumped_at: float | None = None
         self._before = (0.0, 0.0)
+        self._held_up: tuple[float, float, float] | None = None
         self.step = 0.0
         """Control time after the last jump less that before it [s]."""
         self.has_returned = False
@@ -75,6 +76,13 @@ class ClockWatch:
         """
         last, read_at = self._last, self._read_at
         jumped = last is not None and self._is_jump(last[0], read_at, now, wall)
+        if last is not None and (wall - read_at) * max(1.0, self._known_pace or 0.0) > MOST_AHEAD:
+            # A process that was held up may read an old message first.
+            self._held_up = last[0], read_at, wall
+        elif jumped and self._held_up is not None and now > last[0]:
+            then, wall_then, ended = self._held_up
+            recent = wall < ended + _STEADY_AFTER
+            jumped = not recent or self._is_jump(then, wall_then, now, wall)
         if jumped and last is not None:
             self.step = now - last[0]
             self.has_returned = False

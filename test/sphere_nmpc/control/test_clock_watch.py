@@ -67,6 +67,18 @@ def test_process_that_was_held_up_finds_no_jump(simulated: bool, pace: float) ->
     assert read(watch, 61.0 * pace, 61.0, 1.0, pace) == 0
 
 
+@pytest.mark.parametrize("pace", [0.5, 1.0, 20.0])
+def test_old_message_that_is_read_first_after_a_hold_up_makes_no_jump(pace: float) -> None:
+    watch = running(pace)
+    assert not watch.read(1.002 * pace, 4.0), "what had arrived before"
+    assert not watch.read(4.001 * pace, 4.001)
+    assert watch.is_steady
+    assert watch.read(64.0 * pace, 4.002), "which is more than it can have missed"
+    watch = running(pace)
+    assert not watch.read(1.002 * pace, 4.0) and read(watch, 1.01 * pace, 4.01, 0.3, pace) == 0
+    assert watch.read(4.31 * pace, 4.31), "too late to be a message that has waited"
+
+
 @pytest.mark.parametrize("simulated", [True, False])
 @pytest.mark.parametrize("step", [3600.0, 2.0, 1.0, 0.6, -0.6, -2.0, -3600.0])
 def test_jump_is_told_at_once_and_over_when_the_clock_has_been_steady(

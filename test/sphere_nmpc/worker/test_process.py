@@ -231,7 +231,7 @@ def test_folder_that_is_gone_prevents_the_start_and_is_told(
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
     # Relative entries have no meaning there.
-    monkeypatch.setattr(process.sys, "path", ["relative", *sys.path])
+    monkeypatch.setattr(sys, "path", ["relative", *sys.path])
     worker = WorkerProcess(faults.append)
     assert not worker.available and "not started" in faults[0]
     worker.close()
@@ -240,7 +240,7 @@ def test_folder_that_is_gone_prevents_the_start_and_is_told(
 def test_where_no_process_can_be_started_tasks_are_refused(
     faults: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(process.sys, "executable", "/nonexistent/python")
+    monkeypatch.setattr(sys, "executable", "/nonexistent/python")
     worker = WorkerProcess(faults.append)
     assert not worker.available and worker.submit(len).error
     assert "not started" in faults[0]

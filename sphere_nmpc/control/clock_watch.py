@@ -79,10 +79,10 @@ class ClockWatch:
         if last is not None and (wall - read_at) * max(1.0, self._known_pace or 0.0) > MOST_AHEAD:
             # A process that was held up may read an old message first.
             self._held_up = last[0], read_at, wall
-        elif jumped and self._held_up is not None and now > last[0]:
+        elif jumped and last is not None and now > last[0] and self._held_up is not None:
             then, wall_then, ended = self._held_up
-            recent = wall < ended + _STEADY_AFTER
-            jumped = not recent or self._is_jump(then, wall_then, now, wall)
+            is_recent = wall < ended + _STEADY_AFTER
+            jumped = not is_recent or self._is_jump(then, wall_then, now, wall)
         if jumped and last is not None:
             self.step = now - last[0]
             self.has_returned = False

@@ -18,7 +18,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.conversions import FrameSettings
-from sphere_sim.cli import benchmark, demo, faults, report, study, viewer
+from sphere_sim.cli import benchmark, demo, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.ros.session import goal_command
@@ -30,7 +30,6 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "study": lambda words: study._parser().parse_args(words),
     "benchmark": benchmark._parse,
     "report": report._parse,
-    "faults": faults._parse,
 }
 """Parser of each verb; the other verbs take the arguments of ROS only."""
 SETTINGS: dict[str, dict[str, Any]] = {

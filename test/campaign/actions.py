@@ -15,7 +15,6 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,7 +43,9 @@ _SLICE = 0.1
 _HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
 """Program that ends by itself if the campaign is killed."""
 _LEFT_ON_DISK = 1000
-"""Space that is left before the disk is full [bytes]; a bag of some messages is larger."""
+"""Space that is left before the disk is full [bytes]."""
+_SOME_MESSAGES = 4000
+"""Size of a bag that is not empty [bytes]."""
 _WORKER = b"sphere_nmpc.worker.serve"
 _WRONG_AT_START = (
     "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
@@ -165,20 +166,17 @@ def stop(session: Session, node: str) -> Action:
 
 def throttle(session: Session, share: float) -> Action:
     """Let the controller run for a share of the time only, as a processor quota does."""
-    process, over = session.processes["controller"], threading.Event()
+    process, due, runs = session.processes["controller"], 0.0, True
 
-    def work() -> None:
-        while not over.is_set():
-            process.send(signal.SIGSTOP)
-            time.sleep((1.0 - share) * _SLICE)
-            process.send(signal.SIGCONT)
-            time.sleep(share * _SLICE)
+    def switch() -> None:
+        nonlocal due, runs
+        if time.monotonic() >= due:
+            runs = not runs
+            due = time.monotonic() + (share if runs else 1.0 - share) * _SLICE
+            process.send(signal.SIGCONT if runs else signal.SIGSTOP)
 
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    yield
-    over.set()
-    thread.join()
+    yield switch
+    process.send(signal.SIGCONT)
 
 
 def hog(session: Session, number: int) -> Action:
@@ -240,7 +238,7 @@ def disk_full(session: Session) -> Action:
     filled, and writing fails in the same place as on a full one.
     """
     pid, folder = session.processes["recorder"].pid, session.folder
-    session.wait(lambda: written(folder) > 0, "a bag of the recorder")
+    session.wait(lambda: written(folder) > _SOME_MESSAGES, "a bag of the recorder")
     hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (written(folder) + _LEFT_ON_DISK, hard))
     yield
@@ -250,7 +248,7 @@ def disk_full(session: Session) -> Action:
     response = session.call("recorder/start", Trigger.Request())
     if response.success:
         session.wait(
-            lambda: set(folder.glob("bag*")) != before and written(folder) > _LEFT_ON_DISK,
+            lambda: set(folder.glob("bag*")) != before and written(folder) > _SOME_MESSAGES,
             "a new bag",
         )
     elif "already" not in response.message:

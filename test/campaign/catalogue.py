@@ -78,20 +78,11 @@ def _kill(node: str, **more: Any) -> Fault:
     return Fault(name, "process", actions.kill, {"node": node}, named_by=("SIGKILL",), **more)
 
 
-def _stop(node: str, **more: Any) -> Fault:
-    return Fault(f"{node}_stopped", "process", actions.stop, {"node": node}, **more)
-
-
 def _burst(name: str, *lost: str, **more: Any) -> Fault:
     # A controller knows by measurement only which of its commands were lost.
     known = "rotor_trajectory" not in lost
     given = {"of": lost}
     return Fault(f"burst_{name}", "burst", actions.lose, given, 2.0, continuous=known, **more)
-
-
-def _worker(name: str, number: signal.Signals, **more: Any) -> Fault:
-    cause, given = actions.signal_worker, {"number": number}
-    return Fault(f"worker_{name}", "worker", cause, given, named_by=_WORKER, **more)
 
 
 def _two_poses(name: str, **options: Any) -> Fault:
@@ -140,11 +131,15 @@ _ALL = (
     _kill("controller", goal_again=True, continuous=False, quick=True),
     _kill("simulator", continuous=False),
     _kill("recorder"),
-    _stop("controller", named_by=("missed ticks rose",)),
-    _stop("simulator", named_by=("clock stopped", *_STILL)),
-    _worker("killed", signal.SIGKILL, quick=True),
+    Fault("controller_stopped", "process", actions.stop, {"node": "controller"},
+          named_by=("missed ticks rose",)),
+    Fault("simulator_stopped", "process", actions.stop, {"node": "simulator"},
+          named_by=("clock stopped", *_STILL)),
+    Fault("worker_killed", "worker", actions.signal_worker, {"number": signal.SIGKILL},
+          named_by=_WORKER, quick=True),
     # Longer than the controller waits for a result, by wall time.
-    _worker("stopped", signal.SIGSTOP, duration=8.0),
+    Fault("worker_stopped", "worker", actions.signal_worker, {"number": signal.SIGSTOP}, 8.0,
+          _WORKER),
     _solver("raises", "raise", named_by=_FAILED, quick=True),
     _solver("not_finite", "nan", named_by=_FAILED),
     _solver("wild", "wild"),

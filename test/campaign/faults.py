@@ -43,13 +43,7 @@ _MOST_JOBS = 16
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the campaign, or fuzz; return 0 when all was survived, 1 when something was not.
-
-    Raises
-    ------
-    SphereNmpcError
-        If that is not possible.
-    """
+    """Run the campaign, or fuzz; return 0 when all was survived, 1 when something was not."""
     given = _parse(arguments)
     if given.json is not None:
         prepare_folder(given.json.parent)

@@ -318,13 +318,12 @@ class FuzzSession(Session):
     def _restore_parameters(self, node: str) -> None:
         wanted = self.parameters[node]
         for name, value in zip(wanted, self._values(node, list(wanted)), strict=True):
-            if value == wanted[name]:
-                continue
-            parameter = ParameterMessage(name=name, value=wanted[name])
-            request = SetParameters.Request(parameters=[parameter])
-            (result,) = self.call(f"{node}/set_parameters", request).results
-            if not result.successful:
-                self.fail("parameters not restored", f"{node} {name}: {result.reason}")
+            if value != wanted[name]:
+                parameter = ParameterMessage(name=name, value=wanted[name])
+                request = SetParameters.Request(parameters=[parameter])
+                (result,) = self.call(f"{node}/set_parameters", request).results
+                if not result.successful:
+                    self.fail("parameters not restored", f"{node} {name}: {result.reason}")
 
 
 class Fuzz:

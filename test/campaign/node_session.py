@@ -49,11 +49,12 @@ _SAME = 1e-9
 """Largest difference between the goal sent and the goal confirmed [mixed units]."""
 _MOST_PENDING = 10
 """Requests without an answer yet, beyond which a service is not asked again."""
-_OF_PARAMETERS = {
+OF_PARAMETERS = {
     "get_parameters": GetParameters, "set_parameters": SetParameters,
     "set_parameters_atomically": SetParametersAtomically, "list_parameters": ListParameters,
     "describe_parameters": DescribeParameters, "get_parameter_types": GetParameterTypes,
 }
+"""Services that each node has for its parameters."""
 
 
 class SessionError(SphereNmpcError):
@@ -158,7 +159,7 @@ class Session:
         """Send a request without waiting; return its future, None if too many are pending."""
         client = self._clients.get(service)
         if client is None:
-            kind = _OF_PARAMETERS.get(service.partition("/")[2]) or self.services[service]
+            kind = OF_PARAMETERS.get(service.partition("/")[2]) or self.services[service]
             client = self._clients[service] = self.node.create_client(kind, service)
         pending = self._pending[service] = [
             future for future in self._pending.get(service, []) if not future.done()

@@ -18,16 +18,10 @@ import actions
 import rclpy
 from geometry_msgs.msg import PoseStamped, Vector3
 from hostile import NUMBERS, TEXTS, damaged, extreme, goal_message, parameter_value
-from node_session import RADIUS
+from node_session import OF_PARAMETERS, RADIUS
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    GetParameterTypes,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from relay import stamped
@@ -110,14 +104,10 @@ def parameters(session: "Session", rng: random.Random) -> Try:
     own = session.parameters[node]
     while True:
         names = [rng.choice([*own, *TEXTS[:3]]) for _ in range(rng.choice((1, 1, 5)))]
-        request: Any = rng.choice((SetParameters, SetParametersAtomically)).Request()
-        request.parameters = [
-            ParameterMessage(name=name, value=parameter_value(rng, own.get(name, next(iter(
-                own.values())))))
-            for name in names
-        ]
-        atomically = "" if isinstance(request, SetParameters.Request) else "_atomically"
-        session.ask(f"{node}/set_parameters{atomically}", request)
+        values = [parameter_value(rng, own.get(name, ParameterValue())) for name in names]
+        given = [ParameterMessage(name=n, value=v) for n, v in zip(names, values, strict=True)]
+        service = rng.choice(("set_parameters", "set_parameters_atomically"))
+        session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(parameters=given))
         yield
 
 
@@ -126,14 +116,11 @@ def questions(session: "Session", rng: random.Random) -> Try:
     node = rng.choice(sorted(session.parameters))
     while True:
         names = [rng.choice([*session.parameters[node], *TEXTS]) for _ in range(rng.randrange(20))]
-        service, request = rng.choice((
-            ("get_parameters", GetParameters.Request(names=names)),
-            ("get_parameter_types", GetParameterTypes.Request(names=names)),
-            ("describe_parameters", DescribeParameters.Request(names=names)),
-            ("list_parameters", ListParameters.Request(
-                prefixes=names, depth=rng.choice((0, 1, 2**64 - 1)))),
-        ))
-        session.ask(f"{node}/{service}", request)
+        given: dict[str, Any] = {"names": names}
+        service = rng.choice([name for name in OF_PARAMETERS if not name.startswith("set")])
+        if service == "list_parameters":
+            given = {"prefixes": names, "depth": rng.choice((0, 1, 2**64 - 1))}
+        session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(**given))
         yield
 
 

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+import faults
 import yaml
 from launch_stand_in import LAUNCH, ROOT, started
 from parameter_tables import NODES, PARTS
@@ -30,8 +31,9 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "study": lambda words: study._parser().parse_args(words),
     "benchmark": benchmark._parse,
     "report": report._parse,
+    "faults": faults._parse,
 }
-"""Parser of each verb; the other verbs take the arguments of ROS only."""
+"""Parser of each verb, and of `make faults`; the other verbs take the arguments of ROS only."""
 SETTINGS: dict[str, dict[str, Any]] = {
     **{
         node: {"": settings, "robot": RobotParameters()}

@@ -9,6 +9,7 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -277,7 +278,7 @@ def run_trials(
     if not plans:
         return
     context = multiprocessing.get_context("spawn")
-    # Where it ends early, its processes are terminated, and their nodes end with them.
+    # Where it ends early, its processes are terminated, which end their nodes.
     with context.Pool(min(jobs, len(plans)), _Sessions.prepare, (settings, folder)) as pool:
         for outcome, bags in pool.imap_unordered(_Sessions.run, plans):
             yield _with_bags(outcome, bags)  # while the next trial runs
@@ -299,6 +300,7 @@ class _Sessions:
         """Prepare the process; its first session begins with its first trial."""
         for number in TERMINAL_SIGNALS:
             signal.signal(number, signal.SIG_IGN)  # the parent decides
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
         cls.settings, cls.folder = settings, folder
         atexit.register(cls.domain.close)
         atexit.register(cls.current.close)

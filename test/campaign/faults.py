@@ -12,13 +12,11 @@ goal, and evaluates the recovery. Exits 0 when every trial was survived.
 """
 
 import argparse
-import contextlib
-import json
 import os
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -33,7 +31,6 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.environment import DOMAIN, RosEnvironmentError
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import number, whole
-from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.world.settings import PLANTS
@@ -47,16 +44,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _parse(arguments)
     if given.json is not None:
         prepare_folder(given.json.parent)
-    with _folder(given.out, given.resume) as folder:
+    with tempfile.TemporaryDirectory(
+        prefix="sphere_nmpc_faults_", ignore_cleanup_errors=True
+    ) as temporary:
+        folder = given.out.expanduser().absolute() if given.out else Path(temporary)
         if not given.fuzz:
             return _campaign(given, folder)
-
-        def write(result: object) -> None:
-            if given.json is not None:
-                write_atomically(given.json, json.dumps(result, indent=2) + "\n")
-
         with own_domain():
-            return 0 if fuzz(given, folder, write) else 1
+            return 0 if fuzz(given, folder) else 1
 
 
 def _campaign(given: argparse.Namespace, folder: Path) -> int:
@@ -141,21 +136,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if given.json is None and not given.fuzz:
         parser.error("expected --json FILE or --fuzz")
     return given
-
-
-@contextlib.contextmanager
-def _folder(given: Path | None, may_exist: bool) -> Iterator[Path]:
-    """Yield the folder for logs and bags, a temporary one unless `given`."""
-    if given is None:
-        with tempfile.TemporaryDirectory(
-            prefix="sphere_nmpc_faults_", ignore_cleanup_errors=True
-        ) as temporary:
-            yield Path(temporary)
-        return
-    folder = given.expanduser().absolute()
-    if folder.exists() and any(folder.iterdir()) and not may_exist:
-        raise SphereNmpcError(f"{folder}: is not empty; choose another --out")
-    yield folder
 
 
 if __name__ == "__main__":

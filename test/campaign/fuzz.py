@@ -8,6 +8,7 @@ and the time is measured until the rotors follow a command to it.
 """
 
 import argparse
+import json
 import math
 import random
 import sys
@@ -16,7 +17,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from hostile import FORGED, example
@@ -33,6 +33,7 @@ from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.ros.conversions import NANOSECONDS
+from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.ros.session.child_process import verb_command
 
 MOST_AHEAD = 0.5
@@ -178,8 +179,7 @@ class FuzzSession(Session):
         """Start nodes and wait until they answer."""
         super().start(*names)
         self.expected.difference_update(names)
-        for name in names:
-            self.call(f"{name}/list_parameters", ListParameters.Request())
+        self.wait_for(*names)
 
     def learn(self) -> None:
         """Find parameters, services and topics of the nodes, and an example of each message."""
@@ -293,13 +293,6 @@ class FuzzSession(Session):
                 for what in faults_of_line(line):
                     self.fail(what, f"{process.name}: {line}", process.name)
 
-    def restart(self) -> None:
-        """Start all nodes anew."""
-        self.expected.update(self.nodes)
-        for name in self.nodes:
-            self.processes[name].kill()
-        self.start(*self.nodes)
-
     def _is_near(self) -> bool:
         """Return whether the sphere is not too far from the origin."""
         state = self.judge.state
@@ -374,7 +367,8 @@ class Fuzz:
             self._fail("requests without an answer", str(error))
             seconds = None
         if seconds is None:  # the next try needs nodes that work
-            session.restart()
+            session.expected.update(session.nodes)
+            session.start(*session.nodes)
         else:
             self._back.append((seconds, number, self._name))
         session.check_logs()
@@ -394,23 +388,23 @@ class Fuzz:
         times = ", ".join(f"{key} {value}" for key, value in _distribution(self._back).items())
         return f"{sum(self._tried.values())} faults: {found or 'no complaint'}; {times}"
 
-    def result(self) -> dict[str, object]:
-        """Return everything for the JSON file."""
+    def write(self, path: Path | None) -> None:
+        """Write the result so far to a file, if there is one."""
+        if path is None:
+            return
         judge = self.session.judge
         worst = {k: round(v, 4) if math.isfinite(v) else None for k, v in judge.worst.items()}
-        return {
+        result = {
             "seed": self._seed, "tries": self._number, "commands_judged": judge.count,
             "worst": worst, "most_log_lines_of_a_node_in_a_try": self.session.most_lines,
             "counts": dict(self.counts), "seconds_without_control": _distribution(self._back),
             "kinds": dict(self._tried), "failures": self.failures,
         }
+        write_atomically(path, json.dumps(result, indent=2) + "\n")
 
 
-def fuzz(given: argparse.Namespace, folder: Path, write: Callable[[Any], None]) -> bool:
-    """Fuzz for a time, or repeat some tries; return whether there is no complaint.
-
-    The result is written now and then, and at the end.
-    """
+def fuzz(given: argparse.Namespace, folder: Path) -> bool:
+    """Fuzz for a time, or repeat some tries; return whether there is no complaint."""
     campaign = Fuzz(given.seed, given.kinds, folder)
     try:
         with campaign.session:
@@ -423,9 +417,9 @@ def fuzz(given: argparse.Namespace, folder: Path, write: Callable[[Any], None]) 
                 if time.monotonic() > reported + _REPORT_EVERY:
                     reported = time.monotonic()
                     print(f"{(end - reported) / 60.0:.1f} min left, {campaign}", flush=True)
-                    write(campaign.result())
+                    campaign.write(given.json)
     finally:
-        write(campaign.result())
+        campaign.write(given.json)
         print(f"seed {given.seed}, {campaign}")
     return not campaign.counts
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes under test as processes, the relay between them, and all that a fault can use."""
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -30,7 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import QUATERNION, Vector, upright_state
 from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.child_process import parameter_options
@@ -121,10 +122,16 @@ class Session:
         """Start nodes, for the first time or again, and do not wait for them."""
         for name in names:
             if name == "simulator":
+                self.processes[name].kill()
                 self.relay.forward()
                 self.judge.restarted()
                 self.relay.shift = max(0, self.relay.shift)  # its time begins at zero
             self.processes[name].start(self.arguments(name))
+
+    def wait_for(self, *names: str) -> None:
+        """Wait until nodes answer."""
+        for name in names:
+            self.call(f"{name}/list_parameters", ListParameters.Request())
 
     def spin(self) -> None:
         """Relay messages and serve this process's own node.
@@ -248,10 +255,14 @@ class Session:
 
 
 
-def random_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
-    """Return a goal, shape (6,), with |x|, |y| <= `reach` [m] and any orientation."""
-    quaternion = random_quaternion(rng)
-    return np.concatenate((rng.uniform(-reach, reach, 2), quaternion))
+def random_goal(
+    rng: np.random.Generator, reach: float = 2.0, upright: bool = False
+) -> Vector:
+    """Return a goal, shape (6,), with |x|, |y| <= `reach` [m] and any heading or orientation."""
+    turn = random_quaternion(rng)
+    if upright:
+        turn = upright_state(0.0, 0.0, rng.uniform(-math.pi, math.pi))[QUATERNION]
+    return np.concatenate((rng.uniform(-reach, reach, 2), turn))
 
 
 def class_of(name: str) -> Any:

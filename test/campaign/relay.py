@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from judge import Judge
 from rclpy.node import Node
@@ -63,8 +62,6 @@ class Relay:
         """Topics that are not passed on at present."""
         self.newest = b""
         """The newest pose, undisturbed."""
-        self.statuses = 0
-        """Number of the controller's statuses so far."""
         self._judge = judge
         table: tuple[tuple[str, str, type, Callable[[bytes, int, int], None]], ...] = (
             ("true/pose", "pose", PoseStamped, judge.pose),
@@ -78,12 +75,8 @@ class Relay:
             qos = _NEWEST if source.startswith("true") else 1000
             taken = reader.create_subscription(kind, source, _ignore, qos, raw=True)
             self._routes.append((topic, taken, node.create_publisher(kind, topic, 10), look))
-        confirmed, status = "controller/active_goal", "controller/status"
         self._goals = reader.create_subscription(
-            PoseStamped, confirmed, _ignore, _LATCHED, raw=True
-        )
-        self._statuses = reader.create_subscription(
-            DiagnosticStatus, status, _ignore, 10, raw=True
+            PoseStamped, "controller/active_goal", _ignore, _LATCHED, raw=True
         )
 
     def forward(self) -> None:
@@ -95,7 +88,6 @@ class Relay:
                     publisher.publish(passed)
         for raw, _ in taken(self._goals):
             self._judge.confirmed(raw)
-        self.statuses += len(taken(self._statuses))
 
     def _passed(self, topic: str, raw: bytes) -> list[bytes]:
         """Return what is passed on when a message has arrived."""

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from sphere_nmpc.child_command import module_command
 from sphere_nmpc.end_signals import TERMINAL_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.model.state import Vector, upright_state
+from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.ros.session.domain import own_domain
@@ -112,7 +112,7 @@ class CampaignSession(Session):
         """Start all nodes and wait until they work."""
         self.start(*self.nodes)
         self.wait(lambda: self.judge.time > 0.0, "simulated time")
-        self.wait(lambda: self.relay.statuses > 0, "the controller")
+        self.wait_for(*self.nodes)
         # Each trial records a bag of its own.
         self.call("recorder/stop", Trigger.Request())
         _schedule_in_real_time()
@@ -154,9 +154,7 @@ class Trial:
         """Return the outcome and what was recorded; an error of the campaign is a complaint."""
         session, plan, limits = self._session, self._plan, self._judge.limits
         session.draw(plan.name, plan.repetition)
-        goal = random_goal(session.rng)
-        if any(fault.upright for fault in self._faults):
-            goal = _upright_goal(session.rng)
+        goal = random_goal(session.rng, upright=any(fault.upright for fault in self._faults))
         run = self._judge.begin(goal)
         session.reports.messages.clear()
         tracebacks, recorded, recovery = self._tracebacks(), set(self._bags()), math.nan
@@ -259,13 +257,6 @@ class Trial:
 
     def _tracebacks(self) -> int:
         return sum(process.tracebacks for process in self._session.processes)
-
-
-def _upright_goal(rng: np.random.Generator, reach: float = 2.0) -> Vector:
-    """Return a goal as `random_goal` does, of an upright orientation with any heading."""
-    yaw = rng.uniform(-math.pi, math.pi)
-    x, y = rng.uniform(-reach, reach, 2)
-    return upright_state(x, y, yaw)
 
 
 def run_trials(

@@ -36,7 +36,6 @@ from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.world.settings import PLANTS
 
 _PAIRS = 12
-_MOST_JOBS = 16
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -122,7 +121,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     campaign.add_argument("--rate", type=number(RATE, 500.0), default=RATE, metavar="HZ",
                           help="rate of poses, commands and, above the default, solves (default: "
                           "%(default)g Hz, and a solve at each sampling instant)")
-    campaign.add_argument("--jobs", type=whole(1, _MOST_JOBS), default=1, metavar="N",
+    campaign.add_argument("--jobs", type=whole(1, 16), default=1, metavar="N",
                           help="run N trials at the same time, each in a ROS domain of its own")
     campaign.add_argument("--resume", action="store_true",
                           help="keep the trials in --json and run those that it lacks")

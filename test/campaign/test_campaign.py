@@ -49,20 +49,6 @@ def test_faults_at_once_are_named_and_the_goal_is_reached_within_the_limits(
         assert 0.0 < outcome.worst_slew <= ROBOT.max_rotor_acceleration * 1.01
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (["--fault", "pose_lost"], "choose from"),
-        (["--rate", "1000"], "expected a number from 20 to 500"),
-        (["--triples", "0"], "expected a whole number from 1 to"),
-    ],
-)
-def test_wrong_arguments_are_refused_in_a_line(tmp_path, capsys, wrong, message) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["--json", str(tmp_path / "f.json"), *wrong])
-    assert message in capsys.readouterr().err
-
-
 def test_campaign_that_is_complete_runs_nothing_when_it_is_resumed(tmp_path, capsys) -> None:
     path = tmp_path / "f.json"
     outcomes = [Outcome("pose_nan", 1.0), Outcome("pose_nan", 3.0, repetition=1)]

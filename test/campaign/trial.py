@@ -4,7 +4,6 @@
 
 import atexit
 import contextlib
-import itertools
 import math
 import multiprocessing
 import os
@@ -282,7 +281,7 @@ class _Sessions:
 
     domain, current = contextlib.ExitStack(), contextlib.ExitStack()
     session: CampaignSession | None = None
-    is_alone = False
+    number = 0
     settings: Settings
     folder: Path
 
@@ -300,13 +299,12 @@ class _Sessions:
     def run(cls, plan: Plan) -> tuple[Outcome, tuple[Path, ...]]:
         """Run a trial; after one that was not survived nodes are restarted."""
         try:
-            if not cls.is_alone:
+            if not cls.number:
                 cls.domain.enter_context(own_domain())
-                cls.is_alone = True
             if cls.session is None:
-                names = (cls.folder / f"session_{os.getpid()}_{i}" for i in itertools.count(1))
-                free = next(name for name in names if not name.exists())
-                cls.session = cls.current.enter_context(CampaignSession(free, cls.settings))
+                cls.number += 1
+                folder = cls.folder / f"session_{os.getpid()}_{cls.number}"
+                cls.session = cls.current.enter_context(CampaignSession(folder, cls.settings))
             outcome, bags = Trial(cls.session, plan).run()
             if not outcome.survived:
                 cls.session = None

@@ -13,6 +13,8 @@ from sphere_nmpc.foreign_text import shown
 from sphere_sim.recording.errors import BagError, one_line_reason
 
 METADATA = "metadata.yaml"
+PARAMETERS_PREFIX = "parameters:"
+"""Custom data under this prefix and a node's full name hold the node's parameters as JSON."""
 _ZSTD = ".zstd"
 _SUFFIXES = (".mcap", ".db3")
 _EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"

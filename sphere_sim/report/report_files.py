@@ -16,7 +16,6 @@ from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison
 from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.momentum import momentum_over_time
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import write_page
@@ -45,7 +44,7 @@ FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
 """Figures of each run: file name, function that draws it, and caption."""
 _MOMENTUM = {
     "momentum": (
-        momentum_over_time,
+        analysis.momentum_over_time,
         "Estimated angular momentum about the contact point; dotted: what a rotor can hold. "
         "Vertical lines: pushes.",
     ),

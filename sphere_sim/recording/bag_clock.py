@@ -36,10 +36,8 @@ class BagClock:
 
     Parameters
     ----------
-    received : sequence of int, length n > 0
-        Log times of the poses [ns], in any order.
-    stamps : sequence of int, length n
-        Their stamps [ns].
+    received, stamps : sequence of int, length n > 0
+        Log times of the poses [ns], in any order, and their stamps [ns].
     """
 
     def __init__(self, received: Sequence[int], stamps: Sequence[int]) -> None:

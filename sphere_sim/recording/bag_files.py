@@ -43,12 +43,7 @@ class BagFiles:
 
 
 def find_files(path: Path) -> BagFiles:
-    """Find the storage files of a bag.
-
-    Parameters
-    ----------
-    path : Path
-        Folder with or without metadata.yaml, or a single storage file.
+    """Find the storage files of a bag: a folder, or a single storage file.
 
     Raises
     ------

@@ -14,24 +14,9 @@ import zlib
 from pathlib import Path
 
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Message,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import MCAP0_MAGIC
 
 from sphere_sim.recording.errors import BagError
@@ -39,10 +24,10 @@ from sphere_sim.recording.errors import BagError
 _COMPRESSION = "zstd"
 
 
-def _encode(*records: McapRecord) -> bytes:
+def _encode(*entries: records.McapRecord) -> bytes:
     builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
+    for entry in entries:
+        entry.write(builder)
     encoded: bytes = builder.end()
     return encoded
 
@@ -64,14 +49,14 @@ class McapWriter:
     """
 
     def __init__(self, path: Path, library: str) -> None:
-        self.statistics = Statistics(
+        self.statistics = records.Statistics(
             attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0,
             message_count=0, message_start_time=0, message_end_time=0, metadata_count=1,
             schema_count=0,
         )
         """Numbers and times of the messages, committed or not, as the file stores them."""
-        self._schemas: dict[str, Schema] = {}
-        self._channels: list[Channel] = []
+        self._schemas: dict[str, records.Schema] = {}
+        self._channels: list[records.Channel] = []
         # Index records of the chunks on disk, encoded once: a long recording has thousands.
         self._chunk_indexes = b""
         self._definitions = RecordBuilder()
@@ -85,7 +70,8 @@ class McapWriter:
         except OSError as error:
             raise BagError(path, f"cannot be created: {error.strerror}") from error
         try:
-            self._write(MCAP0_MAGIC + _encode(Header(profile="ros2", library=library)), b"")
+            header = records.Header(profile="ros2", library=library)
+            self._write(MCAP0_MAGIC + _encode(header), b"")
         except BagError:
             self.close()
             raise
@@ -102,13 +88,13 @@ class McapWriter:
         """Add a topic, with the definition of its message type; return its channel."""
         schema = self._schemas.get(msgtype)
         if schema is None:
-            schema = Schema(
+            schema = records.Schema(
                 id=len(self._schemas) + 1, name=msgtype, encoding="ros2msg",
                 data=definition.encode(),
             )
             self._schemas[msgtype] = schema
             schema.write(self._definitions)
-        channel = Channel(
+        channel = records.Channel(
             id=len(self._channels) + 1, topic=topic, message_encoding="cdr", metadata=metadata,
             schema_id=schema.id,
         )
@@ -123,7 +109,7 @@ class McapWriter:
         """Add a message in CDR with a log time [ns] to the chunk in progress."""
         total = self.statistics
         self._pending.setdefault(channel, []).append((stamp, self._messages.count))
-        Message(
+        records.Message(
             channel_id=channel, log_time=stamp, publish_time=stamp, data=data,
             sequence=total.channel_message_counts[channel],
         ).write(self._messages)
@@ -178,15 +164,15 @@ class McapWriter:
         packed = zstandard.compress(raw)
         stamps = [stamp for entries in self._pending.values() for stamp, _ in entries]
         start, end = min(stamps), max(stamps)
-        chunk = _encode(Chunk(
+        chunk = _encode(records.Chunk(
             compression=_COMPRESSION, data=packed, message_start_time=start,
             message_end_time=end, uncompressed_crc=zlib.crc32(raw), uncompressed_size=len(raw),
         ))
         indexes, offsets = b"", {}
         for channel, entries in self._pending.items():
             offsets[channel] = position + len(chunk) + len(indexes)
-            indexes += _encode(MessageIndex(channel_id=channel, records=entries))
-        self._chunk_indexes += _encode(ChunkIndex(
+            indexes += _encode(records.MessageIndex(channel_id=channel, records=entries))
+        self._chunk_indexes += _encode(records.ChunkIndex(
             chunk_length=len(chunk), chunk_start_offset=position, compression=_COMPRESSION,
             compressed_size=len(packed), message_start_time=start, message_end_time=end,
             message_index_length=len(indexes), message_index_offsets=offsets,
@@ -199,9 +185,9 @@ class McapWriter:
     def _make_tail(self, position: int, metadata: str) -> bytes:
         """Encode metadata, index and footer for `position` of the file."""
         name = "rosbag2"
-        record = _encode(Metadata(name=name, metadata={"serialized_metadata": metadata}))
-        index = MetadataIndex(offset=position, length=len(record), name=name)
-        record += _encode(DataEnd(data_section_crc=0))
+        record = _encode(records.Metadata(name=name, metadata={"serialized_metadata": metadata}))
+        index = records.MetadataIndex(offset=position, length=len(record), name=name)
+        record += _encode(records.DataEnd(data_section_crc=0))
         start = position + len(record)
         summary, offsets = b"", []
         for opcode, group in (
@@ -212,11 +198,11 @@ class McapWriter:
             (Opcode.METADATA_INDEX, _encode(index)),
         ):
             if group:
-                offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
+                offsets.append(records.SummaryOffset(opcode, start + len(summary), len(group)))
             summary += group
         offsets_at = start + len(summary)
         summary += _encode(*offsets)
         # The checksum covers the footer up to its own four bytes at the end.
-        unsigned = _encode(Footer(start, offsets_at, 0))[:-4]
-        footer = _encode(Footer(start, offsets_at, zlib.crc32(summary + unsigned)))
+        unsigned = _encode(records.Footer(start, offsets_at, 0))[:-4]
+        footer = _encode(records.Footer(start, offsets_at, zlib.crc32(summary + unsigned)))
         return record + summary + footer + MCAP0_MAGIC

@@ -47,8 +47,8 @@ class ReportedSolve:
 
     Attributes
     ----------
-    time, duration : float
-        Sampling instant and solve time [s]; a duration of 0 where nothing was solved.
+    duration : float
+        Solve time [s]; 0 where nothing was solved.
     cost : float
         Value of the optimal control problem.
     time_to_go : float
@@ -57,7 +57,6 @@ class ReportedSolve:
         Status of the plan; empty without a plan.
     """
 
-    time: float
     duration: float
     cost: float
     time_to_go: float
@@ -66,10 +65,9 @@ class ReportedSolve:
 
 def reported_solve(values: Mapping[str, str]) -> ReportedSolve:
     """Return the solve that the key-value pairs of a status message report."""
-    time = number(values, "time_s")
     return ReportedSolve(
-        time, number(values, "solve_time_s"), number(values, "cost"),
-        number(values, "arrival_s") - time, values.get("plan", ""),
+        number(values, "solve_time_s"), number(values, "cost"),
+        number(values, "arrival_s") - number(values, "time_s"), values.get("plan", ""),
     )
 
 

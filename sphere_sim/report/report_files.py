@@ -62,18 +62,7 @@ def write_report(
     """Write a report and return its page.
 
     Numbers are written before figures, and animations, the largest files, last: on a full disk the
-    most important files exist.
-
-    Parameters
-    ----------
-    reported : sequence of Reported
-        Recordings, and the goals that have figures; several runs are also compared.
-    out : Path
-        Folder, which must exist.
-    csv, parquet : bool
-        Whether to write the tables in these formats.
-    animation : bool
-        Whether to write an animation of each run.
+    most important files exist. The folder must exist. Several runs are also compared.
 
     Raises
     ------

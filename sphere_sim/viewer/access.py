@@ -25,13 +25,7 @@ _PROTOCOL = f"viser-v{viser.__version__}"
 
 
 class AccessControl:
-    """Check of every request before the page, or its WebSocket, is served.
-
-    Parameters
-    ----------
-    port : int
-        Port on which the server listens.
-    """
+    """Check of every request to a port before the page, or its WebSocket, is served."""
 
     def __init__(self, port: int) -> None:
         self._token = secrets.token_urlsafe(16)

@@ -38,14 +38,9 @@ def add_shell(
 
 
 class Ball:
-    """Robot in the scene, created for one radius and then moved.
+    """Robot in the scene, created for one radius of the shell [m] and then moved.
 
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene.
-    radius : float
-        Radius of the shell [m]; rotors have the proportions of the default robot.
+    Its rotors have the proportions of the default robot.
     """
 
     def __init__(self, scene: viser.SceneApi, radius: float) -> None:

@@ -18,21 +18,10 @@ import viser
 
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.output.round_numbers import round_down
-from sphere_sim.viewer import colours
+from sphere_sim.viewer import colours, source
 from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal import GOAL_PRESETS
-from sphere_sim.viewer.source import (
-    ApplyPush,
-    ChooseGoal,
-    FindSphere,
-    PageRequest,
-    Pause,
-    Reset,
-    Seek,
-    SendGoal,
-    SetSpeed,
-    SetStrategy,
-)
+from sphere_sim.viewer.source import PageRequest
 
 _PICK = "pick a goal …"
 _SEEK_HOLD = 0.7
@@ -58,12 +47,7 @@ class Choice:
     differs from what the program has set is therefore a user's: it is not overwritten before it
     has been taken.
 
-    Parameters
-    ----------
-    handle : viser.GuiInputHandle
-        The widget.
-    make : callable
-        Returns the request for a value; None if the value is invalid.
+    `make` returns the request for a value; None if the value is invalid.
     """
 
     def __init__(self, handle: Any, make: Callable[[Any], PageRequest | None]) -> None:
@@ -103,12 +87,7 @@ class Choice:
 class ControlPanel:
     """Widgets of the panel, each visible while the source can fulfil its request.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Server of the page.
-    live : bool
-        Whether the source is live; else it is a recording.
+    The source is `live`, or a recording.
     """
 
     def __init__(self, server: viser.ViserServer, live: bool) -> None:
@@ -121,7 +100,7 @@ class ControlPanel:
             gui.add_markdown("Drag the arrows, turn the rings, or pick:")
             self._preset = Choice(
                 gui.add_dropdown("goal", (_PICK, *GOAL_PRESETS), initial_value=_PICK),
-                lambda name: ChooseGoal(name) if name in GOAL_PRESETS else None,
+                lambda name: source.ChooseGoal(name) if name in GOAL_PRESETS else None,
             )
             self._at_once = gui.add_checkbox(
                 "send at once", True, hint="Send a goal when the mouse is released, or only with "
@@ -137,7 +116,7 @@ class ControlPanel:
             )
             self._speed = Choice(
                 gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1),
-                lambda factor: SetSpeed(factor) if math.isfinite(factor) else None,
+                lambda factor: source.SetSpeed(factor) if math.isfinite(factor) else None,
             )
             self._reset = gui.add_button("Reset", hint="Return to the start")
         with gui.add_folder("Disturbance", visible=False) as self._disturbance:
@@ -150,19 +129,18 @@ class ControlPanel:
             push = gui.add_button("Push")
         with gui.add_folder("Strategy", visible=live):
             self._strategy = Choice(
-                gui.add_dropdown("strategy", ("-",), initial_value="-"),
-                lambda name: SetStrategy(name) if name in self._strategy.handle.options else None,
+                gui.add_dropdown("strategy", ("-",), initial_value="-"), self._choose_strategy
             )
         find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
         with gui.add_folder("Legend", expand_by_default=False):
             self._legend = gui.add_markdown("")
         self._sought_at = float("-inf")
         self._capabilities: Capabilities | None = None
-        self._on_click(send, SendGoal)
-        self._on_click(find, FindSphere)
-        self._on_click(self._pause, lambda: Pause(True))
-        self._on_click(self._resume, lambda: Pause(False))
-        self._on_click(self._reset, Reset)
+        self._on_click(send, source.SendGoal)
+        self._on_click(find, source.FindSphere)
+        self._on_click(self._pause, lambda: source.Pause(True))
+        self._on_click(self._resume, lambda: source.Pause(False))
+        self._on_click(self._reset, source.Reset)
         self._on_click(push, self._make_push)
 
     @property
@@ -198,9 +176,8 @@ class ControlPanel:
             self._show_capabilities(capabilities)
         if capabilities.speed is not None:
             self._speed.show(capabilities.speed)
-        if capabilities.duration is not None and (
-            time.monotonic() > self._sought_at + _SEEK_HOLD
-        ):
+        held = time.monotonic() <= self._sought_at + _SEEK_HOLD
+        if capabilities.duration is not None and not held:
             self._seek.show(round(min(frame.time, capabilities.duration), 3))
         self._show_strategy(frame)
 
@@ -236,15 +213,18 @@ class ControlPanel:
             self._strategy.show(frame.strategy)
         _set(self._strategy.handle, "disabled", len(options) < 2)
 
-    def _seek_to(self, moment: float) -> Seek | None:
-        self._sought_at = time.monotonic()
-        return Seek(moment) if math.isfinite(moment) else None
+    def _choose_strategy(self, name: str) -> source.SetStrategy | None:
+        return source.SetStrategy(name) if name in self._strategy.handle.options else None
 
-    def _make_push(self) -> ApplyPush | None:
+    def _seek_to(self, moment: float) -> source.Seek | None:
+        self._sought_at = time.monotonic()
+        return source.Seek(moment) if math.isfinite(moment) else None
+
+    def _make_push(self) -> source.ApplyPush | None:
         impulse, direction = self._impulse.value, math.radians(self._direction.value)
         if not (math.isfinite(impulse) and math.isfinite(direction)):
             return None
-        return ApplyPush((impulse * math.cos(direction), impulse * math.sin(direction)))
+        return source.ApplyPush((impulse * math.cos(direction), impulse * math.sin(direction)))
 
     def _on_click(self, button: Any, make: Callable[[], PageRequest | None]) -> None:
         def click(_: viser.GuiEvent) -> None:

@@ -59,15 +59,8 @@ class GoalGizmo:
     """Translucent sphere with two gizmos: arrows and a square in the plane, and three rings.
 
     There are two because the arrows keep their directions while the rings turn with the sphere.
-
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene.
-    radius : float
-        Radius of the shell [m].
-    on_drag : callable or None
-        Called, on another thread, with each step of a drag; None if users cannot move the goal.
+    `on_drag` is called, on another thread, with each step of a drag; without it users cannot move
+    the goal.
     """
 
     def __init__(

@@ -29,19 +29,13 @@ _PIECES = 40
 
 
 class Ground:
-    """Floor, world axes, path and plan, created for one size.
+    """Floor, world axes, path and plan, in place of those of an earlier ground.
 
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene; nodes of an earlier ground are replaced.
-    size : float
-        Radius of a sphere beside which thickness of lines and spacing of the grid are right [m].
+    The size is the radius of a sphere beside which lines and grid look right [m].
     """
 
     def __init__(self, scene: viser.SceneApi, size: float) -> None:
         self.size = size
-        """Radius of the sphere for which it was created [m]."""
         self.cell = grid_cell(size)
         """Spacing of the grid [m]."""
         self._floor = _add_floor(scene, self.cell)
@@ -92,16 +86,7 @@ class Ground:
 class Trail:
     """Line that grows point by point, of limited length, sent to pages in pieces.
 
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene.
-    name : str
-        Name of its node, which may have a parent that moves it.
-    colour : tuple of int
-        Red, green, blue.
-    thickness, spacing : float
-        Thickness, and least distance between two points [m].
+    It is a node of the scene, with a thickness and a least distance between two points [m].
     """
 
     def __init__(

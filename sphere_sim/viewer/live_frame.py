@@ -47,32 +47,18 @@ class LiveFrame:
         return at is not None and at - self._stamp_changed_at > _PAUSE_TIMEOUT
 
     def take(self, now: float, controllers: int) -> Frame:
-        """Return the frame with its alerts; the next one is not marked as restarted.
+        """Return the frame with its alerts, where the graph has so many controllers now [s].
 
-        Parameters
-        ----------
-        now : float
-            Present time [s].
-        controllers : int
-            Number of controllers in the graph.
+        The next frame is not marked as restarted.
         """
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
         alerts = (self._pose_alert(now), self._controller_alert(now, controllers))
         return replace(frame, alerts=(*filter(None, alerts), *self._reported))
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
-        """Update the state.
+        """Update the state, shape (6,), by a pose that arrived now [s].
 
-        Parameters
-        ----------
-        stamp : float
-            Stamp of the pose on the robot's clock [s].
-        state : ndarray, shape (6,)
-            Its state.
-        height : float
-            Height of the centre [m], which is the radius, see `radius_at`.
-        now : float
-            Time of arrival [s].
+        Its stamp [s] is on the robot's clock; for its height [m] see `radius_at`.
         """
         self._refused, self._pose_at = "", now
         last = self.frame

@@ -112,13 +112,7 @@ CHARTS = (
 
 
 class Plots:
-    """Plots in a separate panel.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Server of the page.
-    """
+    """Plots in a separate panel of the page."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._gui = server.gui
@@ -173,15 +167,7 @@ class Plots:
 
 
 def axis_range(lines: Sequence[Vector], least: Range) -> Range:
-    """Return the range of a vertical axis: `least`, extended in steps to all known values.
-
-    Parameters
-    ----------
-    lines : sequence of ndarray
-        Values; nan where unknown.
-    least : (float, float)
-        Smallest range.
-    """
+    """Return the range of a vertical axis: `least`, extended in steps to all values but nan."""
     known = np.concatenate([line[np.isfinite(line)] for line in lines])
     low, high = min((least[0], *known)), max((least[1], *known))
     # With steps of half a power of ten the axis does not change with each sample.

@@ -27,13 +27,7 @@ view."""
 
 
 class Scene:
-    """Scene with the sphere, its lines, its plan and the floor.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Server of the page.
-    """
+    """Scene with the sphere, its lines, its plan and the floor."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server

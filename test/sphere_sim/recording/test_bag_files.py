@@ -53,13 +53,10 @@ def test_ten_and_more_files_are_read_in_their_order(tmp_path) -> None:
     assert len(read_run(bag.rename(tmp_path / "50% of it?#")).times) == 301
 
 
-@pytest.mark.parametrize("described", [True, False])
-def test_decompressed_copy_is_not_read_twice(tmp_path, described) -> None:
+def test_decompressed_copy_is_not_read_twice(tmp_path) -> None:
     bag = write_rosbag2(tmp_path / "mine", run_messages(), "mcap", "file")
     plain = write_rosbag2(tmp_path / "plain", run_messages())
     (plain / "plain_0.mcap").rename(bag / "mine_0.mcap")
-    if not described:
-        (bag / "metadata.yaml").unlink()
     assert len(read_run(bag).plans) == 7
 
 
@@ -93,7 +90,7 @@ def test_file_of_any_length_gives_a_run_or_says_that_it_is_truncated(tmp_path, k
     bag = write_rosbag2(tmp_path / "mine", run_messages(), kind)
     file = next(file for file in bag.iterdir() if file.name.startswith("mine_0"))
     whole = file.read_bytes()
-    lengths = {1, 40, 110, *(len(whole) * k // 20 for k in range(1, 20)), len(whole) - 1}
+    lengths = {1, 40, 110, *(len(whole) * k // 8 for k in range(1, 8)), len(whole) - 1}
     for length in sorted(lengths):
         file.write_bytes(whole[:length])
         try:

@@ -18,6 +18,7 @@ from recorded_bags import (
 
 from sphere_sim.cli.report import main
 from sphere_sim.recording.run_reader import read_run
+from sphere_sim.report import report_files
 
 POSE_PERIOD = 0.01
 
@@ -92,7 +93,8 @@ def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) 
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
 
 
-def test_report_says_why_a_run_has_no_goal(tmp_path, capsys) -> None:
+def test_report_says_why_a_run_has_no_goal(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(report_files, "FIGURES", {})
     entries = without(run_messages(), "goal_pose", "active_goal")
     bag, out = write_own(tmp_path / "mine", [*entries, goal_at(0.0, 7.25)]), tmp_path / "out"
     assert main([str(bag), "--out", str(out)]) == 0

@@ -70,6 +70,10 @@ def test_own_page_is_accepted_under_both_names(server, host) -> None:
         assert len(page.recv(timeout=PATIENCE)) > 0
     with shake_hands(server.url, host=host) as program:
         assert program.subprotocol == PROTOCOL
+    with socket.socket() as other:
+        # 127.0.0.0/8 is this machine; a listener on all addresses would answer here too.
+        other.settimeout(2.0)
+        assert other.connect_ex(("127.0.0.2", server.get_port())) != 0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from sphere_sim.viewer.geometry import (
     merged,
     octants,
     sector,
-    without_repeats,
 )
 
 
@@ -46,9 +45,3 @@ def test_arc_stays_on_the_sphere_in_short_steps() -> None:
     assert np.allclose(np.linalg.norm(way, axis=1), 0.3)
     assert way[-1] == pytest.approx([0.0, 0.3, 0.0])
     assert len(way) >= 8
-
-
-def test_repeated_points_are_removed() -> None:
-    points = np.array([[0.0, 0.0], [1e-4, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    assert without_repeats(points, 1e-3).tolist() == [[0.0, 0.0], [1.0, 0.0]]
-    assert without_repeats(np.empty((0, 3)), 1.0).shape == (0, 3)

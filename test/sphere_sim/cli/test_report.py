@@ -49,25 +49,53 @@ def one_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_files, "FIGURES", {"value": FIGURES["value"]})
 
 
-def test_report_of_one_bag_has_every_figure_and_the_tables_on_one_page(tmp_path, capsys) -> None:
-    bag, out = make_bag(tmp_path / "a&b"), tmp_path / "out"
-    assert main([str(bag), "--out", str(out), "--csv", "--parquet"]) == 0
+def report(*arguments: str, limit: int | None = None, **environment: str):
+    """Run the command in a process, with a limit on the size of its files [bytes]."""
+    def restrict() -> None:
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return subprocess.run(
+        verb_command("report", *arguments),
+        capture_output=True, text=True, timeout=PATIENCE, preexec_fn=restrict,
+        # Bytecode that the limit truncates would break each later import.
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **environment},
+    )
+
+
+@pytest.mark.slow
+def test_report_of_one_bag_is_complete_also_outside_of_the_locale(tmp_path) -> None:
+    bag, out = make_bag(tmp_path / "a&büg" / "bag"), tmp_path / "örep"
+    ended = report(
+        str(bag), "--out", str(out), "--csv", "--parquet", LC_ALL="C", PYTHONUTF8="0",
+        PYTHONCOERCECLOCALE="0", PYTHONIOENCODING="ascii",
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "settling time" in ended.stdout and "joint_states is missing" in ended.stderr
     for name in FIGURES:
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
         assert "<svg" in (out / f"{name}.svg").read_text()
     table = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
     np.testing.assert_allclose(table["x"], np.exp(-np.arange(100) / 10.0), rtol=1e-12)
     assert pq.read_table(out / "motion.parquet").column_names == list(table.dtype.names)
-    metrics = json.loads((out / "summary.json").read_text())["a&b"]["metrics"]
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    metrics = summary["a&büg"]["metrics"]
     assert metrics["settled"] and metrics["settle_time_s"] == pytest.approx(0.47, abs=1e-9)
     assert metrics["max_rotor_speed"] is None
-    printed = capsys.readouterr()
-    assert "settling time" in printed.out and "joint_states is missing" in printed.err
-    page = (out / "report.html").read_text()
+    page = (out / "report.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]*)"', page)
     assert len(sources) == len(FIGURES)
     assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
-    assert "a&amp;b" in page and "http" not in re.sub(r'src="[^"]*"', "", page)
+    assert "a&amp;büg" in page and "http" not in re.sub(r'src="[^"]*"', "", page)
+
+
+def test_several_bags_are_compared_under_unique_names(tmp_path, one_figure) -> None:
+    bags = [str(make_bag(tmp_path / name / "bag")) for name in ("run", "other")]
+    out = tmp_path / "out"
+    assert main([*bags, bags[0], "--out", str(out), "--csv"]) == 0
+    assert (out / "comparison.png").exists() and (out / "other_value.svg").exists()
+    assert (out / "run_1_value.png").exists() and (out / "run_2_motion.csv").exists()
+    assert set(json.loads((out / "summary.json").read_text())) == {"run_1", "other", "run_2"}
 
 
 def test_momentum_and_pushes_are_reported(tmp_path, capsys, one_figure) -> None:
@@ -178,20 +206,6 @@ def test_bag_that_cannot_be_reported_gives_one_line(tmp_path, capsys, entries, w
     assert error.count("\n") == 1 and words in error
 
 
-def report(*arguments: str, limit: int | None = None, **environment: str):
-    """Run the command in a process, with a limit on the size of its files [bytes]."""
-    def restrict() -> None:
-        if limit is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-    return subprocess.run(
-        verb_command("report", *arguments),
-        capture_output=True, text=True, timeout=PATIENCE, preexec_fn=restrict,
-        # Bytecode that the limit truncates would break each later import.
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **environment},
-    )
-
-
 TABLES = {
     f"{name}.{kind}" for name in ("motion", "solves", "goals") for kind in ("csv", "parquet")
 }
@@ -211,18 +225,3 @@ def test_error_names_the_file_that_cannot_be_written_and_numbers_are_kept(
     assert ended.stderr.splitlines()[-1] == f"sphere_nmpc report: {out / failed}: File too large"
     assert "Traceback" not in ended.stderr and "run: final error" in ended.stdout
     assert {file.name for file in out.iterdir()} == left
-
-
-@pytest.mark.slow
-def test_several_bags_are_compared_under_unique_names_also_outside_of_the_locale(tmp_path) -> None:
-    bag, out = str(make_bag(tmp_path / "büg" / "bag")), tmp_path / "örep"
-    ended = report(
-        bag, bag, "--out", str(out), "--csv", LC_ALL="C", PYTHONUTF8="0",
-        PYTHONCOERCECLOCALE="0", PYTHONIOENCODING="ascii",
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert (out / "comparison.png").exists()
-    assert (out / "büg_1_panels.png").exists() and (out / "büg_2_motion.csv").exists()
-    assert "<h2>büg_1</h2>" in (out / "report.html").read_text(encoding="utf-8")
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert set(summary) == {"büg_1", "büg_2"}

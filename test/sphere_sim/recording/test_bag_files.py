@@ -71,8 +71,10 @@ def test_unknown_compression_is_refused_and_damaged_metadata_ignored(tmp_path) -
     assert len(run.times) == 301 and "metadata.yaml is ignored, it cannot be" in run.notes[0]
 
 
-@pytest.mark.parametrize("compression", ["", "file", "message"])
-@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [("mcap", ""), ("mcap", "file"), ("sqlite3", ""), ("sqlite3", "message")],
+)
 def test_truncated_file_is_read_up_to_its_end(tmp_path, kind, compression) -> None:
     # In a larger database, pages near the end are needed to find the others.
     entries = list(run_messages()) * (30 if kind == "mcap" else 5)

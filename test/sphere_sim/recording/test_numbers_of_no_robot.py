@@ -88,7 +88,7 @@ def test_numbers_that_no_robot_has_are_left_out(tmp_path, monkeypatch) -> None:
         {name: report_files.FIGURES[name] for name in ("panels", "torque", "value")},
     )
     (out := tmp_path / "report").mkdir()
-    reported = [Reported(run, select_goals(run, None))]
+    reported = [Reported(run, select_goals(run, []))]
     assert write_report(reported, out, csv=True, parquet=False, animation=False).exists()
     replay = Replay(run)
     viewer = Viewer(replay, 0, live=False)

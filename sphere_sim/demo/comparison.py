@@ -59,7 +59,6 @@ def _as_run(trajectory: Trajectory, plan: DemoPlan, name: str) -> Run:
     return Run(
         name=name,
         path=Path(),
-        origin=0.0,
         times=trajectory.times,
         states=without_sign_jumps(trajectory.states),
         joint_times=trajectory.times,

@@ -18,8 +18,8 @@ from sphere_sim.output.optional_figure import draw_or_warn
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
 from sphere_sim.recording.run_reader import read_run
+from sphere_sim.report.figures.comparison import side_by_side
 from sphere_sim.report.figures.paper_panels import paper_panels
-from sphere_sim.report.figures.side_by_side import side_by_side
 from sphere_sim.report.figures.style import save
 
 

@@ -17,13 +17,9 @@ differ by 1.8e9 s, and no simulation runs for three years."""
 
 
 def longest_run(stamps: Sequence[int]) -> slice:
-    """Return the longest section of poses without a restart of the simulator.
+    """Return the longest section of poses, by their stamps [ns], without a restart.
 
-    Parameters
-    ----------
-    stamps : sequence of int, length n > 0
-        Stamps of the poses [ns] in order of arrival. Stamps that go back by more than latency
-        explains indicate a restart.
+    Stamps that go back by more than latency explains indicate a restart of the simulator.
     """
     restarts = np.flatnonzero(np.diff(np.array(stamps)) < -_TOLERANCE * NANOSECONDS) + 1
     edges = [0, *(int(i) for i in restarts), len(stamps)]
@@ -40,10 +36,8 @@ class BagClock:
 
     Parameters
     ----------
-    received : sequence of int, length n > 0
-        Log times of the poses [ns], in any order.
-    stamps : sequence of int, length n
-        Their stamps [ns].
+    received, stamps : sequence of int, length n > 0
+        Log times of the poses [ns], in any order, and their stamps [ns].
     """
 
     def __init__(self, received: Sequence[int], stamps: Sequence[int]) -> None:
@@ -74,24 +68,12 @@ class BagClock:
     def time_of_message(self, stamp: int, received: int, *, latched: bool = False) -> float:
         """Return the time [s] of a message whose stamp may be of another clock.
 
-        Parameters
-        ----------
-        stamp : int
-            Stamp of the message [ns].
-        received : int
-            Its log time [ns].
-        latched : bool, optional
-            Whether publishers keep such messages for late subscribers, so that an old stamp is
-            plausible.
-
-        Returns
-        -------
-        float
-            Time of the stamp, if it is plausible for the clock of the poses, else that of the
-            log time. Plausible are all times of the run: how late a message is logged says
-            nothing, as a simulation that is as fast as possible does not wait for its recorder. A
-            stamp of 0 comes from a sender without a clock, or one whose clock has not started: it
-            is used only if the run is near its time 0.
+        It is the time of the stamp [ns], if that is plausible for the clock of the poses, else
+        that of the log time `received` [ns]. Plausible are all times of the run: how late a
+        message is logged says nothing, as a simulation that is as fast as possible does not wait
+        for its recorder. Of a `latched` topic, whose publishers keep messages for late
+        subscribers, old stamps are plausible, too. A stamp of 0 comes from a sender without a
+        clock, or one whose clock has not started: it is used only if the run is near its time 0.
         """
         tolerance = round(_TOLERANCE * NANOSECONDS)
         near = self.time_of_log(received - tolerance)

@@ -13,6 +13,8 @@ from sphere_nmpc.foreign_text import shown
 from sphere_sim.recording.errors import BagError, one_line_reason
 
 METADATA = "metadata.yaml"
+PARAMETERS_PREFIX = "parameters:"
+"""Custom data under this prefix and a node's full name hold the node's parameters as JSON."""
 _ZSTD = ".zstd"
 _SUFFIXES = (".mcap", ".db3")
 _EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"
@@ -41,12 +43,7 @@ class BagFiles:
 
 
 def find_files(path: Path) -> BagFiles:
-    """Find the storage files of a bag.
-
-    Parameters
-    ----------
-    path : Path
-        Folder with or without metadata.yaml, or a single storage file.
+    """Find the storage files of a bag: a folder, or a single storage file.
 
     Raises
     ------

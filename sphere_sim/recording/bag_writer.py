@@ -22,7 +22,6 @@ from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.mcap_writer import McapWriter
 
 _LIBRARY = f"sphere_nmpc {__version__}"
-_ROS_DISTRO = "jazzy"
 _LARGEST_CHUNK = 1 << 20
 """Size from which on pending messages are committed immediately [bytes]."""
 
@@ -86,21 +85,19 @@ class BagWriter:
     @property
     def message_count(self) -> int:
         """Number of messages written, committed or not."""
-        return sum(self._file.count(channel) for channel in self._channels.values())
+        return int(self._file.statistics.message_count)
 
     def supports(self, msgtype: str) -> bool:
         """Return whether the definition of a message type is known, as a bag needs it."""
         return msgtype in self._typestore.types
 
     def add_topic(self, name: str, msgtype: str, offered_qos: Sequence[Qos] = ()) -> None:
-        """Add a topic; without effect if the bag has it already.
+        """Add a topic of a type that is supported; without effect if the bag has it already.
 
         Parameters
         ----------
-        name : str
-            Full name, with the leading slash.
-        msgtype : str
-            Message type as in ``geometry_msgs/msg/PoseStamped``; see `supports`.
+        name, msgtype : str
+            Full name, with the leading slash, and type as in ``geometry_msgs/msg/PoseStamped``.
         offered_qos : sequence of rosbags.interfaces.Qos, optional
             Quality of service that its publishers offer.
         """
@@ -118,23 +115,12 @@ class BagWriter:
         }
         self._topics[name] = textwrap.indent(_dump_yaml(about), "    ")
         self._channels[name] = self._file.add_channel(
-            name,
-            msgtype,
-            definition,
+            name, msgtype, definition,
             {"offered_qos_profiles": _dump_yaml(qos), "topic_type_hash": digest},
         )
 
     def write(self, topic: str, stamp: int, data: bytes) -> None:
-        """Add a message.
-
-        Parameters
-        ----------
-        topic : str
-            Topic that was added before.
-        stamp : int
-            Log time on the clock of the recording [ns].
-        data : bytes
-            Message in CDR.
+        """Add a message in CDR, with its log time [ns], on a topic that was added before.
 
         Raises
         ------
@@ -154,7 +140,7 @@ class BagWriter:
             If the disk is full or fails; the bag then has the content of the commit before.
         """
         information = self._information()
-        self._file.commit({"rosbag2": {"serialized_metadata": information}})
+        self._file.commit(information)
         indented = textwrap.indent(information, "  ")
         try:
             write_atomically(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
@@ -180,39 +166,32 @@ class BagWriter:
 
     def _information(self) -> str:
         """Return the content of metadata.yaml as rosbag2 structures it."""
-        head = _dump_yaml(self._totals())
-        if not self._topics:
-            return f"{head}\ntopics_with_message_count: []"
-        entries = (
-            f"- message_count: {self._file.count(self._channels[topic])}\n"
-            f"  topic_metadata:\n{about}"
-            for topic, about in self._topics.items()
-        )
-        return "\n".join((head, "topics_with_message_count:", *entries))
-
-    def _totals(self) -> dict[str, Any]:
-        low, high = self._file.span or (0, 0)
-        start = {"nanoseconds_since_epoch": low}
-        duration = {"nanoseconds": high - low}
-        name = f"{self.folder.name}_0.mcap"
-        count = self.message_count
-        return {
+        total, name = self._file.statistics, f"{self.folder.name}_0.mcap"
+        start = {"nanoseconds_since_epoch": total.message_start_time}
+        duration = {"nanoseconds": total.message_end_time - total.message_start_time}
+        head = _dump_yaml({
             "version": 9,
             "storage_identifier": "mcap",
             "relative_file_paths": [name],
             "duration": duration,
             "starting_time": start,
-            "message_count": count,
+            "message_count": total.message_count,
             "compression_format": "",
             "compression_mode": "",
-            "files": [
-                {
-                    "path": name,
-                    "starting_time": dict(start),
-                    "duration": dict(duration),
-                    "message_count": count,
-                }
-            ],
+            "files": [{
+                "path": name,
+                "starting_time": dict(start),
+                "duration": dict(duration),
+                "message_count": total.message_count,
+            }],
             "custom_data": dict(self.custom_data),
-            "ros_distro": _ROS_DISTRO,
-        }
+            "ros_distro": "jazzy",
+        })
+        if not self._topics:
+            return f"{head}\ntopics_with_message_count: []"
+        entries = (
+            f"- message_count: {total.channel_message_counts[self._channels[topic]]}\n"
+            f"  topic_metadata:\n{about}"
+            for topic, about in self._topics.items()
+        )
+        return "\n".join((head, "topics_with_message_count:", *entries))

@@ -1,23 +1,34 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fields of messages as ``rosbags`` decodes them."""
+"""Fields of messages as ``rosbags`` decodes them, and values of the controller's status."""
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second."""
 LARGEST = 1e30
 """Largest magnitude of a number that is believed [SI units]: its square is one, too."""
-
-
-def stamp_of(message: Any) -> int:
-    """Return the stamp [ns] of a message with a header."""
-    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+HOLDING = "holding"
+"""Status of a plan that has reached the goal and holds the sphere there."""
 
 
 def known(number: float) -> float:
     """Return a number of a message; nan, as for an unknown one, where it is beyond `LARGEST`."""
     return float(number) if abs(number) <= LARGEST else float("nan")
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp [ns] of a message with a header."""
+    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
 
 
 def state_of(message: Any) -> list[float]:
@@ -28,3 +39,61 @@ def state_of(message: Any) -> list[float]:
             position.x, position.y, orientation.w, orientation.x, orientation.y, orientation.z
         )
     ]
+
+
+@dataclass(frozen=True)
+class ReportedSolve:
+    """Solve of one control sample as a status message reports it; nan where it does not.
+
+    Attributes
+    ----------
+    duration : float
+        Solve time [s]; 0 where nothing was solved.
+    cost : float
+        Value of the optimal control problem.
+    time_to_go : float
+        Time from the sampling instant until the plan reaches the goal [s].
+    plan : str
+        Status of the plan; empty without a plan.
+    """
+
+    duration: float
+    cost: float
+    time_to_go: float
+    plan: str
+
+
+def reported_solve(values: Mapping[str, str]) -> ReportedSolve:
+    """Return the solve that the key-value pairs of a status message report."""
+    return ReportedSolve(
+        number(values, "solve_time_s"), number(values, "cost"),
+        number(values, "arrival_s") - number(values, "time_s"), values.get("plan", ""),
+    )
+
+
+def reported_momentum(values: Mapping[str, str]) -> Vector:
+    """Return the momentum that a status reports [N m s; world frame], shape (3,).
+
+    It is zero where the controller finds none, and nan where it does not report any.
+    """
+    return np.array([number(values, f"momentum_{axis}") for axis in "xyz"])
+
+
+def reported_drift(values: Mapping[str, str], robot: RobotParameters) -> Drift | None:
+    """Return the drift that a status of the controller of this robot reports; None without one."""
+    direction = math.radians(number(values, "slope_direction_deg"))
+    offset = np.array([number(values, f"mass_offset_{axis}_mm") for axis in "xyz"])
+    drift = Drift(
+        reported_momentum(values) / robot.rotor_axial_inertia,
+        slope_torque(robot, math.radians(number(values, "slope_deg")), direction),
+        imbalance_of_offset(robot, 1e-3 * offset),
+    )
+    return drift if np.all(np.isfinite(drift.as_array())) else None
+
+
+def number(values: Mapping[str, str], key: str) -> float:
+    """Return a value as a number; nan where it is missing, none, or beyond `LARGEST`."""
+    try:
+        return known(float(values.get(key, "nan")))
+    except ValueError:
+        return float("nan")

@@ -2,20 +2,45 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoded messages of a bag: MCAP or SQLite, split, compressed, complete or truncated."""
 
+import sqlite3
 import struct
 from collections import Counter
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 import zstandard
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 
-from sphere_sim.recording.bag_files import BagFiles, find_files
-from sphere_sim.recording.errors import BagError
-from sphere_sim.recording.storage import Storage, TopicFilter, read_storage
+from sphere_sim.recording.bag_files import custom_data, find_files, storage_name
+from sphere_sim.recording.errors import BagError, one_line_reason
+
+TopicFilter = Callable[[str, str], bool]
+"""Returns from topic and message type whether its messages are selected."""
+_DAMAGED = "is truncated or damaged"
+
+
+@dataclass
+class _Storage:
+    """Content of a storage file.
+
+    It has the message types of its topics, topic, log time [ns] and data of the selected messages
+    in the order written, the number of messages read, selected or not, and the custom data of the
+    bag; `problem` describes a damage.
+    """
+
+    types: dict[str, str] = field(default_factory=dict)
+    messages: list[tuple[str, int, bytes]] = field(default_factory=list)
+    count: int = 0
+    custom_data: dict[str, str] = field(default_factory=dict)
+    problem: str = ""
 
 
 @dataclass
@@ -80,66 +105,130 @@ def read_messages(path: Path, selects: TopicFilter) -> Messages:
     if messages.truncated and not messages.types:
         problems = "; ".join(messages.notes)
         raise BagError(path, f"nothing can be read of it: {problems}")
-    if not bag.described:
-        _refuse_overlap(path, bag, storages)
     _decode(messages, storages)
     return messages
 
 
-def _read(path: Path, file: Path, selects: TopicFilter) -> Storage:
+def _read(path: Path, file: Path, selects: TopicFilter) -> _Storage:
     try:
-        return read_storage(file, selects)
+        return _read_storage(file, selects)
     except OSError as error:
         raise BagError(path, f"{file.name} cannot be read: {error.strerror or error}") from error
 
 
-def _refuse_overlap(path: Path, bag: BagFiles, storages: list[Storage]) -> None:
-    """Raise if two files were recorded at the same time, so not by one recorder."""
-    last = float("-inf")
-    for file, storage in zip(bag.files, storages, strict=True):
-        if storage.messages:
-            # A few messages are late, or repeated for the new file; most are in order.
-            early, middle = np.percentile([stamp for _, stamp, _ in storage.messages], (10, 50))
-            if early < last:
-                raise BagError(
-                    path, f"{file.name} and the file before it were recorded at the same time, so "
-                    "they are of different bags, and no metadata.yaml lists the files of one; "
-                    "give one of the files"
-                )
-            last = float(middle)
-
-
-def _decode(messages: Messages, storages: list[Storage]) -> None:
+def _decode(messages: Messages, storages: list[_Storage]) -> None:
     """Decode the selected messages in order of log time."""
-    decoder = _Decoder()
+    store, zstd = get_typestore(Stores.ROS2_JAZZY), zstandard.ZstdDecompressor()
+    invalid: Counter[str] = Counter()
     raw = [entry for storage in storages for entry in storage.messages]
     # Recorders that compress messages in several threads write them in any order.
     for topic, stamp, data in sorted(raw, key=lambda entry: entry[1]):
-        message = decoder.decode(data, messages.types[topic])
-        if message is not None:
-            messages.decoded.setdefault(topic, []).append((stamp, message))
-    messages.notes.extend(decoder.notes())
-
-
-class _Decoder:
-    """Decoder that counts the messages it cannot decode."""
-
-    def __init__(self) -> None:
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._zstd = zstandard.ZstdDecompressor()
-        self._invalid: Counter[str] = Counter()
-
-    def decode(self, data: bytes, msgtype: str) -> Any:
-        """Return a message; None if it is invalid."""
+        msgtype = messages.types[topic]
         try:
             if data.startswith(zstandard.FRAME_HEADER):
                 # The bag compresses each message; CDR data never begins with these bytes.
-                data = self._zstd.decompressobj().decompress(data)
-            return self._store.deserialize_cdr(data, msgtype)
+                data = zstd.decompressobj().decompress(data)
+            message = store.deserialize_cdr(data, msgtype)
         except (SerdeError, zstandard.ZstdError, ValueError, IndexError, KeyError, struct.error):
-            self._invalid[msgtype] += 1
-            return None
+            invalid[msgtype] += 1
+        else:
+            messages.decoded.setdefault(topic, []).append((stamp, message))
+    messages.notes += [f"{n} messages of type {name} are invalid" for name, n in invalid.items()]
 
-    def notes(self) -> list[str]:
-        """Return one note for each message type with invalid messages."""
-        return [f"{n} messages of type {name} are invalid" for name, n in self._invalid.items()]
+
+def _read_storage(file: Path, selects: TopicFilter) -> _Storage:
+    """Read a ``.mcap`` or ``.db3`` file, also with the suffix ``.zstd``, up to any damage."""
+    storage = _Storage()
+    with file.open("rb") as stream:  # an error is that of the file system here, later damage
+        if not stream.read(1):
+            storage.problem = "has 0 bytes"
+            return storage
+    if file.suffix != ".zstd":
+        _read_plain(file, storage, selects)
+        return storage
+    with TemporaryDirectory() as folder:
+        plain = Path(folder) / storage_name(file)
+        problem = ""
+        with file.open("rb") as packed, plain.open("wb") as unpacked:
+            try:
+                zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
+            except zstandard.ZstdError as error:
+                problem = f"{_DAMAGED} ({error})"
+        _read_plain(plain, storage, selects)
+    storage.problem = problem or storage.problem
+    return storage
+
+
+def _read_plain(file: Path, storage: _Storage, selects: TopicFilter) -> None:
+    (_read_mcap if file.suffix == ".mcap" else _read_sqlite)(file, storage, selects)
+
+
+def _read_mcap(file: Path, storage: _Storage, selects: TopicFilter) -> None:
+    """Read an MCAP file sequentially, without its index, which may be missing."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[str, bool]] = {}
+    with file.open("rb") as stream:
+        try:
+            for record in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(record, Message) and record.channel_id in channels:
+                    storage.count += 1
+                    topic, selected = channels[record.channel_id]
+                    if selected:
+                        storage.messages.append((topic, record.log_time, record.data))
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel) and record.schema_id in schemas:
+                    msgtype = schemas[record.schema_id].name
+                    if _are_names(record.topic, msgtype):
+                        storage.types[record.topic] = msgtype
+                        channels[record.id] = record.topic, selects(record.topic, msgtype)
+                elif isinstance(record, Metadata) and record.name == "rosbag2":
+                    _add_metadata(storage, record.metadata.get("serialized_metadata", ""))
+        except Exception as error:
+            # Such files raise anything, from MemoryError to the private errors of decompressors.
+            storage.problem = f"{_DAMAGED} ({one_line_reason(error)})"
+
+
+def _read_sqlite(file: Path, storage: _Storage, selects: TopicFilter) -> None:
+    # A killed recorder leaves its last messages in a write-ahead log beside the file.
+    has_log = file.with_name(f"{file.name}-wal").exists()
+    address = f"{file.absolute().as_uri()}?{'mode=ro' if has_log else 'immutable=1'}"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as connection:
+            # Without this SQLite refuses a truncated file instead of reading it up to its end.
+            connection.execute("PRAGMA writable_schema=ON")
+            topics = {}
+            for number, topic, msgtype in connection.execute("SELECT id, name, type FROM topics"):
+                if _are_names(topic, msgtype):
+                    storage.types[topic] = msgtype
+                    topics[number] = topic, selects(topic, msgtype)
+            rows = connection.execute("SELECT topic_id, timestamp, data FROM messages")
+            for number, stamp, data in rows:
+                storage.count += 1
+                topic, selected = topics.get(number, ("", False))
+                if selected and isinstance(data, bytes):
+                    storage.messages.append((topic, int(stamp), data))
+            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+            if "metadata" in tables:  # written last, so missing first in a truncated file
+                for (text,) in connection.execute("SELECT metadata FROM metadata ORDER BY id"):
+                    _add_metadata(storage, text)
+    except Exception as error:
+        # Damaged pages also give text with a wrong encoding, and missing tables.
+        storage.problem = f"{_DAMAGED} ({one_line_reason(error)})"
+
+
+def _are_names(*values: object) -> bool:
+    """Return whether values are names that a topic or a type can have, which notes will show.
+
+    Those of damaged files, or of files that are made to fool their reader, are not.
+    """
+    return all(isinstance(it, str) and it.isprintable() and len(it) < 256 for it in values)
+
+
+def _add_metadata(storage: _Storage, text: str) -> None:
+    """Add the custom data of the metadata that recorders store in the file as well."""
+    try:
+        storage.custom_data.update(custom_data(YAML(typ="safe").load(text)))
+    except Exception as error:
+        # The messages are intact: this record only repeats metadata.yaml.
+        storage.problem = f"has damaged metadata ({one_line_reason(error)})"

@@ -1,10 +1,52 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the recorder."""
+"""Settings of the recorder, its default topics, and topic patterns.
 
+``goal_pose`` is not recorded by default: ``ros2 topic pub --once`` publishes to its first matched
+subscription and ends, so that with a recorder among the subscribers the goal may never reach the
+controller. Accepted goals are on ``controller/active_goal``, refused ones in ``/rosout``. For the
+same reason pushes are recorded from ``simulator/pushed``.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 from sphere_nmpc.quantity import quantity, validate
+
+DEFAULT_TOPICS = (
+    "pose",
+    "odom",
+    "joint_states",
+    "rotor_trajectory",
+    "rotor_commands",
+    "controller/*",
+    "simulator/pushed",
+    "/clock",
+    "/diagnostics",
+    "/parameter_events",
+    "/rosout",
+    "/tf",
+    "/tf_static",
+)
+"""Names and patterns; those without a leading slash are in the namespace of the recorder."""
+
+KNOWN_TYPES = {
+    "pose": "geometry_msgs/msg/PoseStamped",
+    "odom": "nav_msgs/msg/Odometry",
+    "joint_states": "sensor_msgs/msg/JointState",
+    "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",
+    "rotor_commands": "std_msgs/msg/Float64MultiArray",
+    "controller/active_goal": "geometry_msgs/msg/PoseStamped",
+    "simulator/pushed": "geometry_msgs/msg/Vector3Stamped",
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+"""Types of topics that are subscribed to before they have a publisher, so that their first
+messages are not missed."""
+
+LATCHED = ("controller/active_goal",)
+"""Topics among these whose publisher keeps the last message for late subscribers."""
 
 
 @dataclass(frozen=True)
@@ -30,3 +72,13 @@ class RecorderSettings:
 
     def __post_init__(self) -> None:
         validate(self)
+
+
+def absolute(name: str, namespace: str) -> str:
+    """Return the full name of a topic or pattern for a node in `namespace`."""
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
+
+
+def matches_any(topic: str, patterns: Sequence[str]) -> bool:
+    """Return whether a topic matches a pattern, in full names; ``*`` matches anything."""
+    return any(fnmatchcase(topic, pattern) for pattern in patterns)

@@ -35,23 +35,21 @@ class Solves:
     statuses : tuple of str
         Status of the plan after each solve.
     to_go : ndarray
-        Time until the plan reaches the goal [s]; nan where not reported, empty where no solve
-        reports it.
+        Time until the plan reaches the goal [s]; nan where not reported.
     """
 
     times: Vector
     durations: Vector
     costs: Vector
     statuses: tuple[str, ...]
-    to_go: Vector = field(default_factory=lambda: np.empty(0))
+    to_go: Vector
 
     def between(self, start: float, end: float) -> "Solves":
         """Return the solves from `start` until before `end` [s], with times since `start`."""
         kept = _between(self.times, start - _SAME_INSTANT, end - _SAME_INSTANT)
         return Solves(
             self.times[kept] - start, self.durations[kept], self.costs[kept],
-            tuple(self.statuses[i] for i in kept),
-            self.to_go[kept] if self.to_go.size else self.to_go,
+            tuple(self.statuses[i] for i in kept), self.to_go[kept],
         )
 
 
@@ -86,13 +84,12 @@ class Momentum:
 
     def at(self, time: float) -> Vector:
         """Return the newest report at a time [s], shape (3,); nan before the first one."""
-        index = self._index(time)
-        newest: Vector = self.values[index] if index >= 0 else np.full(3, np.nan)
-        return newest
+        index = newest(self.times, time)
+        return np.full(3, np.nan) if index < 0 else np.array(self.values[index])
 
     def drift_at(self, time: float) -> Drift:
         """Return the newest drift reported at a time [s]."""
-        index = self._index(time)
+        index = newest(self.times, time)
         return self.drifts[index] if index >= 0 else NO_DRIFT
 
     def between(self, start: float, end: float) -> "Momentum":
@@ -102,9 +99,6 @@ class Momentum:
             self.times[kept] - start, self.values[kept], tuple(self.drifts[i] for i in kept),
             self.push_times[pushed] - start, self.impulses[pushed],
         )
-
-    def _index(self, time: float) -> int:
-        return int(np.searchsorted(self.times, time, side="right")) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +113,6 @@ class Run:
         Name of the run in legends.
     path : Path
         The bag.
-    origin : float
-        Stamp of time 0 [s].
     times : ndarray, shape (n,)
         Times of the poses [s].
     states : ndarray, shape (n, 6)
@@ -142,15 +134,12 @@ class Run:
         Momentum that it reported, and pushes.
     robot : RobotParameters
         Robot parameters of the controller, or the defaults where the bag does not have them.
-    custom_data : dict of str to str
-        Custom data of the bag, such as the seed of the run.
     notes : tuple of str
         Messages for users on what is missing or invalid in the bag.
     """
 
     name: str
     path: Path
-    origin: float
     times: Vector
     states: Vector
     joint_times: Vector
@@ -162,7 +151,6 @@ class Run:
     solves: Solves
     momentum: Momentum = field(default_factory=Momentum)
     robot: RobotParameters = field(default_factory=RobotParameters)
-    custom_data: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -181,23 +169,14 @@ class Run:
     def errors(self, measure: ErrorMeasure = state_errors) -> tuple[Vector, Vector]:
         """Return the times [s] of the poses with a goal in force, and their errors.
 
-        Parameters
-        ----------
-        measure : callable, optional
-            Computes errors from states and goals, both of shape (n, 6).
+        `measure` computes errors from states and goals, both of shape (n, 6).
         """
         goals = self.goals_in_force
         known = np.all(np.isfinite(goals), axis=1)
         return self.times[known], measure(self.states[known], goals[known])
 
     def to_goal(self, number: int) -> "Run":
-        """Return the run to one goal: as long as it was in force.
-
-        Parameters
-        ----------
-        number : int
-            Number of the goal, from 1 on.
-        """
+        """Return the run while the goal of a number, from 1 on, was in force."""
         i = number - 1
         start = max(0.0, float(self.goal_times[i]))
         end = float(self.goal_times[number]) if number < len(self.goals) else np.inf
@@ -206,7 +185,6 @@ class Run:
         return replace(
             self,
             name=f"{self.name}, goal {number}" if len(self.goals) > 1 else self.name,
-            origin=self.origin + start,
             times=self.times[poses] - start,
             states=self.states[poses],
             joint_times=self.joint_times[joints] - start,
@@ -233,6 +211,11 @@ class Run:
 def _between(times: Vector, start: float, end: float) -> NDArray[np.intp]:
     """Return the indices of the times from `start` until before `end`."""
     return np.flatnonzero((times >= start) & (times < end))
+
+
+def newest(times: Vector, time: float) -> int:
+    """Return the index of the newest of ascending times at a time; -1 before the first one."""
+    return int(np.searchsorted(times, time, side="right")) - 1
 
 
 def without_sign_jumps(states: Vector) -> Vector:

@@ -6,20 +6,41 @@ Messages are accessed by attribute as ``rosbags`` decodes them, so that a bag ca
 ROS is installed; ``sphere_nmpc.ros.conversions`` is the counterpart for ROS messages.
 """
 
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.output.printable_path import printable
-from sphere_sim.recording.bag_files import storage_name
+from sphere_sim.recording.bag_clock import BagClock, longest_run
+from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, storage_name
 from sphere_sim.recording.errors import BagError
-from sphere_sim.recording.goals import read_goals
+from sphere_sim.recording.message_fields import (
+    NANOSECONDS,
+    known,
+    number,
+    reported_drift,
+    reported_momentum,
+    reported_solve,
+    stamp_of,
+    state_of,
+)
 from sphere_sim.recording.messages import Messages, read_messages
-from sphere_sim.recording.momentum import read_momentum
-from sphere_sim.recording.poses import read_poses
-from sphere_sim.recording.recorded_parameters import recorded_robot
-from sphere_sim.recording.rotors import read_joint_states, read_plans
-from sphere_sim.recording.run import Run, without_sign_jumps
-from sphere_sim.recording.solves import read_solves
+from sphere_sim.recording.run import Momentum, Run, Solves, without_sign_jumps
 
+ROTORS = ("rotor_1_joint", "rotor_2_joint")
+"""Joint names of the rotors."""
+_LONGEST_SOLVE = 1e5
+"""Duration that no solve has [s]."""
 _POSE = "geometry_msgs/msg/PoseStamped"
 _TYPES = {
     "pose": _POSE,
@@ -51,18 +72,19 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
         If there is no bag, it is empty or of another robot, it has several robots and no
         namespace is given, or the files are of several bags.
     """
-    messages = read_messages(path, _is_used)
+    messages = read_messages(
+        path, lambda topic, msgtype: _TYPES.get(topic.rpartition("/")[2]) == msgtype
+    )
     robot = _select_robot(messages, namespace)
-    clock, times, states = read_poses(messages, robot)
-    joint_times, speeds, torques = read_joint_states(messages, robot, clock)
-    goal_times, goals = read_goals(messages, robot, clock, times)
-    solves = read_solves(messages, robot, clock)
-    plans = read_plans(messages, robot, clock)
-    parameters = recorded_robot(messages.custom_data, f"{robot}/controller")
+    clock, times, states = _read_poses(messages, robot)
+    reader = _TopicReader(messages, robot, clock)
+    joint_times, speeds, torques = reader.joint_states()
+    goal_times, goals = reader.goals(times)
+    parameters = _recorded_robot(messages.custom_data, f"{robot}/controller")
+    solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
     return Run(
         name=printable(name or Path(storage_name(path)).stem),
         path=path,
-        origin=1e-9 * clock.origin,
         times=times,
         states=without_sign_jumps(states),
         joint_times=joint_times,
@@ -72,15 +94,10 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
         goals=goals,
         plans=plans,
         solves=solves,
-        momentum=read_momentum(messages, robot, clock, parameters),
+        momentum=momentum,
         robot=parameters,
-        custom_data=messages.custom_data,
         notes=tuple(messages.notes),
     )
-
-
-def _is_used(topic: str, msgtype: str) -> bool:
-    return _TYPES.get(topic.rpartition("/")[2]) == msgtype
 
 
 def _select_robot(messages: Messages, given: str | None) -> str:
@@ -90,27 +107,275 @@ def _select_robot(messages: Messages, given: str | None) -> str:
         for topic, msgtype in messages.types.items()
         if topic.endswith("/pose") and msgtype == _POSE
     )
+    names = ", ".join(name or "/" for name in found)
     if given is not None:
         robot = "/" + given.strip("/") if given.strip("/") else ""
         if robot in found:
             return robot
-        names = ", ".join(name or "/" for name in found) or "none"
-        raise BagError(messages.path, f"no robot in namespace '{given}'; it has: {names}")
-    if not found:
-        raise BagError(messages.path, _no_robot(messages))
-    if len(found) > 1:
-        names = ", ".join(name or "/" for name in found)
-        raise BagError(
-            messages.path, f"holds several robots, choose one by its namespace: {names}"
+        reason = f"no robot in namespace '{given}'; it has: {names or 'none'}"
+    elif len(found) == 1:
+        return found[0]
+    elif found:
+        reason = f"holds several robots, choose one by its namespace: {names}"
+    elif messages.truncated:
+        reason = messages.incomplete(f"no topic 'pose' of type {_POSE}")
+    elif messages.types:
+        others = ", ".join(sorted(messages.types))
+        reason = f"no topic 'pose' of type {_POSE}, so a bag of another robot; has: {others}"
+    else:
+        reason = "is empty: it has no topic at all"
+    raise BagError(messages.path, reason)
+
+
+def _read_poses(messages: Messages, robot: str) -> tuple[BagClock, Vector, Vector]:
+    """Return the clock, and times [s], ascending, and states (n, 6) of the longest run.
+
+    Messages of other runs are removed.
+    """
+    topic = f"{robot}/pose"
+    entries = messages.decoded.get(topic, [])
+    if not entries:
+        reason = f"no message on {topic}"
+        reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
+        raise BagError(messages.path, reason)
+    states = np.array([state_of(message) for _, message in entries])
+    valid = are_states(states)
+    if not np.any(valid):
+        raise BagError(messages.path, f"no message on {topic} holds a valid pose")
+    if not np.all(valid):
+        messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
+    pairs = [(log, stamp_of(it)) for (log, it), use in zip(entries, valid, strict=True) if use]
+    run = longest_run([stamp for _, stamp in pairs])
+    received, stamps = zip(*pairs[run], strict=True)
+    if len(stamps) < len(pairs):
+        messages.notes.append(
+            f"{topic}: time goes back, so the bag holds several runs; only the longest is used, "
+            f"{len(stamps)} of {len(pairs)} poses"
         )
-    return found[0]
+        following = [log for log, _ in pairs[run.stop :]]
+        _remove_other_runs(messages, received[0], following[0] if following else None)
+    clock = BagClock(received, stamps)
+    states = states[valid][run]
+    states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
+    # While simulated time is paused, the simulator repeats the pose of that instant.
+    times, first = np.unique([clock.time_of_stamp(stamp) for stamp in stamps], return_index=True)
+    return clock, times, states[first]
 
 
-def _no_robot(messages: Messages) -> str:
-    """Return why a bag has no robot of this kind."""
-    reason = f"no topic 'pose' of type {_POSE}"
-    if messages.truncated:
-        return messages.incomplete(reason)
-    if not messages.types:
-        return "is empty: it has no topic at all"
-    return f"{reason}, so a bag of another robot; has: {', '.join(sorted(messages.types))}"
+def _remove_other_runs(messages: Messages, first: int, following: int | None) -> None:
+    """Remove messages logged in other runs, except earlier goals, which may be in force still."""
+    for topic, entries in messages.decoded.items():
+        is_goal = topic.endswith(("/goal_pose", "/active_goal"))
+        messages.decoded[topic] = [
+            (log, message) for log, message in entries
+            if (is_goal or log >= first) and (following is None or log < following)
+        ]
+
+
+def _recorded_robot(custom_data: dict[str, str], node: str) -> RobotParameters:
+    """Return the robot that the recorded parameters ``robot.*`` of a node describe.
+
+    It has the defaults where the bag has no valid parameters of the node.
+    """
+    try:
+        values = json.loads(custom_data.get(f"{PARAMETERS_PREFIX}{node}", "{}"))
+    except ValueError:
+        return RobotParameters()
+    values = values if isinstance(values, dict) else {}
+    names = [entry.name for entry in dataclasses.fields(RobotParameters)]
+    try:
+        return RobotParameters(
+            **{name: values[f"robot.{name}"] for name in names if f"robot.{name}" in values}
+        )
+    except InvalidParameterError:
+        return RobotParameters()
+
+
+class _TopicReader:
+    """Reader of the other topics of one robot; its notes say what is missing or ignored."""
+
+    def __init__(self, messages: Messages, robot: str, clock: BagClock) -> None:
+        self._messages, self._robot, self._clock = messages, robot, clock
+        self._notes = messages.notes
+
+    def joint_states(self) -> tuple[Vector, Vector, Vector]:
+        """Return times [s], rotor speeds (m, 2) [rad/s] and torques (m, 2) [N m]."""
+        topic = f"{self._robot}/joint_states"
+        entries = self._messages.decoded.get(topic, [])
+        rows = []
+        for _, message in entries:
+            names = list(message.name)
+            if not set(ROTORS) <= set(names):
+                # Other joints of a robot, such as grippers, may use the same topic.
+                continue
+            order = [names.index(name) for name in ROTORS]
+            time = self._clock.time_of_stamp(stamp_of(message))
+            rows.append([time, *_select(message.velocity, order), *_select(message.effort, order)])
+        if entries and not rows:
+            names = list(entries[0][1].name)
+            raise BagError(
+                self._messages.path,
+                f"{topic} names {shown(names)}, not {list(ROTORS)}: a bag of another robot",
+            )
+        if not rows:
+            self._notes.append(f"{topic} is missing; no rotor speeds and torques")
+        table = np.array(rows, dtype=float).reshape(-1, 5)
+        times, first = np.unique(table[:, 0], return_index=True)
+        return times, table[first, 1:3], table[first, 3:5]
+
+    def plans(self) -> tuple[FirstOrderHold, ...]:
+        """Return the plans that the controller sent, knot times in the run's time [s]."""
+        topic = f"{self._robot}/rotor_trajectory"
+        entries = self._messages.decoded.get(topic, [])
+        if not entries:
+            self._notes.append(f"{topic} is missing; no plans")
+        plans = []
+        for received, message in entries:
+            names = list(message.joint_names)
+            if set(names) != set(ROTORS):
+                continue
+            start = self._clock.time_of_message(stamp_of(message), received, latched=True)
+            order = [names.index(name) for name in ROTORS]
+            offsets = [
+                point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+                for point in message.points
+            ]
+            speeds = [_select(point.velocities, order) for point in message.points]
+            try:
+                plans.append(FirstOrderHold(start + np.array(offsets), np.array(speeds)))
+            except InvalidInputError:
+                continue  # the simulator refuses it as well
+        if len(plans) < len(entries):
+            count = len(entries) - len(plans)
+            self._notes.append(f"{topic}: {count} invalid trajectories were ignored")
+        return tuple(plans)
+
+    def goals(self, poses: Vector) -> tuple[Vector, Vector]:
+        """Return the times at which goals came into force [s], ascending, and the goals (g, 6).
+
+        Goals that were in force at none of the `poses`, times [s], are ignored.
+        """
+        # Goals that the controller accepted are preferred to those that were requested.
+        accepted = self._topics("/active_goal")
+        topic = accepted[0] if accepted else f"{self._robot}/goal_pose"
+        given = self._messages.decoded.get(topic)
+        if given is None:
+            self._notes.append(
+                f"{self._robot}/goal_pose and active_goal are missing; no errors can be computed"
+            )
+            return np.empty(0), np.empty((0, 6))
+        if len(accepted) > 1:
+            self._notes.append(f"{', '.join(accepted[1:])}: ignored, goals are those of {topic}")
+        if not accepted:
+            self._notes.append("active_goal is missing; goal_pose is used instead")
+        entries = []
+        for received, message in given:
+            state = np.array(state_of(message))
+            if not are_states(state[None])[0]:
+                continue
+            state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
+            # The controller stamps a goal when it accepts it; stamps set by users mean nothing.
+            time = (
+                self._clock.time_of_message(stamp_of(message), received, latched=True)
+                if accepted else self._clock.time_of_log(received)
+            )
+            entries.append((time, state))
+        if len(entries) < len(given):
+            self._notes.append(f"{topic}: {len(given) - len(entries)} invalid goals were ignored")
+        entries.sort(key=lambda entry: entry[0])
+        # A goal that is sent again while it is in force stays in force from the first time on.
+        changes = [
+            entry for previous, entry in zip([None, *entries], entries, strict=False)
+            if previous is None or not np.array_equal(previous[1], entry[1])
+        ]
+        return self._within_run(changes, topic, poses)
+
+    def _within_run(
+        self, entries: list[tuple[float, Vector]], topic: str, poses: Vector
+    ) -> tuple[Vector, Vector]:
+        """Return the goals that were in force at any pose."""
+        end = float(poses[-1])
+        late = ", ".join(f"{time:.6g}" for time, _ in entries if time > end)
+        entries = [entry for entry in entries if entry[0] <= end]
+        if late:
+            result = (
+                "ignored" if entries else
+                "no goal falls inside the recording, nothing to measure"
+            )
+            self._notes.append(f"{topic}: goal at {late} s, poses from 0 to {end:.6g} s: {result}")
+        times = np.array([time for time, _ in entries])
+        goals = np.array([goal for _, goal in entries]).reshape(-1, 6)
+        # The first pose of each goal: where two goals share it, only the second was in force.
+        kept = np.diff(np.searchsorted(poses, times), append=len(poses)) > 0
+        during = np.count_nonzero(~kept & (times >= 0.0))
+        if during:
+            self._notes.append(
+                f"{topic}: {during} goals were replaced before the next pose: ignored"
+            )
+        return times[kept], goals[kept]
+
+    def solves(self) -> Solves:
+        """Return the solves that the controller reported."""
+        rows, statuses = [], []
+        for time, values in self._statuses():
+            solve = reported_solve(values)
+            if "plan" not in values or not 0.0 < solve.duration < _LONGEST_SOLVE:
+                continue  # nothing was solved at this sample
+            rows.append((time, solve.duration, solve.cost, solve.time_to_go))
+            statuses.append(solve.plan)
+        if not rows:
+            self._notes.append("no status of the controller reports a solve; no solve times")
+        times, durations, costs, to_go = np.array(rows, dtype=float).reshape(-1, 4).T
+        return Solves(times, durations, costs, tuple(statuses), to_go)
+
+    def momentum(self, parameters: RobotParameters) -> Momentum:
+        """Return the momentum that the controller reported, and the pushes of its simulator.
+
+        The parameters are those of the controller, which define the units of the model.
+        """
+        reports = [
+            (time, reported_momentum(values), drift) for time, values in self._statuses()
+            if (drift := reported_drift(values, parameters)) is not None
+        ]
+        pushes = [
+            (self._clock.time_of_message(stamp_of(message), received),
+             known(message.vector.x), known(message.vector.y))
+            for topic in self._topics("/pushed")
+            for received, message in self._messages.decoded[topic]
+        ]
+        pushed: Vector = np.array(pushes, dtype=float).reshape(-1, 3)
+        pushed = pushed[np.all(np.isfinite(pushed), axis=1)]
+        return Momentum(
+            np.array([time for time, _, _ in reports]),
+            np.array([momentum for _, momentum, _ in reports]).reshape(-1, 3),
+            tuple(drift for _, _, drift in reports),
+            pushed[:, 0],
+            pushed[:, 1:],
+        )
+
+    def _topics(self, ending: str) -> list[str]:
+        """Return the topics of the robot with an ending, whatever the name of the node is."""
+        return sorted(
+            topic for topic in self._messages.decoded
+            if topic.startswith(f"{self._robot}/") and topic.endswith(ending)
+        )
+
+    def _statuses(self) -> list[tuple[float, dict[str, str]]]:
+        """Return time [s] and key-value pairs of each status of the controller."""
+        return [
+            self._status(received, message) for topic in self._topics("/status")
+            for received, message in self._messages.decoded[topic]
+        ]
+
+    def _status(self, received: int, message: Any) -> tuple[float, dict[str, str]]:
+        values = {pair.key: pair.value for pair in message.values}
+        time = number(values, "time_s")
+        if not math.isfinite(time):
+            return self._clock.time_of_log(received), values
+        # Without simulated time the controller counts from its own start.
+        return self._clock.time_of_message(round(time * NANOSECONDS), received), values
+
+
+def _select(values: Sequence[float], order: Sequence[int]) -> list[float]:
+    """Return values by index; nan where a message has fewer values than names, see `known`."""
+    return [known(values[i]) if i < len(values) else float("nan") for i in order]

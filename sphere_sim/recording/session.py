@@ -101,10 +101,7 @@ class RecordingSession:
     def write(self, messages: Iterable[tuple[int, str, bytes]]) -> None:
         """Write messages of registered topics in order of arrival.
 
-        Parameters
-        ----------
-        messages : iterable of (int, str, bytes)
-            Time of arrival [ns; system clock], topic, and message in CDR.
+        Each has a time of arrival [ns; system clock], a topic, and the message in CDR.
         """
         for arrival, topic, message in sorted(messages, key=lambda entry: entry[0]):
             if topic == self._clock_topic:

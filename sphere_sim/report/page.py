@@ -4,7 +4,7 @@
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -33,16 +33,9 @@ figcaption, .note { color: #555; font-size: .9rem; }
 def write_page(
     path: Path, reported: Sequence[Reported], figures: Sequence[tuple[str, str, Path]]
 ) -> None:
-    """Write the page.
+    """Write the page of recordings with figures: heading, caption and SVG file of each.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    reported : sequence of Reported
-        Recordings, and the goals whose figures these are.
-    figures : sequence of (str, str, Path)
-        Heading, caption and SVG file of each figure; figures with equal headings share one.
+    Figures with equal headings share one.
     """
     title = "Run report: " + ", ".join(one.recording.name for one in reported)
     runs = [run for one in reported for run in one.runs.values()]
@@ -109,14 +102,12 @@ def _table(runs: Sequence[Run]) -> str:
     names = list(dict.fromkeys(name for column in columns for name in column))
     if not names:
         return '<p class="note">Without a goal there are no metrics.</p>'
-    head = "".join(f'<th scope="col">{escape(run.name)}</th>' for run in runs)
+    head = "<th></th>" + _cells([run.name for run in runs], 'th scope="col"')
     rows = [
-        f'<tr><th scope="row">{escape(name)}</th>'
-        + "".join(f"<td>{escape(column.get(name, '–'))}</td>" for column in columns)
-        + "</tr>"
+        _cells([name], 'th scope="row"') + _cells([column.get(name, "–") for column in columns])
         for name in names
     ]
-    return f"<table>\n<tr><th></th>{head}</tr>\n" + "\n".join(rows) + "\n</table>"
+    return _rows(head, *rows)
 
 
 def _notes(reported: Sequence[Reported]) -> list[str]:
@@ -139,16 +130,21 @@ def _goals(one: Reported) -> str:
             "goal": str(columns["goal"]), "given at": _number(columns["time_s"], "s"),
             "start": start, "target": goal, **dict(_motion_results(run)),
         })
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in rows[0])
-    body = "\n".join(
-        "<tr>" + "".join(f"<td>{escape(value)}</td>" for value in row.values()) + "</tr>"
-        for row in rows
-    )
     caption = f"{one.recording.name}: goals; states as x, y [m] and quaternion w, x, y, z"
-    return (
-        f'<div class="wide"><table>\n<caption>{escape(caption)}</caption>\n<tr>{head}</tr>\n'
-        f"{body}\n</table></div>"
-    )
+    head = _cells(rows[0], 'th scope="col"')
+    table = _rows(head, *(_cells(row.values()) for row in rows), caption=caption)
+    return f'<div class="wide">{table}</div>'
+
+
+def _cells(texts: Iterable[str], tag: str = "td") -> str:
+    return "".join(f"<{tag}>{escape(text)}</{tag[:2]}>" for text in texts)
+
+
+def _rows(*rows: str, caption: str = "") -> str:
+    """Return a table of rows of cells."""
+    above = f"<caption>{escape(caption)}</caption>\n" if caption else ""
+    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    return f"<table>\n{above}{body}\n</table>"
 
 
 def _figure(caption: str, file: Path) -> str:

@@ -16,7 +16,6 @@ from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison
 from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.momentum import momentum_over_time
 from sphere_sim.report.figures.paper_panels import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import write_page
@@ -45,7 +44,7 @@ FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
 """Figures of each run: file name, function that draws it, and caption."""
 _MOMENTUM = {
     "momentum": (
-        momentum_over_time,
+        analysis.momentum_over_time,
         "Estimated angular momentum about the contact point; dotted: what a rotor can hold. "
         "Vertical lines: pushes.",
     ),
@@ -63,18 +62,7 @@ def write_report(
     """Write a report and return its page.
 
     Numbers are written before figures, and animations, the largest files, last: on a full disk the
-    most important files exist.
-
-    Parameters
-    ----------
-    reported : sequence of Reported
-        Recordings, and the goals that have figures; several runs are also compared.
-    out : Path
-        Folder, which must exist.
-    csv, parquet : bool
-        Whether to write the tables in these formats.
-    animation : bool
-        Whether to write an animation of each run.
+    most important files exist. The folder must exist. Several runs are also compared.
 
     Raises
     ------

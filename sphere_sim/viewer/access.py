@@ -21,22 +21,15 @@ from websockets.http11 import Request, Response
 RequestHandler = Callable[[ServerConnection, Request], Response | None]
 """Answers a request, or returns None to continue with the WebSocket handshake."""
 HOST = "127.0.0.1"
-_NAMES = (HOST, "localhost")
 _PROTOCOL = f"viser-v{viser.__version__}"
 
 
 class AccessControl:
-    """Check of every request before the page, or its WebSocket, is served.
-
-    Parameters
-    ----------
-    port : int
-        Port on which the server listens.
-    """
+    """Check of every request to a port before the page, or its WebSocket, is served."""
 
     def __init__(self, port: int) -> None:
         self._token = secrets.token_urlsafe(16)
-        self._hosts = tuple(f"{name}:{port}" for name in _NAMES)
+        self._hosts = tuple(f"{name}:{port}" for name in (HOST, "localhost"))
         self.is_installed = False
         """Whether a server passes its requests through this check."""
 

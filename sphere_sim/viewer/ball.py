@@ -25,20 +25,9 @@ _THIN = 0.1
 def add_shell(
     scene: viser.SceneApi, name: str, radius: float, panels: Colour, opacity: float
 ) -> None:
-    """Add a shell with marks that show its orientation.
+    """Add a shell with marks that show its orientation, in the frame of a node of the scene.
 
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene.
-    name : str
-        Node of the scene that is its body frame.
-    radius : float
-        Radius [m].
-    panels : tuple of int
-        Colour of every other octant.
-    opacity : float
-        Opacity of these octants; the others are more transparent.
+    Every other octant has the colour `panels` and this opacity; the others are more transparent.
     """
     for even, colour, share in ((True, panels, 1.0), (False, colours.WHITE, 0.45)):
         mesh = octants(radius, even)
@@ -49,14 +38,9 @@ def add_shell(
 
 
 class Ball:
-    """Robot in the scene, created for one radius and then moved.
+    """Robot in the scene, created for one radius of the shell [m] and then moved.
 
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene.
-    radius : float
-        Radius of the shell [m]; rotors have the proportions of the default robot.
+    Its rotors have the proportions of the default robot.
     """
 
     def __init__(self, scene: viser.SceneApi, radius: float) -> None:

@@ -1,10 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Control panel: widgets from which requests are taken.
+"""Control panel: texts, and widgets from which requests are taken.
 
-Buttons call back on threads of the server; the callbacks only put requests into a queue.
+Buttons call back on threads of the server; the callbacks only put requests into a queue. What
+other programs have written is escaped in HTML, and plain text everywhere else on the page. It is
+never part of Markdown, which has links, images and HTML.
 """
 
+import html
 import math
 import queue
 import time
@@ -13,31 +16,82 @@ from typing import Any
 
 import viser
 
+from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.output.round_numbers import round_down
-from sphere_sim.viewer.choice import Choice
+from sphere_sim.viewer import colours, source
 from sphere_sim.viewer.frame import Capabilities, Frame
-from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.panel_text import legend, numbers, status_bar
-from sphere_sim.viewer.source import Pause, Push, Request, Reset, Seek, SetSpeed, SetStrategy
+from sphere_sim.viewer.goal import GOAL_PRESETS
+from sphere_sim.viewer.source import PageRequest
 
-PICK = "pick a goal …"
+_PICK = "pick a goal …"
 _SEEK_HOLD = 0.7
 """Time for which a slider that a user has moved is not updated [s]."""
+_LEGEND = """
+- **blue panels**: the sphere; translucent, so that the rotors are visible
+- **orange disc**: rotor 1, about body x; **green disc**: rotor 2, about body y; drawn turning ten
+  times slower than they do. Caps of the same colours: ends of their axes; black: body z
+- **red-orange circle**: Γ, the circle through the rotors
+- **black line** on the shell: past contact points
+- **blue line**: path; **light blue**: predicted plan with its knots
+- **pink sphere**: the goal
+- **floor**: a line every {cell:g} m
+"""
+_NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
+_STATUS = "padding:6px 10px;margin:6px 0;border-radius:4px;color:white;font-weight:600"
+
+
+class Choice:
+    """Value of a widget, from which each change by a user makes one request.
+
+    The server sets the value on a thread of its own as soon as a page sends one. A value that
+    differs from what the program has set is therefore a user's: it is not overwritten before it
+    has been taken.
+
+    `make` returns the request for a value; None if the value is invalid.
+    """
+
+    def __init__(self, handle: Any, make: Callable[[Any], PageRequest | None]) -> None:
+        self.handle = handle
+        """The widget."""
+        self._make = make
+        self._known = handle.value
+
+    def take(self) -> PageRequest | None:
+        """Return the request for a user's change since the last call; None without a valid one."""
+        value = self.handle.value
+        if value == self._known:
+            return None
+        request = self._make(value)
+        if request is None:
+            self.handle.value = self._known
+        else:
+            self._known = value
+        return request
+
+    def show(self, value: Any) -> None:
+        """Set the value, unless a user's change has not been taken yet."""
+        if self.handle.value == self._known:
+            self._known = value
+            self.handle.value = value
+
+    def offer(self, options: tuple[str, ...]) -> None:
+        """Set the options of a list; the first one is selected if the present one is not there."""
+        if tuple(self.handle.options) == options:
+            return
+        before = self.handle.value
+        self.handle.options = options
+        if self.handle.value != before:
+            self._known = self.handle.value
 
 
 class ControlPanel:
     """Widgets of the panel, each visible while the source can fulfil its request.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Server of the page.
-    live : bool
-        Whether the source is live; else it is a recording.
+    The source is `live`, or a recording.
     """
 
     def __init__(self, server: viser.ViserServer, live: bool) -> None:
-        self._requests: queue.SimpleQueue[Request | str] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[PageRequest] = queue.SimpleQueue()
         gui = server.gui
         self._status = gui.add_html("")
         self._numbers = gui.add_html("")
@@ -45,8 +99,8 @@ class ControlPanel:
         with gui.add_folder("Goal", visible=live):
             gui.add_markdown("Drag the arrows, turn the rings, or pick:")
             self._preset = Choice(
-                gui.add_dropdown("goal", (PICK, *GOAL_PRESETS), initial_value=PICK),
-                lambda name: name if name in GOAL_PRESETS else None,
+                gui.add_dropdown("goal", (_PICK, *GOAL_PRESETS), initial_value=_PICK),
+                lambda name: source.ChooseGoal(name) if name in GOAL_PRESETS else None,
             )
             self._at_once = gui.add_checkbox(
                 "send at once", True, hint="Send a goal when the mouse is released, or only with "
@@ -62,7 +116,7 @@ class ControlPanel:
             )
             self._speed = Choice(
                 gui.add_number("speed", 1.0, min=0.0, max=1000.0, step=0.1),
-                lambda factor: SetSpeed(factor) if math.isfinite(factor) else None,
+                lambda factor: source.SetSpeed(factor) if math.isfinite(factor) else None,
             )
             self._reset = gui.add_button("Reset", hint="Return to the start")
         with gui.add_folder("Disturbance", visible=False) as self._disturbance:
@@ -75,19 +129,18 @@ class ControlPanel:
             push = gui.add_button("Push")
         with gui.add_folder("Strategy", visible=live):
             self._strategy = Choice(
-                gui.add_dropdown("strategy", ("-",), initial_value="-"),
-                lambda name: SetStrategy(name) if name in self._strategy.handle.options else None,
+                gui.add_dropdown("strategy", ("-",), initial_value="-"), self._choose_strategy
             )
         find = gui.add_button("Find the sphere", icon=viser.Icon.FOCUS_2)
         with gui.add_folder("Legend", expand_by_default=False):
             self._legend = gui.add_markdown("")
         self._sought_at = float("-inf")
         self._capabilities: Capabilities | None = None
-        self._on_click(send, lambda: "send")
-        self._on_click(find, lambda: "find")
-        self._on_click(self._pause, lambda: Pause(True))
-        self._on_click(self._resume, lambda: Pause(False))
-        self._on_click(self._reset, Reset)
+        self._on_click(send, source.SendGoal)
+        self._on_click(find, source.FindSphere)
+        self._on_click(self._pause, lambda: source.Pause(True))
+        self._on_click(self._resume, lambda: source.Pause(False))
+        self._on_click(self._reset, source.Reset)
         self._on_click(push, self._make_push)
 
     @property
@@ -95,15 +148,12 @@ class ControlPanel:
         """Whether a goal is sent as soon as its drag ends."""
         return bool(self._at_once.value)
 
-    def put(self, request: Request | str) -> None:
+    def put(self, request: PageRequest) -> None:
         """Add a request to the queue; from any thread."""
         self._requests.put(request)
 
-    def take(self) -> list[Request | str]:
-        """Return the requests since the last call.
-
-        A text is the name of a goal preset, a phase of a drag (start, update, end), send, or find.
-        """
+    def take(self) -> list[PageRequest]:
+        """Return the requests since the last call."""
         choices = (self._preset, self._seek, self._speed, self._strategy)
         taken = [request for choice in choices if (request := choice.take()) is not None]
         while not self._requests.empty():
@@ -112,21 +162,13 @@ class ControlPanel:
 
     def reset_preset(self) -> None:
         """Clear the selected goal preset, so that it can be selected again."""
-        self._preset.show(PICK)
+        self._preset.show(_PICK)
 
     def show(self, frame: Frame, cell: float) -> None:
-        """Update texts and widgets; to be called a few times a second.
-
-        Parameters
-        ----------
-        frame : Frame
-            The newest frame.
-        cell : float
-            Spacing of the grid on the floor [m].
-        """
-        _set(self._status, "content", status_bar(frame, self._live))
-        _set(self._numbers, "content", numbers(frame))
-        _set(self._legend, "content", legend(cell))
+        """Show the newest frame and the spacing of the grid [m]; for a few times a second."""
+        _set(self._status, "content", _status_bar(frame, self._live))
+        _set(self._numbers, "content", _number_lines(frame))
+        _set(self._legend, "content", _LEGEND.format(cell=cell))
         self._offer_impulses(frame)
         capabilities = frame.capabilities
         if capabilities != self._capabilities:
@@ -134,9 +176,8 @@ class ControlPanel:
             self._show_capabilities(capabilities)
         if capabilities.speed is not None:
             self._speed.show(capabilities.speed)
-        if capabilities.duration is not None and (
-            time.monotonic() > self._sought_at + _SEEK_HOLD
-        ):
+        held = time.monotonic() <= self._sought_at + _SEEK_HOLD
+        if capabilities.duration is not None and not held:
             self._seek.show(round(min(frame.time, capabilities.duration), 3))
         self._show_strategy(frame)
 
@@ -172,17 +213,20 @@ class ControlPanel:
             self._strategy.show(frame.strategy)
         _set(self._strategy.handle, "disabled", len(options) < 2)
 
-    def _seek_to(self, moment: float) -> Seek | None:
-        self._sought_at = time.monotonic()
-        return Seek(moment) if math.isfinite(moment) else None
+    def _choose_strategy(self, name: str) -> source.SetStrategy | None:
+        return source.SetStrategy(name) if name in self._strategy.handle.options else None
 
-    def _make_push(self) -> Push | None:
+    def _seek_to(self, moment: float) -> source.Seek | None:
+        self._sought_at = time.monotonic()
+        return source.Seek(moment) if math.isfinite(moment) else None
+
+    def _make_push(self) -> source.ApplyPush | None:
         impulse, direction = self._impulse.value, math.radians(self._direction.value)
         if not (math.isfinite(impulse) and math.isfinite(direction)):
             return None
-        return Push((impulse * math.cos(direction), impulse * math.sin(direction)))
+        return source.ApplyPush((impulse * math.cos(direction), impulse * math.sin(direction)))
 
-    def _on_click(self, button: Any, make: Callable[[], Request | str | None]) -> None:
+    def _on_click(self, button: Any, make: Callable[[], PageRequest | None]) -> None:
         def click(_: viser.GuiEvent) -> None:
             request = make()
             if request is not None:
@@ -195,3 +239,31 @@ def _set(handle: Any, name: str, value: object) -> None:
     """Set a property if it differs; each assignment is sent to every page."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)
+
+
+def _status_bar(frame: Frame, live: bool) -> str:
+    """Return the status bar as HTML: the alerts, or whether time is running."""
+    if frame.alerts:
+        colour, text = colours.VERMILION, "<br>".join(map(html.escape, frame.alerts))
+    elif frame.capabilities.paused:
+        colour, text = colours.INK, "paused" if live else "recording, stopped"
+    else:
+        colour, text = colours.BLUE, "recording, playing"
+        if live:
+            colour, text = colours.GREEN, "live"
+    return f'<div style="{_STATUS};background:{colours.css(colour)}">{text}</div>'
+
+
+def _number_lines(frame: Frame) -> str:
+    """Return time, mode and distance to the goal as HTML.
+
+    There are always three lines: the widgets below must not move under the mouse pointer.
+    """
+    distance = "–"
+    if frame.state is not None and frame.goal is not None:
+        distance = (
+            f"to the goal: <b>{position_error(frame.state, frame.goal):.3f} m</b>, "
+            f"<b>{angle_error(frame.state, frame.goal):.3f} rad</b>"
+        )
+    lines = f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance
+    return f'<div style="{_NUMBERS}">{"<br>".join(lines)}</div>'

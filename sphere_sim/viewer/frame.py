@@ -18,24 +18,16 @@ LONGEST_TEXT = 300
 """Characters of a text that are shown."""
 
 
-def _unknown() -> Vector:
-    return np.full(INPUT_SIZE, np.nan)
-
-
-def _no_plan() -> Vector:
-    return np.empty((0, STATE_SIZE))
+def _unknown(size: int = INPUT_SIZE) -> Vector:
+    return np.full(size, np.nan)
 
 
 @dataclass(frozen=True)
 class Drive:
     """Limits of a rotor's drive, which are the ranges of plots; those of Table 1 where unknown.
 
-    Attributes
-    ----------
-    inertia : float
-        Inertia of a rotor about its axis [kg m^2].
-    speed, acceleration : float
-        Largest speed [rad/s] and acceleration [rad/s^2].
+    They are its inertia about its axis [kg m^2], and largest speed [rad/s] and acceleration
+    [rad/s^2].
     """
 
     inertia: float = _DEFAULT.rotor_axial_inertia
@@ -59,10 +51,8 @@ class Capabilities:
 
     Attributes
     ----------
-    pause, reset, push : bool
-        Whether it accepts these requests.
-    paused : bool
-        Whether time is paused.
+    pause, reset, push, paused : bool
+        Whether it accepts these requests, and whether time is paused.
     speed : float or None
         Requested ratio of time shown to wall time; None where it cannot be changed.
     strategies : tuple of str
@@ -90,33 +80,27 @@ class Frame:
     ----------
     time : float
         Time of the state on the robot's clock [s].
-    state : ndarray of shape (6,), or None
-        State of the sphere.
+    state, goal : ndarray of shape (6,), or None
+        State of the sphere, and goal in force.
     radius : float
         Radius of the shell [m].
     drive : Drive
         Limits of the rotors' drives.
     rotor_speeds, rotor_torques : ndarray, shape (2,)
         Rotor speeds [rad/s] and torques [N m].
-    goal : ndarray of shape (6,), or None
-        Goal in force.
     plan : ndarray, shape (n, 6)
         Predicted states.
-    solve_time : float
-        Duration of the newest solve [s].
+    solve_time, to_go : float
+        Duration of the newest solve, and time until its plan reaches the goal [s].
     cost : float
         Value of the optimal control problem, unless that is a time.
-    to_go : float
-        Time until the plan reaches the goal [s].
     momentum : ndarray, shape (3,)
         Angular momentum about the contact point that the controller estimates [N m s; world
         frame].
     strategy, mode : str
         Strategy and mode of the controller.
-    alerts : tuple of str
-        Present faults.
-    notices : tuple of str
-        Messages to show once, such as the reason of a refused request.
+    alerts, notices : tuple of str
+        Present faults; messages to show once, such as the reason of a refused request.
     restarted : bool
         Whether the frame begins another run, so that the lines of the previous one are deleted.
     capabilities : Capabilities
@@ -130,17 +114,17 @@ class Frame:
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Vector | None = None
-    plan: Vector = field(default_factory=_no_plan)
+    plan: Vector = field(default_factory=lambda: np.empty((0, STATE_SIZE)))
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")
-    momentum: Vector = field(default_factory=lambda: np.full(3, np.nan))
+    momentum: Vector = field(default_factory=lambda: _unknown(3))
     strategy: str = ""
     mode: str = ""
     alerts: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     restarted: bool = False
-    capabilities: Capabilities = field(default_factory=Capabilities)
+    capabilities: Capabilities = Capabilities()
 
     def __post_init__(self) -> None:
         for name in ("strategy", "mode"):

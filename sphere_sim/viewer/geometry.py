@@ -17,31 +17,21 @@ class Mesh(NamedTuple):
     faces: NDArray[np.uint32]
 
 
-def octants(radius: float, even: bool, divisions: int = 12) -> Mesh:
-    """Return the four octants of a sphere on which the product of the signs of x, y, z is +1.
-
-    Parameters
-    ----------
-    radius : float
-        Radius [m].
-    even : bool
-        False for the other four octants.
-    divisions : int, optional
-        Number of triangles along each edge.
-    """
+def octants(radius: float, even: bool) -> Mesh:
+    """Return the four octants of a sphere where x y z is positive; if not `even`, the others."""
     meshes = []
     for signs in np.array(np.meshgrid([1, -1], [1, -1], [1, -1])).reshape(3, -1).T:
         is_even = bool(np.prod(signs) > 0)
         if is_even != even:
             continue
-        patch = _octant(radius, divisions)
+        patch = _octant(radius, 12)
         faces = patch.faces if is_even else patch.faces[:, ::-1]
         meshes.append(Mesh((patch.vertices * signs).astype(np.float32), faces))
     return merged(meshes)
 
 
 def _octant(radius: float, divisions: int) -> Mesh:
-    """Return the part of a sphere where no coordinate is negative."""
+    """Return the part of a sphere where no coordinate is negative, by triangles along an edge."""
     points: list[NDArray[np.float64]] = []
     index: dict[tuple[int, int], int] = {}
     for i in range(divisions + 1):
@@ -59,9 +49,10 @@ def _octant(radius: float, divisions: int) -> Mesh:
     return Mesh(np.array(points, dtype=np.float32), np.array(faces, dtype=np.uint32))
 
 
-def cap(radius: float, axis: int, angle: float, sides: int = 32) -> Mesh:
+def cap(radius: float, axis: int, angle: float) -> Mesh:
     """Return the part of a sphere within `angle` [rad] of a body axis."""
-    rings, turn = 4, np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    rings, sides = 4, 32
+    turn = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     points = [np.array([[radius, 0.0, 0.0]])]
     for k in range(1, rings + 1):
         tilt = angle * k / rings
@@ -111,9 +102,9 @@ def merged(meshes: list[Mesh]) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
-def great_circle(radius: float, number: int = 96) -> Vector:
-    """Return the closed circle z = 0, shape (number + 1, 3); on the shell it is Gamma."""
-    turn = np.linspace(0.0, 2.0 * np.pi, number + 1)
+def great_circle(radius: float) -> Vector:
+    """Return the closed circle z = 0, shape (97, 3); on the shell it is Gamma."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 97)
     return radius * np.stack((np.cos(turn), np.sin(turn), np.zeros_like(turn)), axis=1)
 
 
@@ -123,14 +114,9 @@ def segments(points: Vector) -> NDArray[np.float32]:
 
 
 def arc(start: Vector, end: Vector, step: float) -> Vector:
-    """Return the shortest arc on a sphere about the origin, without its start, shape (n, 3).
+    """Return the shortest arc between points of a sphere about the origin, shape (n, 3).
 
-    Parameters
-    ----------
-    start, end : ndarray, shape (3,)
-        Points on the sphere.
-    step : float
-        Largest distance of two points [m].
+    It is without its start, and its points are at most `step` apart [m].
     """
     number = max(1, int(np.ceil(np.linalg.norm(end - start) / step)))
     share = np.linspace(0.0, 1.0, number + 1)[1:, None]

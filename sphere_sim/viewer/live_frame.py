@@ -8,11 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector
-from sphere_sim.recording.controller_status import HOLDING, reported_momentum, solve_status
-from sphere_sim.recording.message_fields import known
+from sphere_sim.recording.message_fields import (
+    HOLDING,
+    known,
+    reported_momentum,
+    reported_solve,
+)
 from sphere_sim.viewer.frame import Frame, radius_at
-from sphere_sim.viewer.liveness import Liveness
 
+POSE_TIMEOUT = 0.5
+"""Age from which on a pose is missed [s]; a paused simulator repeats its pose at 5 Hz."""
+CONTROLLER_TIMEOUT = 0.8
+"""Age from which on the controller is missed [s]; it always publishes diagnostics at 2 Hz."""
 _PAUSE_TIMEOUT = 0.5
 """Time without a newer stamp after which the robot's clock counts as paused [s]."""
 _MAX_SPEED = 20.0
@@ -27,45 +34,33 @@ class LiveFrame:
     def __init__(self, now: float) -> None:
         self.frame = Frame()
         """Newest values, without alerts."""
-        self._liveness = Liveness()
         self._stamp_changed_at = now
-        self._told: tuple[str, ...] = ()
+        self._pose_at: float | None = None
+        self._controller_at: float | None = None
+        self._refused = ""
+        self._reported: tuple[str, ...] = ()
 
     @property
     def paused(self) -> bool:
         """Whether poses arrive, or arrived last, but all with the same stamp."""
-        pose_at = self._liveness.pose_at
-        return pose_at is not None and pose_at - self._stamp_changed_at > _PAUSE_TIMEOUT
+        at = self._pose_at
+        return at is not None and at - self._stamp_changed_at > _PAUSE_TIMEOUT
 
     def take(self, now: float, controllers: int) -> Frame:
-        """Return the frame with its alerts; the next one is not marked as restarted.
+        """Return the frame with its alerts, where the graph has so many controllers now [s].
 
-        Parameters
-        ----------
-        now : float
-            Present time [s].
-        controllers : int
-            Number of controllers in the graph.
+        The next frame is not marked as restarted.
         """
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
-        self._liveness.controllers = controllers
-        return replace(frame, alerts=(*self._liveness.alerts(now), *self._told))
+        alerts = (self._pose_alert(now), self._controller_alert(now, controllers))
+        return replace(frame, alerts=(*filter(None, alerts), *self._reported))
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
-        """Update the state.
+        """Update the state, shape (6,), by a pose that arrived now [s].
 
-        Parameters
-        ----------
-        stamp : float
-            Stamp of the pose on the robot's clock [s].
-        state : ndarray, shape (6,)
-            Its state.
-        height : float
-            Height of the centre [m], which is the radius, see `radius_at`.
-        now : float
-            Time of arrival [s].
+        Its stamp [s] is on the robot's clock; for its height [m] see `radius_at`.
         """
-        self._liveness.refused, self._liveness.pose_at = "", now
+        self._refused, self._pose_at = "", now
         last = self.frame
         if stamp != last.time:
             self._stamp_changed_at = now
@@ -76,7 +71,7 @@ class LiveFrame:
 
     def refuse_pose(self, reason: str) -> None:
         """Report a pose that cannot be shown."""
-        self._liveness.refused = reason
+        self._refused = reason
 
     def add_rotors(self, speeds: Vector, torques: Vector) -> None:
         """Update rotor speeds, shape (2,) [rad/s], and torques, shape (2,) [N m]."""
@@ -97,8 +92,8 @@ class LiveFrame:
         """Update the values of the newest solve from those of a status message."""
         given_up, missing = values.get("giving_up", ""), values.get("no_progress", "")
         missing = f"no progress: {missing}" if missing else ""
-        self._told = tuple(alert for alert in (given_up, missing) if alert)
-        solve = solve_status(values)
+        self._reported = tuple(filter(None, (given_up, missing)))
+        solve = reported_solve(values)
         to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
         self.frame = replace(
             self.frame,
@@ -113,7 +108,24 @@ class LiveFrame:
 
     def controller_seen(self, now: float) -> None:
         """Note a message of the controller that arrived now [s]."""
-        self._liveness.controller_at = now
+        self._controller_at = now
+
+    def _pose_alert(self, now: float) -> str:
+        if self._refused:
+            return f"pose refused: {self._refused}"
+        if self._pose_at is None:
+            return "no pose yet"
+        age = now - self._pose_at
+        return f"no pose for {age:.1f} s" if age > POSE_TIMEOUT else ""
+
+    def _controller_alert(self, now: float, controllers: int) -> str:
+        if self._controller_at is None:
+            return "no controller yet"
+        age = now - self._controller_at
+        if age <= CONTROLLER_TIMEOUT:
+            # A node that ends normally leaves the graph immediately.
+            return "" if controllers or age < POSE_TIMEOUT else "controller gone"
+        return f"controller silent for {age:.1f} s"
 
 
 def _is_restart(last: Frame, stamp: float, state: Vector) -> bool:

@@ -1,7 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots beside the scene."""
+"""Plots beside the scene, of the last seconds of a run."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,11 +10,10 @@ import numpy as np
 import viser
 from viser import uplot
 
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
-from sphere_sim.viewer.frame import Drive
-from sphere_sim.viewer.history import History
+from sphere_sim.viewer.frame import Drive, Frame
 
 _SMALLEST = 1e-9
 """Least value on a logarithmic axis."""
@@ -24,7 +24,47 @@ _LABEL_SPACING = 15
 _TICKS = uplot.Axis_Ticks(size=3, width=1)
 _OVERSHOOT = 0.03
 """Part of a step by which values may exceed an axis before it grows."""
+WINDOW = 30.0
+"""Length of the series [s]."""
+_SPACING = WINDOW / 400
+"""Least time between two of their points [s]."""
+NAMES = (
+    "time", "distance", "angle", "speed_1", "speed_2", "torque_1", "torque_2", "cost", "to_go",
+    "solve_ms", "momentum_x", "momentum_y", "momentum_z",
+)
 Range = tuple[float, float]
+
+
+class History:
+    """Time series of the last `WINDOW` seconds, thinned from the frames of a run."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, ...]] = deque()
+
+    def add(self, frame: Frame) -> None:
+        """Add a frame; one of a restarted run deletes the series first."""
+        if frame.restarted:
+            self._rows.clear()
+        if frame.state is None or (
+            self._rows and frame.time < self._rows[-1][0] + _SPACING
+        ):
+            return
+        goal = frame.goal
+        self._rows.append((
+            frame.time,
+            np.nan if goal is None else position_error(frame.state, goal),
+            np.nan if goal is None else angle_error(frame.state, goal),
+            *map(float, frame.rotor_speeds), *map(float, frame.rotor_torques),
+            frame.cost, frame.to_go, 1e3 * frame.solve_time,
+            *map(float, frame.momentum),
+        ))
+        while self._rows[0][0] < frame.time - WINDOW:
+            self._rows.popleft()
+
+    def series(self) -> dict[str, Vector]:
+        """Return the series by name, all of one length; nan where a value is unknown."""
+        table = np.array(self._rows, dtype=float).reshape(-1, len(NAMES))
+        return dict(zip(NAMES, table.T, strict=True))
 
 
 @dataclass(frozen=True)
@@ -72,13 +112,7 @@ CHARTS = (
 
 
 class Plots:
-    """Plots in a separate panel.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Server of the page.
-    """
+    """Plots in a separate panel of the page."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._gui = server.gui
@@ -133,15 +167,7 @@ class Plots:
 
 
 def axis_range(lines: Sequence[Vector], least: Range) -> Range:
-    """Return the range of a vertical axis: `least`, extended in steps to all known values.
-
-    Parameters
-    ----------
-    lines : sequence of ndarray
-        Values; nan where unknown.
-    least : (float, float)
-        Smallest range.
-    """
+    """Return the range of a vertical axis: `least`, extended in steps to all values but nan."""
     known = np.concatenate([line[np.isfinite(line)] for line in lines])
     low, high = min((least[0], *known)), max((least[1], *known))
     # With steps of half a power of ten the axis does not change with each sample.

@@ -10,8 +10,8 @@ import numpy as np
 
 from sphere_nmpc.model.integrator import integrate, integrate_with_drift
 from sphere_nmpc.model.state import Vector, are_states
-from sphere_sim.recording.controller_status import HOLDING
-from sphere_sim.recording.run import Run
+from sphere_sim.recording.message_fields import HOLDING
+from sphere_sim.recording.run import Run, newest
 from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.source import Pause, Request, Reset, Seek, SetSpeed
 
@@ -24,13 +24,7 @@ _LONGEST_PLAN = 100.0
 
 
 class Replay:
-    """Playback of a run; it stops at the end.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    """
+    """`Source` of the frames of a run; it stops at the end."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -63,8 +57,8 @@ class Replay:
         number = max(1, int(np.ceil((self._time - start) / _STEP)))
         times = np.linspace(start, self._time, number + 1)[(0 if restarted else 1) :]
         frames = [self._frame(float(t), restarted and i == 0) for i, t in enumerate(times[:-1])]
-        last = self._frame(float(times[-1]), restarted and len(times) == 1, newest=True)
-        return [*frames, last]
+        final = self._frame(float(times[-1]), restarted and len(times) == 1, last=True)
+        return [*frames, final]
 
     def handle(self, request: Request) -> str:
         """Pause, resume, seek, or change the speed."""
@@ -85,11 +79,10 @@ class Replay:
     def _seek(self, moment: float) -> None:
         self._time, self._sought = moment, True
 
-    def _frame(self, moment: float, restarted: bool, newest: bool = False) -> Frame:
+    def _frame(self, moment: float, restarted: bool, last: bool = False) -> Frame:
         run = self._run
-        at = int(np.searchsorted(run.times, moment, side="right")) - 1
-        joint = int(np.searchsorted(run.joint_times, moment, side="right")) - 1
-        solve = int(np.searchsorted(run.solves.times, moment, side="right")) - 1
+        at, joint = newest(run.times, moment), newest(run.joint_times, moment)
+        solve = newest(run.solves.times, moment)
         to_go = self._to_go(solve)
         goal = self._goals[at]
         unknown = np.full(2, np.nan)
@@ -101,7 +94,7 @@ class Replay:
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
             goal=goal if np.all(np.isfinite(goal)) else None,
-            plan=self._plan_at(moment) if newest else np.empty((0, 6)),
+            plan=self._plan_at(moment) if last else np.empty((0, 6)),
             solve_time=float(run.solves.durations[solve]) if solve >= 0 else float("nan"),
             cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,
             to_go=to_go,
@@ -117,29 +110,24 @@ class Replay:
     def _to_go(self, solve: int) -> float:
         """Return the time until the plan of a solve reaches the goal [s]; 0 if it holds there."""
         solves = self._run.solves
-        if solve < 0 or not solves.to_go.size:
+        if solve < 0:
             return float("nan")
         return 0.0 if solves.statuses[solve] == HOLDING else float(solves.to_go[solve])
 
     def _plan_at(self, moment: float) -> Vector:
-        """Return the predicted states of the plan in force, from the measured state at its start.
+        """Return the predicted states (n, 6) of the plan in force at its knots.
 
-        Returns
-        -------
-        ndarray, shape (n, 6)
-            States at the knots of the plan, as far as it tells any; empty before the first plan.
+        They begin at the measured state at its start; empty before the first plan.
         """
         plans = self._run.plans
-        starts = [plan.start for plan in plans]
-        index = int(np.searchsorted(starts, moment, side="right")) - 1
+        index = newest(np.array([plan.start for plan in plans]), moment)
         if index == self._plan_index:
             return self._plan
         self._plan_index, self._plan = index, np.empty((0, 6))
         if index < 0:
             return self._plan
         hold = plans[index]
-        at = max(0, int(np.searchsorted(self._run.times, hold.start, side="right")) - 1)
-        states = [self._run.states[at]]
+        states = [self._run.states[max(0, newest(self._run.times, hold.start))]]
         drift = self._run.momentum.drift_at(hold.start)
         for i, duration in enumerate(np.diff(hold.times[hold.times < hold.start + _LONGEST_PLAN])):
             interval = hold.speeds[i], hold.speeds[i + 1], float(duration), self._constants

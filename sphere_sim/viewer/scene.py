@@ -11,11 +11,9 @@ import viser
 from sphere_nmpc.model.state import POSITION, Vector, contact_points
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import Ball
-from sphere_sim.viewer.floor import add_lights
 from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
 from sphere_sim.viewer.geometry import arc
-from sphere_sim.viewer.ground import Ground
-from sphere_sim.viewer.trail import Trail
+from sphere_sim.viewer.ground import Ground, Trail
 
 CAMERA = (4.0, -4.4, 2.7)
 LOOK_AT = (0.9, -1.2, 0.0)
@@ -29,19 +27,13 @@ view."""
 
 
 class Scene:
-    """Scene with the sphere, its lines, its plan and the floor.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Server of the page.
-    """
+    """Scene with the sphere, its lines, its plan and the floor."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._scene = server.scene
         server.initial_camera.fov = np.radians(45.0)
-        add_lights(self._scene)
+        _add_lights(self._scene)
         self._alerts = self._scene.add_label(
             "/alerts", "", anchor="bottom-center", visible=False, font_screen_scale=1.1
         )
@@ -136,3 +128,18 @@ class Scene:
         distance = span / (_SPAN * DEFAULT_RADIUS)
         camera.position = place + distance * np.subtract(CAMERA, LOOK_AT)
         camera.look_at = place
+
+
+def _add_lights(scene: viser.SceneApi) -> None:
+    """Add uniform light from above, and directional light that makes shapes visible.
+
+    The lights cast no shadows: without a graphics card, these would take more processor time than
+    all the rest of the scene.
+    """
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_hemisphere(
+        "/light/sky", sky_color=(255, 255, 255), ground_color=(190, 195, 200), intensity=2.0
+    )
+    scene.add_light_directional(
+        "/light/lamp", intensity=1.8, position=(2.0, -3.0, 5.0), cast_shadow=False
+    )

@@ -4,6 +4,7 @@
 
 import asyncio
 import contextlib
+import errno
 import io
 import logging
 import os
@@ -18,10 +19,12 @@ import viser
 from websockets.asyncio import server as websockets_server
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.fault_log import FaultLog
 from sphere_sim.viewer.access import HOST, AccessControl
-from sphere_sim.viewer.connection_errors import ConnectionErrors
 
 DEFAULT_PORT = 8080
+_ERROR_PERIOD = 60.0
+"""Least time between two messages about the same error of a connection [s]."""
 
 
 class ServerError(SphereNmpcError):
@@ -62,7 +65,7 @@ class LocalServer(viser.ViserServer):
         return self._access.url
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing: pages must not open a tunnel to this server through another host."""
+        """Do nothing where a page asks viser for a tunnel to this server through another host."""
 
     def stop(self) -> None:
         """Stop the server without the message of viser."""
@@ -101,15 +104,52 @@ def _listen(preferred: int) -> socket.socket:
         raise ServerError(f"no port of {HOST} for the page: {reason}") from error
 
 
+class _ConnectionErrors(logging.Handler):
+    """Errors from the logger and the event loop of a server, as lines instead of tracebacks.
+
+    Clients may send anything, at any rate, so the number of lines is limited.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self._log = FaultLog(
+            lambda line: print(f"viewer: {line}", file=sys.stderr, flush=True), _ERROR_PERIOD
+        )
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Report a log record, except failed handshakes, which any client can cause."""
+        text = record.getMessage()
+        if text != "opening handshake failed":
+            self._report(text, record.exc_info[1] if record.exc_info else None)
+
+    def handle_loop_error(
+        self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]
+    ) -> None:
+        """Report an exception that nothing caught in the event loop."""
+        self._report(str(context["message"]), context.get("exception"))
+
+    def _report(self, text: str, error: BaseException | None) -> None:
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            self._log.report(
+                "a page has to wait", "too many open files; close pages or raise 'ulimit -n'"
+            )
+            return
+        if error is not None:
+            text += f", {type(error).__name__}: {error}"
+        self._log.report("invalid input of a page was ignored", " ".join(text.split())[:200])
+
+
 @contextlib.contextmanager
 def _protected(access: AccessControl, listener: socket.socket) -> Iterator[None]:
     """Make a server that viser starts meanwhile use this listener and this access control.
 
-    viser has no setting for either of them, nor for the logging of errors.
+    viser has no setting for either of them, nor for the logging of errors, but it calls
+    ``websockets.asyncio.server.serve``, which has all three and is replaced meanwhile. A viser
+    that serves in another way is recognised by its access control, which is not installed then.
     """
     serve = websockets_server.serve
     logger = logging.Logger("sphere_nmpc.viewer", logging.WARNING)
-    errors = ConnectionErrors()
+    errors = _ConnectionErrors()
     logger.addHandler(errors)
     # viser accepts values of a wrong shape with a warning, and fails on them later.
     warnings.filterwarnings("error", r"\[viser\] .* does not match annotation")

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Source of frames, and the requests that users send to it."""
+"""Source of frames, and the requests that users make on the page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Reset:
 
 
 @dataclass(frozen=True)
-class Push:
+class ApplyPush:
     """Request for a push on the sphere with an impulse (x, y) [N s; world frame]."""
 
     impulse: tuple[float, float]
@@ -57,7 +57,36 @@ class Seek:
     time: float
 
 
-Request = SetGoal | Pause | Reset | Push | SetSpeed | SetStrategy | Seek
+Request = SetGoal | Pause | Reset | ApplyPush | SetSpeed | SetStrategy | Seek
+"""Request to a source."""
+
+
+@dataclass(frozen=True)
+class ChooseGoal:
+    """Request to move the goal on the page to one of `GOAL_PRESETS`."""
+
+    preset: str
+
+
+@dataclass(frozen=True)
+class DragGoal:
+    """Step of a drag of the goal on the page; the last one has `ended`."""
+
+    ended: bool
+
+
+@dataclass(frozen=True)
+class SendGoal:
+    """Request to send the goal on the page to the source."""
+
+
+@dataclass(frozen=True)
+class FindSphere:
+    """Request to point the cameras at the sphere."""
+
+
+PageRequest = Request | ChooseGoal | DragGoal | SendGoal | FindSphere
+"""Request from the page: to the viewer, or to its source."""
 
 
 class Source(Protocol):

@@ -9,13 +9,19 @@ import numpy as np
 from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_sim.viewer.control_panel import ControlPanel
 from sphere_sim.viewer.frame import Frame
-from sphere_sim.viewer.goal_gizmo import GoalGizmo
-from sphere_sim.viewer.goal_presets import GOAL_PRESETS
-from sphere_sim.viewer.history import History
-from sphere_sim.viewer.plots import Plots
+from sphere_sim.viewer.goal import GOAL_PRESETS, GoalGizmo
+from sphere_sim.viewer.plots import History, Plots
 from sphere_sim.viewer.scene import Scene
 from sphere_sim.viewer.server import LocalServer
-from sphere_sim.viewer.source import Request, SetGoal, Source
+from sphere_sim.viewer.source import (
+    ChooseGoal,
+    DragGoal,
+    FindSphere,
+    PageRequest,
+    Request,
+    SetGoal,
+    Source,
+)
 
 FRAME_PERIOD = 0.04
 """Time between two frames [s]."""
@@ -58,7 +64,7 @@ class Viewer:
     def tick(self) -> None:
         """Handle requests and show new frames; to be called once a `FRAME_PERIOD`."""
         for request in self._panel.take():
-            self._handle(request)
+            self._carry_out(request)
         frames = self._source.frames()
         for frame in frames:
             self._scene.extend_lines(frame)
@@ -105,27 +111,30 @@ class Viewer:
             self._goal = GoalGizmo(self._server.scene, self._scene.radius, on_drag)
         self._goal.show(frame.goal)
 
-    def _handle(self, request: Request | str) -> None:
-        if not isinstance(request, str):
+    def _carry_out(self, request: PageRequest) -> None:
+        """Carry out a request of the page, or pass it on to the source."""
+        gizmo = self._goal
+        if isinstance(request, Request):
             self._notify(self._source.handle(request))
-        elif request == "find":
+            return
+        if isinstance(request, FindSphere):
             self._scene.find(self._state())
-        elif self._goal is not None:
-            self._change_goal(request, self._goal)
-
-    def _change_goal(self, request: str, gizmo: GoalGizmo) -> None:
-        """Handle a preset, a phase of a drag, or the button that sends the goal."""
-        if request in GOAL_PRESETS:
-            gizmo.move_to(GOAL_PRESETS[request](self._state()))
+            return
+        if gizmo is None:
+            return
+        if isinstance(request, ChooseGoal):
+            gizmo.move_to(GOAL_PRESETS[request.preset](self._state()))
             self._panel.reset_preset()
+            send = self._panel.sends_at_once
+        elif isinstance(request, DragGoal):
+            gizmo.set_dragged(not request.ended)
+            send = request.ended and self._panel.sends_at_once
         else:
-            gizmo.set_dragged(request in ("start", "update"))
-        if request == "send" or (
-            self._panel.sends_at_once and (request == "end" or request in GOAL_PRESETS)
-        ):
-            goal = gizmo.goal
-            if goal is not None:
-                self._notify(self._source.handle(SetGoal(goal)))
+            gizmo.set_dragged(False)
+            send = True
+        goal = gizmo.goal
+        if send and goal is not None:
+            self._notify(self._source.handle(SetGoal(goal)))
 
     def _state(self) -> Vector:
         """Return the state of the sphere; the origin where it is unknown."""

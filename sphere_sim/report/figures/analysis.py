@@ -1,11 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of errors, rotor torques, solve times and the value function."""
+"""Figures of quantities over time: errors, torques, solve times, value function, momentum."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import (
     SETTLED_ERROR,
     angle_errors,
@@ -29,28 +31,25 @@ from sphere_sim.report.figures.style import (
 def error_over_time(run: Run) -> Figure:
     """Draw the error in R^6, the distance and the angle to the goal on a logarithmic scale."""
     with styled():
-        figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-        axes = figure.subplots()
-        if run.goal is not None:
-            parts = (
-                (state_errors, r"$\|x - x_d\|$ [m, -]"),
-                (position_errors, "distance [m]"),
-                (angle_errors, "angle [rad]"),
-            )
-            for i, (measure, label) in enumerate(parts):
-                times, errors = run.errors(measure)
-                axes.semilogy(times, np.maximum(errors, SMALLEST_ERROR), DASHES[i],
-                              color=COLOURS[i], label=label)
-            axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
-            axes.annotate("settled below", (0.005, SETTLED_ERROR), color=GREY, fontsize=8,
-                          xycoords=("axes fraction", "data"), ha="left", va="bottom")
-            axes.set_xlabel("time [s]")
-            axes.set_ylabel("error")
-            axes.set_xlim(0.0, run.times[-1])
-            axes.legend()
-        else:
+        figure, axes = _single("Error over time")
+        if run.goal is None:
             mark_missing(axes, "goal")
-        axes.set_title("Error over time")
+            return figure
+        parts = (
+            (state_errors, r"$\|x - x_d\|$ [m, -]"),
+            (position_errors, "distance [m]"),
+            (angle_errors, "angle [rad]"),
+        )
+        for i, (measure, label) in enumerate(parts):
+            times, errors = run.errors(measure)
+            axes.semilogy(times, np.maximum(errors, SMALLEST_ERROR), DASHES[i],
+                          color=COLOURS[i], label=label)
+        axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
+        axes.annotate("settled below", (0.005, SETTLED_ERROR), color=GREY, fontsize=8,
+                      xycoords=("axes fraction", "data"), ha="left", va="bottom")
+        axes.set_xlim(0.0, run.times[-1])
+        axes.legend()
+        _label(axes, "error")
     return figure
 
 
@@ -61,25 +60,21 @@ def rotor_torques(run: Run) -> Figure:
     """
     bound = run.robot.full_torque
     with styled():
-        figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-        axes = figure.subplots()
-        axes.set_title("Rotor torques")
-        if np.any(np.isfinite(run.rotor_torques)):
-            for i in range(2):
-                axes.plot(run.joint_times, run.rotor_torques[:, i], DASHES[i], color=COLOURS[i],
-                          label=f"$M_{i + 1}$")
-            for side in (-bound, bound):
-                axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
-            axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
-                          (0.995, bound), xycoords=("axes fraction", "data"), color=GREY,
-                          fontsize=8, ha="right", va="bottom")
-            axes.set_xlabel("time [s]")
-            axes.set_ylabel("torque [N m]")
-            axes.set_xlim(0.0, max(float(run.joint_times[-1]), 1e-3))
-            axes.margins(y=0.12)
-            axes.legend(loc="lower right", ncols=2)
-        else:
+        figure, axes = _single("Rotor torques")
+        if not np.any(np.isfinite(run.rotor_torques)):
             mark_missing(axes, "rotor torques")
+            return figure
+        for i in range(2):
+            axes.plot(run.joint_times, run.rotor_torques[:, i], DASHES[i], color=COLOURS[i],
+                      label=f"$M_{i + 1}$")
+        _draw_limits(axes, bound)
+        axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
+                      (0.995, bound), xycoords=("axes fraction", "data"), color=GREY,
+                      fontsize=8, ha="right", va="bottom")
+        axes.set_xlim(0.0, max(float(run.joint_times[-1]), 1e-3))
+        axes.margins(y=0.12)
+        axes.legend(loc="lower right", ncols=2)
+        _label(axes, "torque [N m]")
     return figure
 
 
@@ -88,27 +83,25 @@ def solve_times(run: Run) -> Figure:
     with styled():
         figure = Figure(figsize=(8.0, 3.6), layout="constrained")
         over_time, histogram = figure.subplots(1, 2)
+        over_time.set_title("Solve time")
         durations = 1e3 * run.solves.durations
         known = np.isfinite(durations)
-        over_time.set_title("Solve time")
-        if np.any(known):
-            over_time.plot(run.solves.times[known], durations[known], ".", color=COLOURS[0])
-            over_time.set_xlabel("time [s]")
-            over_time.set_ylabel("solve time [ms]")
-            over_time.set_ylim(bottom=0.0)
-            # By their number: by the spread, one long solve would take any number of bins.
-            histogram.hist(durations[known], bins="sturges", color=COLOURS[0], alpha=0.85)
-            for percent, colour, name in ((50, ORANGE, "median"), (99, VERMILION, "p99")):
-                value = float(np.percentile(durations[known], percent))
-                label = f"{name} {three_digits(value)} ms"
-                histogram.axvline(value, color=colour, label=label)
-            histogram.set_xlabel("solve time [ms]")
-            histogram.set_ylabel("solves")
-            histogram.yaxis.set_major_locator(MaxNLocator(integer=True))
-            histogram.legend()
-        else:
+        if not np.any(known):
             mark_missing(over_time, "solve times")
             histogram.set_visible(False)
+            return figure
+        over_time.plot(run.solves.times[known], durations[known], ".", color=COLOURS[0])
+        over_time.set_ylim(bottom=0.0)
+        _label(over_time, "solve time [ms]")
+        # By their number: by the spread, one long solve would take any number of bins.
+        histogram.hist(durations[known], bins="sturges", color=COLOURS[0], alpha=0.85)
+        for percent, colour, name in ((50, ORANGE, "median"), (99, VERMILION, "p99")):
+            value = float(np.percentile(durations[known], percent))
+            histogram.axvline(value, color=colour, label=f"{name} {three_digits(value)} ms")
+        histogram.set_xlabel("solve time [ms]")
+        histogram.set_ylabel("solves")
+        histogram.yaxis.set_major_locator(MaxNLocator(integer=True))
+        histogram.legend()
     return figure
 
 
@@ -118,23 +111,58 @@ def value_function(run: Run) -> Figure:
     The value of a minimum-time problem is the time to go.
     """
     with styled():
-        figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-        axes = figure.subplots()
-        costs, to_go = run.solves.costs, run.solves.to_go
-        positive = np.isfinite(costs) & (costs > 0.0)
-        reported = np.isfinite(to_go)
-        axes.set_title("Value of the optimal control problem")
+        figure, axes = _single("Value of the optimal control problem")
+        times, costs, to_go = run.solves.times, run.solves.costs, run.solves.to_go
+        positive, reported = np.isfinite(costs) & (costs > 0.0), np.isfinite(to_go)
         if np.any(reported):
-            axes.plot(run.solves.times[reported], to_go[reported], ".-", color=COLOURS[0],
-                      linewidth=1.0)
+            _draw_samples(axes, times[reported], to_go[reported])
             axes.set_ylim(bottom=0.0)
-            axes.set_xlabel("time [s]")
-            axes.set_ylabel("time to the goal, by the plan [s]")
+            _label(axes, "time to the goal, by the plan [s]")
         elif np.any(positive):
-            axes.semilogy(run.solves.times[positive], costs[positive], ".-", color=COLOURS[0],
-                          linewidth=1.0)
-            axes.set_xlabel("time [s]")
-            axes.set_ylabel("value $V_N^*$")
+            axes.set_yscale("log")
+            _draw_samples(axes, times[positive], costs[positive])
+            _label(axes, "value $V_N^*$")
         else:
             mark_missing(axes, "values")
     return figure
+
+
+def momentum_over_time(run: Run) -> Figure:
+    """Draw the momentum that the controller estimated, the pushes, and what a rotor can hold."""
+    momentum = run.momentum
+    with styled():
+        figure, axes = _single("Angular momentum about the contact point")
+        for time in momentum.push_times:
+            axes.axvline(time, color=GREY, linewidth=1.0)
+        if not momentum.times.size:
+            mark_missing(axes, "momentum")
+            return figure
+        for i, name in enumerate("xyz"):
+            axes.step(momentum.times, momentum.values[:, i], linestyle=DASHES[i],
+                      where="post", color=COLOURS[i], label=f"$H_{name}$")
+        _draw_limits(axes, run.robot.rotor_axial_inertia * run.robot.max_rotor_speed)
+        axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
+        axes.legend(loc="lower right", ncols=3)
+        _label(axes, "momentum [N m s; world]")
+    return figure
+
+
+def _single(title: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.set_title(title)
+    return figure, axes
+
+
+def _label(axes: Axes, vertical: str) -> None:
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(vertical)
+
+
+def _draw_limits(axes: Axes, limit: float) -> None:
+    for side in (-limit, limit):
+        axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
+
+
+def _draw_samples(axes: Axes, times: Vector, values: Vector) -> None:
+    axes.plot(times, values, ".-", color=COLOURS[0], linewidth=1.0)

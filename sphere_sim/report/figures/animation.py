@@ -1,15 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Animation (GIF) of a recorded run."""
+"""Animation (GIF) of a recorded run: a marked sphere on a floor, seen from above at an angle."""
 
 import io
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFilter, ImageFont
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.evaluation.metrics import (
     angle_errors,
@@ -19,8 +22,7 @@ from sphere_sim.evaluation.metrics import (
 from sphere_sim.output.atomic_write import write_atomically
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.recording.run import Run
-from sphere_sim.report.figures.floor_view import Camera, paint_ball
-from sphere_sim.report.figures.style import BLUE, GREY, VERMILION
+from sphere_sim.report.figures.style import BLUE, GREY, ORANGE, VERMILION
 
 _SIZE = (640, 300)
 _OVERSAMPLING = 2
@@ -35,17 +37,80 @@ _ARM = 0.2
 _MOST_RADII = 40.0
 """Width of the picture over the radius from which on grid and crosses become larger."""
 _BACKGROUND, _LINES, _INK = "#ffffff", "#e4e4e4", "#222222"
+_ELEVATION = np.radians(38.0)
+_LIGHT = np.array((0.35, -0.45, 0.82)) / np.linalg.norm((0.35, -0.45, 0.82))
+_BELT = 0.07
+"""Half width of the line of circle Gamma over the radius."""
+_HUB = 0.965
+"""Cosine of the half angle of the dots at the ends of the rotors' axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Orthographic projection of world points [m] to pixels.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height [pixels].
+    right, up, towards : ndarray, shape (3,)
+        Axes of the picture and direction to the viewer, unit vectors [world frame].
+    scale : float
+        Scale [pixels/m].
+    middle : ndarray, shape (2,)
+        Centre of the picture along `right` and `up` [m].
+    """
+
+    size: tuple[int, int]
+    right: Vector
+    up: Vector
+    towards: Vector
+    scale: float
+    middle: Vector
+
+    @classmethod
+    def on(cls, places: Vector, radius: float, size: tuple[int, int]) -> "Camera":
+        """Return a view that contains spheres of a radius [m] at places (n, 2) [m].
+
+        The direction of their largest spread is horizontal in the picture.
+        """
+        spread = places - places.mean(axis=0)
+        axis = np.linalg.svd(spread, full_matrices=False)[2][0]
+        right = np.array((axis[0], axis[1], 0.0))
+        if right[0] < 0.0:
+            right = -right
+        ahead = np.array((-right[1], right[0], 0.0))
+        up = np.sin(_ELEVATION) * ahead + np.cos(_ELEVATION) * np.array((0.0, 0.0, 1.0))
+        towards = np.cross(right, up)
+        centres = np.column_stack((places, np.full(len(places), radius)))
+        flat = np.column_stack((centres @ right, centres @ up))
+        low, high = flat.min(axis=0) - 1.5 * radius, flat.max(axis=0) + 1.5 * radius
+        scale = float(np.min(np.array(size) / (high - low)))
+        return cls(size, right, up, towards, scale, 0.5 * (low + high))
+
+    def project(self, points: object) -> list[tuple[float, float]]:
+        """Return the pixels of world points, shape (n, 3) [m]."""
+        world = np.asarray(points, dtype=float)
+        x = self.size[0] / 2.0 + self.scale * (world @ self.right - self.middle[0])
+        y = self.size[1] / 2.0 - self.scale * (world @ self.up - self.middle[1])
+        return list(zip(x.tolist(), y.tolist(), strict=True))
+
+    def floor_extent(self, tile: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the ranges of x and y of the visible floor, in whole tiles [m]."""
+        reach = np.array(self.size) / (2.0 * self.scale)
+        reach[1] /= np.sin(_ELEVATION)
+        ahead = np.array((-self.right[1], self.right[0]))
+        middle = self.right[:2] * self.middle[0] + ahead * self.middle[1] / np.sin(_ELEVATION)
+        half = np.abs(self.right[:2]) * reach[0] + np.abs(ahead) * reach[1]
+        low = np.floor((middle - half) / tile) * tile
+        high = np.ceil((middle + half) / tile) * tile
+        return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def write_animation(run: Run, path: Path) -> None:
-    """Write a GIF that repeats endlessly, in real time, until the run has settled.
+    """Write a GIF of a run until it has settled, in real time; it repeats endlessly.
 
-    Parameters
-    ----------
-    run : Run
-        The run; one that does not settle is shown completely.
-    path : Path
-        File to write.
+    A run that does not settle is shown completely.
     """
     end = min(_end_of_interest(run), float(run.times[-1]))
     instants = np.arange(0.0, end + 1e-9, 1.0 / _FRAME_RATE)
@@ -88,7 +153,7 @@ def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
         draw.line(camera.project([(left, y, 0.0), (right, y, 0.0)]), fill=_LINES, width=2)
     if run.goal is not None:
         place = (*run.goal[POSITION], radius)
-        paint_ball(picture, camera, place, run.goal[QUATERNION], radius, opacity=0.28)
+        _paint_ball(picture, camera, place, run.goal[QUATERNION], radius, opacity=0.28)
     return picture
 
 
@@ -107,7 +172,7 @@ def _frame(
     if run.goal is not None:
         _cross(draw, camera, run.goal[POSITION], arm, VERMILION)
     x, y = run.states[index, POSITION]
-    paint_ball(picture, camera, (x, y, radius), run.states[index, QUATERNION], radius)
+    _paint_ball(picture, camera, (x, y, radius), run.states[index, QUATERNION], radius)
     _caption(ImageDraw.Draw(picture), run, index, radius)
     return picture.resize(_SIZE, Image.Resampling.LANCZOS)
 
@@ -139,3 +204,62 @@ def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int, radius: float) -> 
         angle = float(np.degrees(angle_errors(state, run.goal)[0]))
         text += f"     to the goal: {distance:.{digits}f} m, {angle:.0f}\N{DEGREE SIGN}"
     draw.text((12 * _OVERSAMPLING, 10 * _OVERSAMPLING), text, fill=_INK, font=font)
+
+
+def _paint_ball(
+    picture: Image.Image,
+    camera: Camera,
+    place: Sequence[float],
+    quaternion: Vector,
+    radius: float,
+    opacity: float = 1.0,
+) -> None:
+    """Draw a sphere with octants, circle Gamma and the ends of the rotors' axes.
+
+    Its centre is at `place` [m; world frame], its orientation the quaternion wxyz, body to world.
+    Only an opaque sphere has a shadow.
+    """
+    x, y = camera.project([tuple(place)])[0]
+    if opacity >= 1.0:
+        _paint_shadow(picture, camera, place, radius)
+    reach = camera.scale * radius
+    half = int(np.ceil(reach)) + 1
+    left, top = round(x) - half, round(y) - half
+    across = (np.arange(2 * half) + left + 0.5 - x) / reach
+    down = (np.arange(2 * half) + top + 0.5 - y) / reach
+    a, b = np.meshgrid(across, -down)
+    outside = a * a + b * b > 1.0
+    c = np.sqrt(np.clip(1.0 - a * a - b * b, 0.0, 1.0))
+    axes = np.stack((camera.right, camera.up, camera.towards))
+    normals = np.stack((a, b, c), axis=-1) @ axes
+    colours = _shell_colours(normals @ rotation.matrix(quaternion))
+    shade = 0.55 + 0.5 * np.clip(normals @ _LIGHT, 0.0, 1.0)
+    painted = np.clip(colours * shade[..., None], 0, 255).astype(np.uint8)
+    mask = np.where(outside, 0, round(255 * opacity)).astype(np.uint8)
+    picture.paste(Image.fromarray(painted), (left, top), Image.fromarray(mask))
+
+
+def _shell_colours(points: Vector) -> Vector:
+    """Return the colours of points of the unit sphere, shape (..., 3) [body frame]."""
+    blue, orange, vermilion = (
+        np.array(ImageColor.getrgb(name), dtype=float) for name in (BLUE, ORANGE, VERMILION)
+    )
+    odd = np.prod(points, axis=-1) > 0.0
+    colours = np.where(odd[..., None], blue + 0.25 * (255.0 - blue), 250.0)
+    colours[np.abs(points[..., 2]) < _BELT] = vermilion
+    hubs = np.max(np.abs(points[..., :2]), axis=-1) > _HUB
+    colours[hubs] = orange
+    return colours
+
+
+def _paint_shadow(
+    picture: Image.Image, camera: Camera, place: Sequence[float], radius: float
+) -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 49)
+    # The shadow is displaced away from the light.
+    x, y = np.asarray(place[:2]) - 0.35 * radius * _LIGHT[:2]
+    rim = np.column_stack((x + 0.9 * radius * np.cos(turn), y + 0.9 * radius * np.sin(turn),
+                           np.zeros_like(turn)))
+    mask = Image.new("L", picture.size, 0)
+    ImageDraw.Draw(mask).polygon(camera.project(rim), fill=95)
+    picture.paste("#555555", (0, 0), mask.filter(ImageFilter.GaussianBlur(6)))

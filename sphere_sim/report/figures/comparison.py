@@ -1,15 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Figure that compares several runs."""
+"""Figures that compare runs: any number of them, or two strategies on the same scenario."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sphere_sim.evaluation.metrics import SETTLED_ERROR
+from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index
 from sphere_sim.recording.run import Run
+from sphere_sim.report.figures.paper_panels import draw_rotor_speeds
 from sphere_sim.report.figures.style import (
+    BLACK,
     COLOURS,
     DASHES,
     GREY,
@@ -19,18 +23,18 @@ from sphere_sim.report.figures.style import (
     styled,
 )
 
+_AFTERWARDS = 2.0
+"""Time shown after two runs have settled [s]."""
+
 
 def comparison(runs: Sequence[Run]) -> Figure:
     """Draw errors, paths, largest rotor speeds and solve times of several runs together."""
     with styled():
         figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         error, path, speed, solve = figure.subplots(2, 2).flat
+        _draw_errors_and_paths(error, path, runs)
         for i, run in enumerate(runs):
-            style = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)],
-                     "label": literal(run.name)}
-            times, errors = run.errors()
-            error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), **style)
-            path.plot(run.states[:, 0], run.states[:, 1], **style)
+            style = _style(i, run)
             path.plot(*run.states[0, :2], "o", color=style["color"], markersize=5)
             if run.goal is not None:
                 path.plot(*run.goal[:2], "*", color=style["color"], markersize=11)
@@ -39,11 +43,7 @@ def comparison(runs: Sequence[Run]) -> Figure:
             if run.solves.times.size:
                 order = np.sort(1e3 * run.solves.durations)
                 solve.step(order, np.linspace(0.0, 1.0, order.size), where="post", **style)
-        error.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
-        path.set_aspect("equal", adjustable="datalim")
         for axes, title, horizontal, vertical in (
-            (error, "a: error", "time [s]", r"$\|x - x_d\|$ [m, -]"),
-            (path, "b: path on the plane", "x [m]", "y [m]"),
             (speed, "c: larger rotor speed", "time [s]", r"max $|u_i|$ [rad/s]"),
             (solve, "d: solve time", "solve time [ms]", "share of solves"),
         ):
@@ -53,5 +53,57 @@ def comparison(runs: Sequence[Run]) -> Figure:
             if not axes.lines:
                 mark_missing(axes, "such series")
         solve.set_xscale("log")
-        error.legend(loc="best")
     return figure
+
+
+def side_by_side(first: Run, second: Run, title: str) -> Figure:
+    """Draw errors and paths of two runs together, and the rotor speeds of each."""
+    runs = (first, second)
+    end = min(max(run.times[-1] for run in runs), _end_of_interest(runs))
+    with styled():
+        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
+        error, path, *speeds = figure.subplots(2, 2).flat
+        _draw_errors_and_paths(error, path, runs)
+        for i, run in enumerate(runs):
+            draw_rotor_speeds(speeds[i], run)
+            speeds[i].set_title(f"{'cd'[i]}: rotor speeds, {literal(run.name)}")
+            speeds[i].set_xlim(0.0, end)
+        path.plot(*first.states[0, :2], "o", color=BLACK, markersize=6, label="start")
+        if first.goal is not None:
+            path.plot(*first.goal[:2], "*", color=BLACK, markersize=13, label="goal", zorder=3)
+        path.legend(loc="best")
+        error.set_xlim(0.0, end)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
+    return figure
+
+
+def _style(i: int, run: Run) -> dict[str, Any]:
+    """Return colour, dashes and label of the lines of run number `i`."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)],
+            "label": literal(run.name)}
+
+
+def _draw_errors_and_paths(error: Axes, path: Axes, runs: Sequence[Run]) -> None:
+    for i, run in enumerate(runs):
+        times, errors = run.errors()
+        error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), **_style(i, run))
+        path.plot(*run.states[:, :2].T, **{**_style(i, run), "label": None})
+    error.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
+    error.set_title("a: error; settled below the dotted line")
+    error.set_xlabel("time [s]")
+    error.set_ylabel(r"$\|x - x_d\|$ [m, -]")
+    error.legend(loc="best")
+    path.set_aspect("equal", adjustable="datalim")
+    path.set_title("b: path on the plane")
+    path.set_xlabel("x [m]")
+    path.set_ylabel("y [m]")
+
+
+def _end_of_interest(runs: Sequence[Run]) -> float:
+    """Return a time after all runs have settled [s]; inf if one has not."""
+    ends = []
+    for run in runs:
+        times, errors = run.errors()
+        index = settling_index(errors)
+        ends.append(float("inf") if index is None else float(times[index]))
+    return max(ends) + _AFTERWARDS

@@ -3,6 +3,7 @@
 """Figure of the contact points on the shell and circle Gamma, as the paper's Fig. 7."""
 
 from copy import copy
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,15 +18,6 @@ def contact_locus(run: Run) -> Figure:
 
     The far side is drawn fainter. Circle Gamma is the great circle through the rotors' axes,
     z = 0 in the body frame; the locus crosses it at right angles (Corollary 1).
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-
-    Returns
-    -------
-    Figure
     """
     radius = run.robot.shell_radius
     points = contact_points(run.states, radius) / radius
@@ -68,22 +60,22 @@ def _towards_viewer(elevation: float, azimuth: float) -> Vector:
 
 
 def _draw_curve(
-    axes: object, points: Vector, towards: Vector, colour: str, width: float, name: str | None
+    axes: Any, points: Vector, towards: Vector, colour: str, width: float, name: str | None
 ) -> None:
     """Draw a curve on the unit sphere, its far side fainter."""
     near = points @ towards >= 0.0
     for side, alpha, label in ((near, 1.0, name), (~near, 0.22, None)):
         # Values of nan interrupt the curve; otherwise it would cross the sphere.
         kept = np.where(side[:, None], points, np.nan)
-        axes.plot(*kept.T, color=colour, linewidth=width, alpha=alpha, label=label)  # type: ignore[attr-defined]
+        axes.plot(*kept.T, color=colour, linewidth=width, alpha=alpha, label=label)
 
 
-def _draw_graticule(axes: object, towards: Vector) -> None:
+def _draw_graticule(axes: Any, towards: Vector) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     across = np.cross((0.0, 0.0, 1.0), towards)
     across /= np.linalg.norm(across)
     rim = np.outer(np.cos(turn), across) + np.outer(np.sin(turn), np.cross(towards, across))
-    axes.plot(*rim.T, color=GREY, linewidth=0.9)  # type: ignore[attr-defined]
+    axes.plot(*rim.T, color=GREY, linewidth=0.9)
     for latitude in np.radians((-60.0, -30.0, 30.0, 60.0)):
         ring = np.stack((np.cos(latitude) * np.cos(turn), np.cos(latitude) * np.sin(turn),
                          np.full_like(turn, np.sin(latitude))), axis=1)
@@ -94,15 +86,15 @@ def _draw_graticule(axes: object, towards: Vector) -> None:
         _draw_curve(axes, ring, towards, GREY, 0.4, None)
 
 
-def _draw_axes_of_rotors(axes: object, towards: Vector) -> None:
+def _draw_axes_of_rotors(axes: Any, towards: Vector) -> None:
     """Mark the ends of the rotors' axes."""
     for direction, name in (((1, 0, 0), "rotor 1"), ((0, 1, 0), "rotor 2")):
         for sign in (1.0, -1.0):
             place = sign * np.array(direction, dtype=float)
             if float(place @ towards) < 0.0:
                 continue
-            axes.scatter(*place, marker="s", s=18, color=VERMILION, depthshade=False)  # type: ignore[attr-defined]
-            axes.text(  # type: ignore[attr-defined]
+            axes.scatter(*place, marker="s", s=18, color=VERMILION, depthshade=False)
+            axes.text(
                 *(place - (0.0, 0.0, 0.09)), name, color=BLACK, fontsize=8, ha="center", va="top",
                 zorder=20,
                 bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},

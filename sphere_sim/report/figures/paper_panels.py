@@ -21,32 +21,20 @@ from sphere_sim.report.figures.style import (
 
 
 def paper_panels(run: Run, title: str | None = None) -> Figure:
-    """Draw the four panels of a run.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    title : str, optional
-        Title above the panels.
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the four panels of a run, with a title above them if it is given."""
     with styled():
         figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         position, euler, path, speeds = figure.subplots(2, 2).flat
-        draw_position(position, run)
-        draw_euler_parameters(euler, run)
-        draw_path(path, run)
+        _draw_position(position, run)
+        _draw_euler_parameters(euler, run)
+        _draw_path(path, run)
         draw_rotor_speeds(speeds, run)
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
     return figure
 
 
-def draw_position(axes: Axes, run: Run) -> None:
+def _draw_position(axes: Axes, run: Run) -> None:
     """Draw x and y of centre and goal over time."""
     for i, name in enumerate(("x", "y")):
         axes.plot(run.times, run.states[:, i], DASHES[i], color=COLOURS[i], label=name)
@@ -55,7 +43,7 @@ def draw_position(axes: Axes, run: Run) -> None:
     axes.legend(loc="best", ncols=2)
 
 
-def draw_euler_parameters(axes: Axes, run: Run) -> None:
+def _draw_euler_parameters(axes: Axes, run: Run) -> None:
     """Draw the four components of the quaternion and of that of the goal over time."""
     for i in range(4):
         values = run.states[:, QUATERNION][:, i]
@@ -66,7 +54,7 @@ def draw_euler_parameters(axes: Axes, run: Run) -> None:
     axes.legend(loc="best", ncols=4)
 
 
-def draw_path(axes: Axes, run: Run) -> None:
+def _draw_path(axes: Axes, run: Run) -> None:
     """Draw the path of the centre on the plane with start and goal."""
     x, y = run.states[:, 0], run.states[:, 1]
     axes.plot(x, y, color=BLUE)

@@ -65,16 +65,7 @@ def styled() -> Iterator[None]:
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Save a figure in all formats and return its files.
-
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    folder : Path
-        Folder, which must exist.
-    name : str
-        File name without suffix.
+    """Save a figure as `name` in a folder in all formats, and return its files.
 
     Raises
     ------

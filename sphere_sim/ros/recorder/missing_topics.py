@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.graph_faults import GraphFault
-from sphere_sim.recording.topics import DEFAULT_TOPICS, absolute, matches_any
+from sphere_sim.recording.recorder_settings import DEFAULT_TOPICS, absolute, matches_any
 
 _WITHIN = 5.0
 """Wall time within which nodes that start together find each other [s], on a busy machine too."""

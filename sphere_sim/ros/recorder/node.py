@@ -34,15 +34,15 @@ from sphere_nmpc.ros.graph_monitor import INVALID, UNKNOWN, GraphMonitor, full_n
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_sim.recording.errors import BagError
-from sphere_sim.recording.recorder_settings import RecorderSettings
-from sphere_sim.recording.session import RecordingSession
-from sphere_sim.recording.topics import (
+from sphere_sim.recording.recorder_settings import (
     DEFAULT_TOPICS,
     KNOWN_TYPES,
     LATCHED,
+    RecorderSettings,
     absolute,
     matches_any,
 )
+from sphere_sim.recording.session import RecordingSession
 from sphere_sim.ros.recorder.missing_topics import MissingTopics
 from sphere_sim.ros.recorder.parameter_snapshots import ParameterSnapshots
 from sphere_sim.ros.recorder.qos import compatible_qos, is_latched, qos_for_bag, same_requests

@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
-from sphere_sim.recording.recorded_parameters import PARAMETERS_PREFIX
+from sphere_sim.recording.bag_files import PARAMETERS_PREFIX
 
 
 class ParameterSnapshots:

@@ -17,8 +17,8 @@ from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
 from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.source import (
+    ApplyPush,
     Pause,
-    Push,
     Request,
     Reset,
     SetGoal,
@@ -80,7 +80,7 @@ class TopicSource:
             return self._call(self._pause, SetBool.Request(data=request.paused))
         if isinstance(request, Reset):
             return self._call(self._reset, Trigger.Request())
-        if isinstance(request, Push):
+        if isinstance(request, ApplyPush):
             x, y = request.impulse
             self._pushes.publish(Vector3(x=x, y=y))
         elif isinstance(request, SetSpeed) and self._speed.writable:

@@ -49,26 +49,28 @@ def counts(folder: Path) -> tuple[int, int]:
     return of_rosbags, of_mcap
 
 
-def test_bag_is_complete_after_every_commit(tmp_path) -> None:
+def test_bag_is_complete_after_every_commit_and_grows_linearly(tmp_path) -> None:
     writer = BagWriter(tmp_path / "bag")
     assert counts(tmp_path / "bag") == (0, 0)
     writer.add_topic(TOPIC, KIND)
-    for i in range(1, 6):
+    for i in range(1, 101):
         writer.write(TOPIC, i, TRUE)
         writer.commit()
-        assert counts(tmp_path / "bag") == (i, i)
+        if i in (1, 2, 30):
+            assert counts(tmp_path / "bag") == (i, i)
+    # Index and footer are rewritten each time: appended copies would add up quadratically.
+    assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 100 * 400
     writer.close()
-    assert counts(tmp_path / "bag") == (5, 5)
+    assert counts(tmp_path / "bag") == (100, 100)
 
 
-@pytest.mark.slow
 def test_bag_survives_kill_with_all_that_was_committed(tmp_path) -> None:
-    for attempt in range(5):
+    for attempt in range(2):
         folder = tmp_path / f"bag{attempt}"
         command = [sys.executable, "-c", WRITE_UNTIL_KILLED, str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
-            committed = [int(process.stdout.readline()) for _ in range(3 + attempt)]
+            committed = [int(process.stdout.readline()) for _ in range(3 + 4 * attempt)]
             process.send_signal(signal.SIGKILL)
         of_rosbags, of_mcap = counts(folder)
         assert of_rosbags == of_mcap >= committed[-1]
@@ -91,36 +93,12 @@ def test_metadata_lists_topics_and_custom_data(tmp_path) -> None:
         assert "sphere_nmpc_version" in reader.storage.metadata.custom
 
 
-def test_existing_folder_is_not_overwritten(tmp_path) -> None:
-    BagWriter(tmp_path / "bag").close()
-    with pytest.raises(BagError, match="exists already and is not overwritten"):
-        BagWriter(tmp_path / "bag")
-
-
-def test_folder_that_cannot_be_created_is_refused(tmp_path) -> None:
+def test_folder_that_exists_or_cannot_be_created_is_refused(tmp_path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BagError, match="cannot be created: Not a directory"):
         BagWriter(tmp_path / "file" / "bag")
-
-
-def test_full_disk_keeps_committed_messages(tmp_path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic(TOPIC, KIND)
-    writer.write(TOPIC, 1, TRUE)
-    writer.commit()
-    size = next((tmp_path / "bag").glob("*.mcap")).stat().st_size
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    # Like a full disk, a limit on the size of files makes a write incomplete.
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 300, before[1]))
-    try:
-        for i in range(2, 5000):
-            writer.write(TOPIC, i * i * 7919, TRUE)
-        with pytest.raises(BagError, match="cannot be written: File too large"):
-            writer.commit()
-        writer.abandon()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert counts(tmp_path / "bag") == (1, 1)
+    with pytest.raises(BagError, match="exists already and is not overwritten"):
+        BagWriter(tmp_path)
 
 
 @pytest.mark.parametrize("limit", [10, 300])
@@ -136,15 +114,3 @@ def test_disk_full_at_the_start_leaves_no_folder(tmp_path, limit) -> None:
     assert not (tmp_path / "bag").exists()
     assert len(os.listdir("/proc/self/fd")) == files
     BagWriter(tmp_path / "bag").close()
-
-
-def test_size_of_a_file_grows_linearly_with_commits(tmp_path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic(TOPIC, KIND)
-    for i in range(1, 301):
-        writer.write(TOPIC, i, TRUE)
-        writer.commit()
-    # Index and footer are rewritten each time: appended copies would add up quadratically.
-    assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 300 * 400
-    writer.close()
-    assert counts(tmp_path / "bag") == (300, 300)

@@ -1,29 +1,51 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of the robot of every kind give the same arrays; anything else gives one clear error."""
+"""Bags of every recorder give the same arrays and times; others give one clear error."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+from recorded_bags import (
+    START,
+    changed,
+    goal_at,
+    in_order,
+    momentum_messages,
+    on_the_system_clock,
+    run_messages,
+    without,
+    write_own,
+    write_rosbag2,
+)
+from rosbags.rosbag2 import Reader
 
 from sphere_nmpc.model.drift import imbalance_of_offset, momentum_of_push, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.cli.report import main
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run_reader import read_run
+from sphere_sim.report import report_files
+
+POSE_PERIOD = 0.01
 
 
-def without(entries, *names):
-    return (entry for entry in entries if not entry[0].endswith(names))
+def figures(run) -> dict[str, float]:
+    metrics = run.metrics()
+    assert metrics is not None, run.notes
+    return dataclasses.asdict(metrics)
 
 
-@pytest.mark.parametrize("kind", ["own", "mcap", "sqlite3"])
-def test_run_is_read_from_every_kind_of_bag(make_bag, messages, kind) -> None:
-    run = read_run(make_bag(messages(), kind))
+def same(given, expected) -> bool:
+    return given == pytest.approx(expected, rel=1e-9, abs=1e-9, nan_ok=True)
+
+
+def test_run_is_read_as_arrays(tmp_path) -> None:
+    run = read_run(write_own(tmp_path / "bag", run_messages()))
     assert run.notes == ()
-    assert run.origin == 5.0
     np.testing.assert_allclose(run.times, np.arange(301) * 0.01, atol=1e-9)
     np.testing.assert_allclose(run.states[0], [2, -1, np.cos(0.5), 0, 0, np.sin(0.5)])
+    assert np.max(np.abs(np.diff(run.states, axis=0))) < 0.1, "no jump to the other sign"
     np.testing.assert_allclose(run.rotor_speeds[0], [100.0, -50.0])
     np.testing.assert_allclose(run.rotor_torques[0], [1.0, -0.5])
     np.testing.assert_allclose(run.goal, [0, 0, 1, 0, 0, 0])
@@ -34,11 +56,43 @@ def test_run_is_read_from_every_kind_of_bag(make_bag, messages, kind) -> None:
     np.testing.assert_allclose(run.solves.times, np.arange(7) * 0.5, atol=1e-9)
     np.testing.assert_allclose(run.solves.durations[:2], [1e-3, 51e-3])
     assert set(run.solves.statuses) == {"solved"}
+    assert run.momentum.is_zero and run.momentum.values.shape == (0, 3)
+    metrics = figures(run)
+    # |x - x_d| = decay * |(2, -1, 1/2)| for small angles.
+    expected = 3.01 * np.log(100.0 * np.sqrt(5.25)) / 10.0
+    assert metrics["settle_time_s"] == pytest.approx(expected, abs=0.02)
+    assert metrics["max_rotor_speed"] == 100.0
+    assert metrics["max_rotor_torque_nm"] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("kind", ["own", "mcap", "sqlite3"])
-def test_momentum_and_pushes_are_read(make_bag, messages_with_momentum, kind) -> None:
-    momentum = read_run(make_bag(messages_with_momentum(), kind)).momentum
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [("sqlite3", ""), ("sqlite3", "file"), ("mcap", ""), ("mcap", "message")],
+)
+def test_bags_of_other_recorders_give_the_same_run(tmp_path, kind, compression) -> None:
+    """Log times are of the system clock; stamps relate them to simulated time."""
+    expected = read_run(write_own(tmp_path / "own", run_messages()))
+    entries = on_the_system_clock(run_messages())
+    bag = write_rosbag2(tmp_path / "mine", entries, kind, compression, 2)
+    with Reader(bag) as reader:  # an independent reader takes the bag of this test
+        assert [log for _, log, _ in reader.messages()] == [entry[2] for entry in entries]
+    for described in (True, False):
+        if not described:
+            (bag / "metadata.yaml").unlink()
+        run = read_run(bag)
+        assert bool(run.notes) is not described
+        assert same(run.times, expected.times) and same(run.solves.times, expected.solves.times)
+        assert run.goal_times == pytest.approx([0.0], abs=0.011)
+        assert same([it.start for it in run.plans], [it.start for it in expected.plans])
+        found = figures(run)
+        assert found.pop("settle_time_s") == pytest.approx(
+            figures(expected)["settle_time_s"], abs=0.011
+        )
+        assert all(same(found[name], figures(expected)[name]) for name in found)
+
+
+def test_momentum_and_pushes_are_read(tmp_path) -> None:
+    momentum = read_run(write_own(tmp_path / "bag", momentum_messages())).momentum
     assert not momentum.is_zero
     np.testing.assert_allclose(momentum.times, np.arange(7) * 0.5, atol=1e-9)
     assert not momentum.values[:3].any()
@@ -55,88 +109,87 @@ def test_momentum_and_pushes_are_read(make_bag, messages_with_momentum, kind) ->
     assert momentum.at(1.6).tolist() == momentum.at(99.0).tolist() == [0.075, 0.15, 0.0]
 
 
-def test_bag_of_a_controller_that_reports_no_momentum_has_none(make_bag, messages) -> None:
-    momentum = read_run(make_bag(messages())).momentum
-    assert momentum.is_zero and momentum.times.shape == (0,) and momentum.values.shape == (0, 3)
+@pytest.mark.parametrize(
+    ("missing", "unknown", "note"),
+    [
+        ("/joint_states", {"max_rotor_speed", "max_rotor_torque_nm"},
+         "/joint_states is missing; no rotor speeds and torques"),
+        ("/controller/status", {"solve_ms_p50", "solve_ms_p99"},
+         "no status of the controller reports a solve; no solve times"),
+        ("/rotor_trajectory", set(), "/rotor_trajectory is missing; no plans"),
+        ("/controller/active_goal", set(), "active_goal is missing; goal_pose is used instead"),
+    ],
+)
+def test_every_topic_but_the_poses_may_be_missing(tmp_path, missing, unknown, note) -> None:
+    expected = figures(read_run(write_own(tmp_path / "whole", run_messages())))
+    run = read_run(write_own(tmp_path / "bag", without(run_messages(), missing)))
+    found = figures(run)
+    assert {name for name, value in found.items() if np.isnan(value)} == unknown
+    assert all(same(found[name], expected[name]) for name in found.keys() - unknown)
+    assert run.notes == (note,)
 
 
-def test_quaternions_do_not_jump_to_the_other_sign(make_bag, messages) -> None:
-    run = read_run(make_bag(messages()))
-    assert np.max(np.abs(np.diff(run.states, axis=0))) < 0.1
+def test_invalid_messages_are_ignored_with_a_note(tmp_path) -> None:
+    def turn(message) -> None:
+        message.pose.orientation.w = 0.3
 
+    def name(message) -> None:
+        message.joint_names = ["hip", "knee"]
 
-def test_metrics_are_those_of_the_recorded_motion(make_bag, messages) -> None:
-    metrics = read_run(make_bag(messages())).metrics()
-    assert metrics is not None and metrics.settled
-    # |x - x_d| = decay * |(2, -1, 1/2)| for small angles.
-    expected = 3.01 * np.log(100.0 * np.sqrt(5.25)) / 10.0
-    assert metrics.settle_time_s == pytest.approx(expected, abs=0.02)
-    assert metrics.max_rotor_speed == 100.0
-    assert metrics.max_rotor_torque_nm == pytest.approx(1.0)
+    def lose(message) -> None:
+        message.pose.position.x = float("nan")
 
-
-def test_single_file_and_folder_without_metadata_are_read(make_bag, messages) -> None:
-    folder = make_bag(messages())
-    (folder / "metadata.yaml").unlink()
-    run = read_run(folder)
-    assert len(run.times) == 301 and "metadata.yaml is missing" in run.notes[0]
-    assert len(read_run(next(folder.glob("*.mcap"))).times) == 301
-
-
-def test_missing_topics_are_noted_and_the_rest_is_read(make_bag, messages) -> None:
-    names = ("joint_states", "rotor_trajectory", "active_goal", "goal_pose", "status")
-    run = read_run(make_bag(without(messages(), *names)))
-    assert len(run.times) == 301
-    assert run.goal is None and run.metrics() is None
-    notes = " ".join(run.notes)
-    for name in ("joint_states", "rotor_trajectory", "active_goal", "reports a solve"):
-        assert name in notes
-
-
-@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
-def test_names_that_act_on_a_terminal_are_no_topics(make_bag, messages, kind) -> None:
-    lures = ("\x1b]0;mine\x07", "\n[FATAL] all is lost ", 1000 * "x")
-    strange = [(f"/{lure}/active_goal", *next(messages())[1:]) for lure in lures]
-    run = read_run(make_bag([*messages(), *strange], kind))
-    assert run.notes == () and len(run.times) == 301
-
-
-def test_goal_pose_replaces_a_missing_active_goal(make_bag, messages) -> None:
-    run = read_run(make_bag(without(messages(), "active_goal")))
-    assert run.goal is not None and any("goal_pose is used" in note for note in run.notes)
-
-
-def test_goal_is_in_force_from_when_the_controller_accepted_it(make_bag, messages) -> None:
-    entries = list(messages())
-    place = next(i for i, e in enumerate(entries) if e[0] == "/controller/active_goal")
-    topic, kind, stamp, goal = entries[place]
-    entries[place] = (topic, kind, stamp + 40_000_000, dataclasses.replace(
-        goal, header=dataclasses.replace(entries[place + 1][3].header)
-    ))
-    run = read_run(make_bag(entries))
-    assert run.goal_times.tolist() == [0.0], "and its first solve is one of those measured"
-
-
-def test_invalid_poses_are_ignored_with_a_note(make_bag, messages) -> None:
-    entries = list(messages())
-    poses = [i for i, entry in enumerate(entries) if entry[0] == "/pose"]
-    place = entries[poses[5]][3].pose
-    entries[poses[5]] = (
-        *entries[poses[5]][:3],
-        dataclasses.replace(
-            entries[poses[5]][3],
-            pose=dataclasses.replace(
-                place, position=dataclasses.replace(place.position, x=float("nan"))
-            ),
-        ),
+    entries = list(run_messages())
+    first = {entry[0]: entry for entry in reversed(entries)}
+    broken = [
+        changed(first["/controller/active_goal"], edit=turn),
+        changed(first["/rotor_trajectory"], edit=name), changed(first["/pose"], edit=lose),
+    ]
+    lures = ("\x1b]0;mine\x07", "\n[FATAL] all is lost ", 1000 * "x")  # are no names of topics
+    lures = [(f"/{lure}/active_goal", *entries[0][1:]) for lure in lures]
+    run = read_run(write_own(tmp_path / "bag", [*entries, *broken, *lures]))
+    assert len(run.goals) == 1 and len(run.plans) == 7 and len(run.times) == 301
+    assert run.notes == (
+        "/pose: 1 invalid poses were ignored",
+        "/controller/active_goal: 1 invalid goals were ignored",
+        "/rotor_trajectory: 1 invalid trajectories were ignored",
     )
-    run = read_run(make_bag(entries))
-    assert len(run.times) == 300 and np.all(np.isfinite(run.states))
-    assert "1 invalid poses were ignored" in run.notes[0]
 
 
-def test_robots_are_selected_by_namespace(make_bag, messages) -> None:
-    bag = make_bag([*messages("/left"), *messages("/right")])
+def test_run_to_each_goal_has_what_belongs_to_it(tmp_path) -> None:
+    entries = without(run_messages(), "active_goal")
+    whole = read_run(write_own(
+        tmp_path / "mine", in_order(goal_at(5.0, 0.0), goal_at(0.0, 1.0), *entries)
+    ))
+    first, last = whole.to_goal(1), whole.to_goal(2)
+    np.testing.assert_allclose(first.times, 0.01 * np.arange(100), atol=1e-9)
+    np.testing.assert_allclose(last.times, 0.01 * np.arange(201), atol=1e-9)
+    np.testing.assert_allclose(first.solves.times, [0.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(last.solves.times, 0.5 * np.arange(5), atol=1e-9)
+    assert [plan.start for plan in last.plans] == pytest.approx(0.5 * np.arange(5))
+    assert len(first.joint_times) == 100 and len(first.goals) == len(last.goals) == 1
+    assert (first.name, last.name) == ("mine, goal 1", "mine, goal 2")
+    # The run to a goal is a run: its own run to its goal is the same.
+    assert whole.metrics() == last.metrics() == last.to_goal(1).metrics()
+    assert first.metrics() != last.metrics()
+    assert first.goal[0] == 5.0 and last.goal[0] == 0.0
+
+
+def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
+    whole = list(run_messages())
+    short = [entry for entry in whole if entry[2] < 7_000_000_000]
+    logged = on_the_system_clock([*short, *whole, *short])
+    run = read_run(write_rosbag2(tmp_path / "bag", logged))
+    expected = read_run(write_rosbag2(tmp_path / "whole", on_the_system_clock(whole)))
+    assert run.metrics() == expected.metrics()
+    for name in ("times", "joint_times", "rotor_speeds", "goals_in_force"):
+        np.testing.assert_array_equal(getattr(run, name), getattr(expected, name))
+    assert len(run.plans) == len(expected.plans) == 7 and len(run.solves.times) == 7
+    assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")
+
+
+def test_robots_are_selected_by_namespace(tmp_path) -> None:
+    bag = write_own(tmp_path / "bag", [*run_messages("/left"), *run_messages("/right")])
     with pytest.raises(BagError, match=r"several robots.*/left, /right"):
         read_run(bag)
     assert read_run(bag, "left").notes == ()
@@ -144,24 +197,23 @@ def test_robots_are_selected_by_namespace(make_bag, messages) -> None:
         read_run(bag, "up")
 
 
-def test_bag_of_another_robot_is_refused(make_bag, messages) -> None:
-    with pytest.raises(BagError, match="another robot; has: /rotor_trajectory"):
-        read_run(make_bag(e for e in messages() if e[0] == "/rotor_trajectory"))
+def hips(message) -> None:
+    message.name = ["hip", "knee"]
 
 
-def test_bag_with_other_joints_is_refused(make_bag, messages) -> None:
-    entries = [
-        (*entry[:3], dataclasses.replace(entry[3], name=["hip", "knee"]))
-        if entry[0] == "/joint_states" else entry
-        for entry in messages()
-    ]
-    with pytest.raises(BagError, match=r"names \['hip', 'knee'\].*another robot"):
-        read_run(make_bag(entries))
-
-
-def test_empty_bag_is_refused(make_bag) -> None:
-    with pytest.raises(BagError, match="is empty: it has no topic at all"):
-        read_run(make_bag([]))
+@pytest.mark.parametrize(
+    ("entries", "reason"),
+    [
+        ([e for e in run_messages() if e[0] == "/rotor_trajectory"],
+         "another robot; has: /rotor_trajectory"),
+        ([changed(e, edit=hips) if e[0] == "/joint_states" else e for e in run_messages()],
+         r"names \['hip', 'knee'\].*another robot"),
+        ([], "is empty: it has no topic at all"),
+    ],
+)
+def test_bag_of_another_robot_is_refused(tmp_path, entries, reason) -> None:
+    with pytest.raises(BagError, match=reason):
+        read_run(write_own(tmp_path / "bag", entries))
 
 
 @pytest.mark.parametrize(
@@ -177,3 +229,86 @@ def test_path_that_is_not_a_bag_is_refused(tmp_path, make, reason) -> None:
     make(path)
     with pytest.raises(BagError, match=reason):
         read_run(path)
+
+
+def run_with(tmp_path, *entries):
+    """Return the run as ``ros2 bag record`` logs it, without simulated time."""
+    return read_run(write_rosbag2(tmp_path / "bag", on_the_system_clock(in_order(*entries))))
+
+
+@pytest.mark.parametrize(
+    ("topic", "stamp", "time", "tolerance"),
+    [
+        # When the controller accepted it.
+        ("/controller/active_goal", START + 1_480_000_000, 1.48, 1e-9),
+        ("/controller/active_goal", 0, 1.5, POSE_PERIOD),  # from a controller without a clock
+        # Latched since before the recording.
+        ("/controller/active_goal", START - 4_000_000_000, -4.0, 1e-9),
+        # Of another clock.
+        ("/controller/active_goal", START + 90_000_000_000, 1.5, POSE_PERIOD),
+        ("/controller/active_goal", 1_800_000_000_000_000_000, 1.5, POSE_PERIOD),
+        # Whatever a user has set.
+        ("/goal_pose", 0, 1.5, POSE_PERIOD),
+        ("/goal_pose", START + 1_000_000_000, 1.5, POSE_PERIOD),
+    ],
+)
+def test_plausible_stamp_of_the_controller_is_used(
+    tmp_path, topic, stamp, time, tolerance
+) -> None:
+    rest = without(run_messages(), "goal_pose", "active_goal")
+    goal = (topic, *changed(goal_at(0.0, 1.5), stamp=stamp)[1:])
+    run = run_with(tmp_path, goal, *rest)
+    assert run.goal_times == pytest.approx([time], abs=tolerance)
+    assert np.all(np.isfinite(run.goals_in_force[run.times >= max(time, 0.0) + POSE_PERIOD]))
+    assert run.metrics() is not None
+
+
+def test_plans_and_solves_without_simulated_time_are_dated_by_their_log_times(tmp_path) -> None:
+    def shift(message) -> None:
+        for pair in message.values:
+            if pair.key == "time_s":
+                pair.value = str(float(pair.value) + 70.0)
+
+    entries = [
+        changed(entry, stamp=0) if entry[0] == "/rotor_trajectory" else
+        changed(entry, edit=shift) if entry[0] == "/controller/status" else entry
+        for entry in run_messages()
+    ]
+    run = run_with(tmp_path, *entries)
+    starts = [plan.start for plan in run.plans]
+    assert starts == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
+    assert run.solves.times == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("goals", "kept", "notes"),
+    [
+        # After the last pose.
+        ([(0.0, 0.0), (7.0, 3.5)], [0.0], ["goal at 3.5 s, poses from 0 to 3 s: ignored"]),
+        # Replaced before the next pose.
+        ([(0.0, 0.0), *((float(i), 1.001 + 1e-3 * i) for i in range(1, 5))], [0.0, 4.0],
+         ["3 goals were replaced before the next pose: ignored"]),
+        # Sent again.
+        ([(0.0, 0.5), (0.0, 1.5), (0.0, 2.5)], [0.0], []),
+    ],
+)
+def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) -> None:
+    given = [goal_at(x, time) for x, time in goals]
+    entries = in_order(*given, *without(run_messages(), "active_goal"))
+    run = read_run(write_own(tmp_path / "bag", entries))
+    np.testing.assert_allclose(run.goals[:, 0], kept)
+    assert run.goal_times[0] == pytest.approx(goals[0][1], abs=1e-9)
+    assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
+
+
+def test_report_says_why_a_run_has_no_goal(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(report_files, "FIGURES", {})
+    entries = without(run_messages(), "goal_pose", "active_goal")
+    bag, out = write_own(tmp_path / "mine", [*entries, goal_at(0.0, 7.25)]), tmp_path / "out"
+    assert main([str(bag), "--out", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "mine: no metrics, as no goal was in force at any pose" in printed.out
+    reason = "goal at 7.25 s, poses from 0 to 3 s: no goal falls inside the recording"
+    assert reason in printed.err
+    assert reason in (out / "summary.json").read_text()
+    assert reason in (out / "report.html").read_text()

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,12 @@ class Browser:
     def open(self, url: str) -> None:
         self.call("Page.navigate", url=url)
 
+    def reset(self) -> None:
+        """Leave the page, and forget what it has logged and requested."""
+        self.open("about:blank")
+        self.console.clear()
+        self.requested.clear()
+
     def evaluate(self, script: str) -> Any:
         result = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         return result["result"].get("value")
@@ -148,19 +155,19 @@ class Browser:
 
     def wait_for(self, words: str) -> None:
         """Wait until the page has a text."""
+        self.wait(lambda: words in self.text, f"no '{words}' on the page")
+
+    def wait(self, condition: Callable[[], object], fault: str = "time-out") -> None:
+        """Wait until a condition holds."""
         end = time.monotonic() + PATIENCE
-        while words not in self.text:
-            assert time.monotonic() < end, (
-                f"no '{words}' on the page after {PATIENCE} s:\n{self.text}\n{self.console}"
-            )
+        while not condition():
+            assert time.monotonic() < end, f"{fault}:\n{self.text}\n{self.console}"
             time.sleep(0.05)
 
     def settle(self) -> None:
         """Wait until the page has drawn some frames, after the compilation of its shaders."""
-        end, before = time.monotonic() + PATIENCE, self.evaluate("window.drawn")
-        while self.evaluate("window.drawn") < before + 5:
-            assert time.monotonic() < end, "the page does not draw"
-            time.sleep(0.1)
+        before = self.evaluate("window.drawn")
+        self.wait(lambda: self.evaluate("window.drawn") >= before + 5, "the page does not draw")
 
     def click_button(self, label: str) -> None:
         """Click the button with this label."""
@@ -182,10 +189,7 @@ class Browser:
         self.call("Input.insertText", text=number)
         # The page sends the newest change of all fields, at most every 50 ms by its own timer.
         self.evaluate("window.sent = false; setTimeout(() => { window.sent = true; }, 200)")
-        end = time.monotonic() + PATIENCE
-        while not self.evaluate("window.sent"):
-            assert time.monotonic() < end, "the page's timers do not run"
-            time.sleep(0.05)
+        self.wait(lambda: self.evaluate("window.sent"), "the page's timers do not run")
 
     def boxes(self, selector: str) -> list[tuple[float, float, float, float]]:
         """Return left, top, width and height of the visible elements of a selector [px]."""
@@ -208,10 +212,7 @@ class Browser:
             " if (!e) return false; e.scrollIntoView({block: 'center'}); e.focus();"
             " e.click(); return true; })()"
         )
-        end = time.monotonic() + PATIENCE
-        while not self.evaluate(script):
-            assert time.monotonic() < end, f"no {selector} with {condition}"
-            time.sleep(0.1)
+        self.wait(lambda: self.evaluate(script), f"no {selector} with {condition}")
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
         """Drag with the mouse from one pixel to another."""
@@ -231,11 +232,7 @@ class Browser:
         """Save the next drawn frame; on a busy machine a snapshot may never be taken."""
         self._drawn = None
         self.call("Page.startScreencast", format="png")
-        end = time.monotonic() + PATIENCE
-        while self._drawn is None:
-            assert time.monotonic() < end, "no frame was drawn"
-            self.evaluate("0")
-            time.sleep(0.05)
+        self.wait(lambda: self.evaluate("0") or self._drawn is not None, "no frame was drawn")
         self.call("Page.stopScreencast")
         path.write_bytes(self._drawn)
         return self._drawn

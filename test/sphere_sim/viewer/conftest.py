@@ -1,8 +1,29 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Import path for the helper modules of the viewer's tests."""
+"""One browser for all tests of a process."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 sys.path.append(str(Path(__file__).parent))
+
+from browser import Browser, find_browser
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory) -> Iterator[Browser]:
+    executable = find_browser()
+    if executable is None:
+        pytest.skip("no Chromium here: apt-get install chromium")
+    with Browser(executable, tmp_path_factory.mktemp("browser")) as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser) -> Browser:
+    """Return the browser with an empty page."""
+    browser.reset()
+    return browser

@@ -1,18 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a viewer under test and the scene on it."""
+"""Page of a viewer under test, and the scene and the plots on it."""
 
 import io
+import json
 import re
-import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from browser import Browser
-from patience import PATIENCE
 from PIL import Image
 
+from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.scene import CAMERA, LOOK_AT
+
+_WIDTH = 20
+"""Part of the plot that is read, at its right end [px]."""
 
 
 def page_of(folder: Path) -> str:
@@ -57,18 +61,42 @@ def scene_of(page: Browser, path: Path) -> np.ndarray:
 def wait_for_red(page: Browser, path: Path, place: tuple[float, float]) -> None:
     """Wait until a pixel of the page is red, as arrows along x are once they are drawn."""
     left, top, _, _ = map(int, canvas(page))
-    end = time.monotonic() + PATIENCE
-    while True:
+
+    def is_red() -> bool:
         red, green, _ = scene_of(page, path)[int(place[1]) - top, int(place[0]) - left]
-        if red - green > 100.0:
-            return
-        assert time.monotonic() < end, "no arrow is drawn there"
-        time.sleep(0.5)
+        return bool(red - green > 100.0)
+
+    page.wait(is_red, "no arrow is drawn there")
 
 
 def wait_for_scene(page: Browser, path: Path) -> None:
     """Wait until the scene is drawn."""
-    end = time.monotonic() + PATIENCE
-    while np.std(scene_of(page, path)) < 5.0:
-        assert time.monotonic() < end, "the scene is empty"
-        time.sleep(0.5)
+    page.wait(lambda: np.std(scene_of(page, path)) > 5.0, "the scene is empty")
+
+
+def line_ends(page: Browser, title: str, colours: Sequence[Colour]) -> np.ndarray | None:
+    """Return the rows of the ends of a plot's lines, from the top [px]; None if one is missing."""
+    script = (
+        f"(() => {{ const t = [...document.querySelectorAll('.u-title')]"
+        f".find(e => e.innerText.trim() === {json.dumps(title)}); if (!t) return null;"
+        " const plot = t.closest('.uplot'), c = plot.querySelector('canvas'),"
+        " r = c.getBoundingClientRect(), o = plot.querySelector('.u-over')"
+        ".getBoundingClientRect(), s = c.width / r.width;"
+        f" const w = Math.round({_WIDTH} * s), h = Math.round(o.height * s);"
+        " const d = c.getContext('2d').getImageData((o.right - r.left) * s - w,"
+        " (o.top - r.top) * s, w, h).data;"
+        " return [h, w, [...d]]; })()"
+    )
+    drawn = page.evaluate(script)
+    if drawn is None:
+        return None
+    height, width, values = drawn
+    pixels = np.reshape(values, (height, width, 4))
+    rows = [np.nonzero(_has_colour(pixels, colour).any(axis=1))[0] for colour in colours]
+    return np.array([np.mean(row) for row in rows]) if all(map(len, rows)) else None
+
+
+def _has_colour(pixels: np.ndarray, colour: Colour) -> np.ndarray:
+    """Return where opaque pixels have a colour, within rounding."""
+    close = np.abs(pixels[..., :3] - np.array(colour)).max(axis=-1) <= 2
+    return close & (pixels[..., 3] == 255)

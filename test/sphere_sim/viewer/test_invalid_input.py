@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Invalid input at the viewer's port causes at most one line, and the viewer keeps serving."""
 
-import base64
 import random
 import re
 import resource
@@ -22,15 +21,15 @@ pytest.importorskip("viser")
 
 from page_helpers import page_of
 from patience import PATIENCE
+from recorded_bags import rolling_messages, write_own
 from test_access import PROTOCOL, shake_hands
-from test_replay_in_browser import write_bag
 from verb_process import stop
 from websockets.exceptions import ConnectionClosed
 
 from sphere_nmpc.model.state import make_state
 from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.viewer.frame import Capabilities, Frame
-from sphere_sim.viewer.source import Request, SetGoal
+from sphere_sim.viewer.source import Request, SendGoal, SetGoal
 from sphere_sim.viewer.viewer import Viewer
 
 pack = msgspec.msgpack.encode
@@ -41,8 +40,7 @@ CAMERA = {
     "up_direction": [0, 0, 1],
 }
 NAN = float("nan")
-ODD = (None, NAN, float("inf"), 1e308, "", "x", [], [1], ["a"], {}, [NAN] * 3, [NAN] * 4,
-       [0] * 4, [1e300] * 3)
+ODD = (None, NAN, 1e308, "x", [], ["a"], {}, [NAN] * 3, [NAN] * 4, [0] * 4, [1e300] * 3)
 MESSAGES = (
     RANDOM.randbytes(100), b"", "text", pack(5), pack([1, 2]), pack({}), pack({"type": "Nothing"}),
     pack({"type": ["a"]}), pack({"type": "GuiUpdateMessage"}), bytes(51 * 2**20),
@@ -82,19 +80,6 @@ def send_raw(port: int, data: bytes) -> bytes:
     return b""
 
 
-def send_broken_frames(port: int, query: str, junk: bytes) -> None:
-    key = base64.b64encode(RANDOM.randbytes(16)).decode()
-    hello = half_a_handshake(
-        port, query, "Connection: Upgrade", f"Sec-WebSocket-Key: {key}",
-        f"Sec-WebSocket-Protocol: {PROTOCOL}", "Sec-WebSocket-Version: 13",
-    )
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as end:
-        end.sendall(hello)
-        assert end.recv(12) == b"HTTP/1.1 101"
-        end.sendall(junk)
-        time.sleep(0.1)
-
-
 class Process:
     """Viewer of a recording in a process."""
 
@@ -102,7 +87,7 @@ class Process:
         self.folder = folder
         bag = folder / "bag"
         if not bag.exists():
-            write_bag(bag)
+            write_own(bag, rolling_messages())
         command = verb_command("viewer", "--port", "0", "--replay", str(bag))
         with (folder / "viewer.log").open("wb") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log, preexec_fn=limit)
@@ -130,13 +115,20 @@ class Process:
             return len(page.recv(timeout=PATIENCE)) > 0
 
 
-@pytest.fixture
-def viewer(tmp_path) -> Iterator[Process]:
-    with Process(tmp_path) as process:
-        yield process
+def test_invalid_input_of_all_kinds_causes_one_line(tmp_path) -> None:
+    with Process(tmp_path) as viewer:
+        send_invalid_input(viewer)
+        assert viewer.serves()
+        # With the address anybody on this machine could send goals.
+        assert (viewer.folder / "viewer.log").stat().st_mode & 0o077 == 0
+    assert "Traceback" not in viewer.log
+    about_the_bag = re.compile(r"viewer: (http|no status|/\w+)")
+    lines = [line for line in viewer.log.splitlines() if not about_the_bag.match(line)]
+    assert len(lines) == 1, viewer.log
+    assert lines[0].startswith("viewer: invalid input of a page was ignored: ")
 
 
-def test_invalid_input_of_all_kinds_causes_one_line(viewer) -> None:
+def send_invalid_input(viewer: Process) -> None:
     page = urlsplit(viewer.url)
     for data in invalid_requests(page.port, page.query):
         send_raw(page.port, data)
@@ -144,15 +136,7 @@ def test_invalid_input_of_all_kinds_causes_one_line(viewer) -> None:
         with shake_hands(viewer.url) as end, suppress(ConnectionClosed, TimeoutError):
             end.send(message)
             while True:
-                end.recv(timeout=5.0)
-    for junk in (RANDOM.randbytes(500), b"\xff" * 50, b"\x81\x05hello", b"\x82\xfe\xff\xff"):
-        send_broken_frames(page.port, page.query, junk)
-    assert viewer.serves()
-    assert "Traceback" not in viewer.log
-    about_the_bag = re.compile(r"viewer: (http|no status|/\w+)")
-    lines = [line for line in viewer.log.splitlines() if not about_the_bag.match(line)]
-    assert len(lines) == 1, viewer.log
-    assert lines[0].startswith("viewer: invalid input of a page was ignored: ")
+                end.recv(timeout=1.0)
 
 
 def test_too_many_connections_cause_one_line_and_service_resumes(tmp_path) -> None:
@@ -170,10 +154,6 @@ def test_too_many_connections_cause_one_line_and_service_resumes(tmp_path) -> No
             connection.close()
         assert viewer.serves()
         assert viewer.log.count("too many open files") == 1 and "Traceback" not in viewer.log
-
-
-def test_log_with_the_address_is_readable_by_its_owner_only(viewer) -> None:
-    assert (viewer.folder / "viewer.log").stat().st_mode & 0o077 == 0
 
 
 class Script:
@@ -224,7 +204,7 @@ def test_invalid_values_do_not_end_the_viewer(capfd) -> None:
                         with suppress(TimeoutError):
                             page.recv(timeout=0.01)
                     viewer.tick()
-                    viewer._panel.put("send")
+                    viewer._panel.put(SendGoal())
             viewer.tick()
         with shake_hands(viewer.url) as page:
             assert len(page.recv(timeout=PATIENCE)) > 0

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a live robot: restarts, pauses, radius, and values of status messages."""
+"""Frames of a live robot: restarts, pauses, radius, alerts, and values of status messages."""
 
 from dataclasses import replace
 
@@ -33,13 +33,9 @@ def test_restart_is_a_step_back_in_time_or_an_impossible_speed(stamp, x, restart
     live.add_pose(stamp, state(x), 0.3, 0.1)
     assert live.take(0.1, 1).restarted is restarted
     assert not live.take(0.1, 1).restarted, "a restart is reported once"
-
-
-def test_restart_between_two_frames_is_not_lost() -> None:
-    live = LiveFrame(0.0)
-    for stamp in (5.0, 1.0, 1.1):
-        live.add_pose(stamp, state(0.0), 0.3, 0.0)
-    assert live.take(0.0, 1).restarted
+    for step_back in (1.0, 1.1):  # and not lost between two frames
+        live.add_pose(step_back, state(0.0), 0.3, 0.2)
+    assert live.take(0.2, 1).restarted
 
 
 def test_clock_is_paused_while_poses_repeat_a_stamp() -> None:
@@ -67,13 +63,17 @@ def test_radius_is_the_height_of_the_centre_if_a_robot_can_have_it(height, radiu
     assert live.frame.radius == radius
 
 
-def test_refused_pose_is_an_alert_until_the_next_valid_one() -> None:
+def test_missing_messages_are_alerts_with_their_age() -> None:
     live = LiveFrame(0.0)
-    live.controller_seen(0.0)
+    assert live.take(0.0, 1).alerts == ("no pose yet", "no controller yet")
+    live.controller_seen(10.0)
     live.refuse_pose("frame: given 'map'")
-    assert live.take(0.1, 1).alerts == ("pose refused: frame: given 'map'",)
-    live.add_pose(1.0, state(0.0), 0.3, 0.1)
-    assert live.take(0.1, 1).alerts == ()
+    assert live.take(10.1, 1).alerts == ("pose refused: frame: given 'map'",)
+    live.add_pose(1.0, state(0.0), 0.3, 10.0)
+    assert live.take(10.5, 1).alerts == ()
+    assert live.take(10.7, 1).alerts == ("no pose for 0.7 s",)
+    assert live.take(11.9, 1).alerts == ("no pose for 1.9 s", "controller silent for 1.9 s")
+    assert live.take(10.7, 0).alerts == ("no pose for 0.7 s", "controller gone")
 
 
 def test_status_gives_momentum_and_what_is_given_up_as_an_alert() -> None:
@@ -93,25 +93,26 @@ def test_status_gives_momentum_and_what_is_given_up_as_an_alert() -> None:
     assert np.all(np.isnan(live.frame.momentum)) and live.take(0.1, 1).alerts == ()
 
 
-def test_numbers_that_cannot_be_drawn_are_unknown_and_long_texts_are_cut() -> None:
-    live, far = LiveFrame(0.0), (np.inf, -np.inf, 1e308, -1e31)
-    live.add_pose(1.0, state(0.0), 0.3, 0.0)
-    for number in far:
-        live.add_rotors(np.array([number, 1e9]), np.array([-1e9, number]))
-        live.add_status({name: str(number) for name in ("cost", "momentum_x", "solve_time_s")})
-        frame = live.take(0.0, 1)
-        np.testing.assert_array_equal(frame.rotor_speeds, [np.nan, 1e9])
-        np.testing.assert_array_equal(frame.rotor_torques, [-1e9, np.nan])
-        assert np.isnan([frame.cost, frame.solve_time, *frame.momentum]).all()
-        live.add_status({"time_s": "0", "arrival_s": str(number)})
-        assert np.isnan(live.frame.to_go)
-    long = 100_000 * "x"
-    live.controller_seen(0.0)
+@pytest.mark.parametrize("number", [np.inf, -np.inf, 1e308, -1e31])
+def test_numbers_that_cannot_be_drawn_are_unknown(number) -> None:
+    live = LiveFrame(0.0)
+    live.add_rotors(np.array([number, 1e9]), np.array([-1e9, number]))
+    live.add_status({name: str(number) for name in ("cost", "momentum_x", "solve_time_s")})
+    np.testing.assert_array_equal(live.frame.rotor_speeds, [np.nan, 1e9])
+    np.testing.assert_array_equal(live.frame.rotor_torques, [-1e9, np.nan])
+    assert np.isnan([live.frame.cost, live.frame.solve_time, *live.frame.momentum]).all()
+    live.add_status({"time_s": "0", "arrival_s": str(number)})
+    assert np.isnan(live.frame.to_go)
+
+
+def test_long_texts_are_cut() -> None:
+    live, long = LiveFrame(0.0), 100_000 * "x"
     live.add_status({"mode": long, "strategy": long, "giving_up": long, "no_progress": "short"})
     frame = replace(live.take(0.1, 1), notices=(long, "short"))
-    assert frame.mode == frame.strategy == frame.notices[0] == frame.alerts[0]
-    assert frame.mode == 297 * "x" + "..."
-    assert frame.alerts[1:] == ("no progress: short",) and frame.notices[1] == "short"
+    assert frame.mode == frame.strategy == frame.notices[0] == frame.alerts[2] == (
+        297 * "x" + "..."
+    )
+    assert frame.alerts[3] == "no progress: short" and frame.notices[1] == "short"
 
 
 @pytest.mark.parametrize(

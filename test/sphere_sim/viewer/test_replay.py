@@ -34,9 +34,11 @@ def replay(wall) -> Replay:
     states[:, 0] = times
     goal = make_state((DURATION, 0.0), (1.0, 0.0, 0.0, 0.0))
     hold = FirstOrderHold(np.array([5.0, 5.5, 6.0]), np.array([[0, 0], [10, 0], [0, 0]], float))
-    solves = Solves(np.array([5.0]), np.array([2e-3]), np.array([7.0]), ("solved",))
+    solves = Solves(
+        np.array([5.0]), np.array([2e-3]), np.array([7.0]), ("solved",), np.array([np.nan])
+    )
     run = Run(
-        "run", Path("run"), 0.0, times, states, times, np.ones((len(times), 2)),
+        "run", Path("run"), times, states, times, np.ones((len(times), 2)),
         np.ones((len(times), 2)), np.array([1.0]), goal[None], (hold,), solves,
     )
     return Replay(run)
@@ -70,14 +72,11 @@ def test_speed_pause_and_reset(replay, wall) -> None:
     assert replay.frames()[-1].time == pytest.approx(4.0)
     replay.handle(Reset())
     assert replay.frames()[-1].time == pytest.approx(0.0)
-
-
-def test_playback_pauses_at_the_end_and_resumes_at_the_start(replay, wall) -> None:
     wall[0] = 100.0
     last = replay.frames()[-1]
     assert last.time == pytest.approx(DURATION) and last.capabilities.paused
     replay.handle(Pause(False))
-    assert replay.frames()[-1].time == pytest.approx(0.0)
+    assert replay.frames()[-1].time == pytest.approx(0.0), "it begins again after its end"
 
 
 def test_plan_solve_and_goal_are_those_at_the_time_of_the_frame(replay) -> None:
@@ -101,10 +100,10 @@ def test_plan_and_plots_of_a_run_with_momentum_show_it() -> None:
     momentum = np.array([0.0, 0.15, 0.0])
     drift = Drift(momentum / RobotParameters().rotor_axial_inertia)
     replay = Replay(Run(
-        "run", Path("run"), 0.0, times, states, np.empty(0), np.empty((0, 2)), np.empty((0, 2)),
+        "run", Path("run"), times, states, np.empty(0), np.empty((0, 2)), np.empty((0, 2)),
         np.empty(0), np.empty((0, 6)),
         tuple(FirstOrderHold(np.array([t, t + 1.0]), np.zeros((2, 2))) for t in (1.0, 5.0)),
-        Solves(np.empty(0), np.empty(0), np.empty(0), ()),
+        Solves(*np.empty((3, 0)), (), np.empty(0)),
         Momentum(np.array([4.0]), momentum[None], (drift,)),
     ))
     replay.handle(Pause(True))

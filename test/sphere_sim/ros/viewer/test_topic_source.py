@@ -29,7 +29,7 @@ from sphere_sim.ros.viewer import remote_parameter
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.topic_source import TopicSource
 from sphere_sim.viewer.frame import Drive
-from sphere_sim.viewer.source import Pause, Push, Reset, SetGoal, SetSpeed, SetStrategy
+from sphere_sim.viewer.source import ApplyPush, Pause, Reset, SetGoal, SetSpeed, SetStrategy
 from sphere_sim.viewer.viewer import Viewer
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
@@ -99,7 +99,7 @@ def test_push_reaches_the_simulator_with_its_direction(graph, source) -> None:
     graph.add(node)
     graph.until(lambda: newest(source).capabilities.push and newest(source).state is not None)
     at_rest = newest(source).state[:2]
-    assert source.handle(Push((0.3, -0.6))) == ""
+    assert source.handle(ApplyPush((0.3, -0.6))) == ""
     graph.until(lambda: newest(source).state[1] < at_rest[1] - 0.05)
     moved = newest(source).state[:2] - at_rest
     np.testing.assert_allclose(node.simulator.plant.momentum, [0.18, 0.09, 0.0], atol=1e-9)
@@ -235,7 +235,7 @@ def test_pose_in_another_frame_is_refused(graph, source) -> None:
 
 
 def test_missing_messages_of_both_nodes_are_reported(graph, source) -> None:
-    # The time-outs are tested without a clock, see `Liveness`.
+    # The time-outs are tested without a clock, see `LiveFrame`.
     statuses = graph.publisher(DiagnosticStatus, "controller/status")
     poses = graph.publisher(PoseStamped, "pose")
 

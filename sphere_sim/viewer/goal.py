@@ -1,17 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal as a translucent sphere that users drag over the floor and turn by rings."""
+"""Goal on the page: a translucent sphere that users move by gizmos, or to one of a list."""
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import viser
 
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
+from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import add_shell
+from sphere_sim.viewer.source import DragGoal
 
 _SAME = 1e-6
 """Largest error between two goals that count as equal [mixed units]."""
@@ -22,24 +27,44 @@ _DRAG_TIMEOUT = 10.0
 """Time after which a drag without events is over, as when its page is closed [s]."""
 
 
+def _fixed(goal: Vector) -> Callable[[Vector], Vector]:
+    return lambda state: goal.copy()
+
+
+def _turned(*wxyz: float) -> Callable[[Vector], Vector]:
+    """Return the rotation of a state at its place, in the world frame."""
+    return lambda state: make_state(
+        state[POSITION], rotation.product(np.array(wxyz), state[QUATERNION])
+    )
+
+
+def _here(*wxyz: float) -> Callable[[Vector], Vector]:
+    return lambda state: make_state(state[POSITION], wxyz)
+
+
+GOAL_PRESETS: dict[str, Callable[[Vector], Vector]] = {
+    "origin, upright": _fixed(_ORIGIN),
+    **{f"goal of the paper's case {i}": _fixed(case.goal) for i, case in PAPER_CASES.items()},
+    **{f"start of the paper's case {i}": _fixed(case.start) for i, case in PAPER_CASES.items()},
+    "half turn about the vertical, here": _turned(0.0, 0.0, 0.0, 1.0),
+    "upside down, here": _turned(0.0, 1.0, 0.0, 0.0),
+    "upright, here": _here(1.0, 0.0, 0.0, 0.0),
+    "on circle Γ, here": _here(math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0),
+    "1 m ahead in x": lambda state: state + np.eye(6)[0],
+}
+"""Goal of each name, shape (6,), as a function of the present state, shape (6,)."""
+
+
 class GoalGizmo:
     """Translucent sphere with two gizmos: arrows and a square in the plane, and three rings.
 
     There are two because the arrows keep their directions while the rings turn with the sphere.
-
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        The scene.
-    radius : float
-        Radius of the shell [m].
-    on_drag : callable or None
-        Called, on another thread, with the phase of a drag: start, update or end; None if users
-        cannot move the goal.
+    `on_drag` is called, on another thread, with each step of a drag; without it users cannot move
+    the goal.
     """
 
     def __init__(
-        self, scene: viser.SceneApi, radius: float, on_drag: Callable[[str], object] | None
+        self, scene: viser.SceneApi, radius: float, on_drag: Callable[[DragGoal], object] | None
     ) -> None:
         self.radius = radius
         """Radius of the shell [m]."""
@@ -52,7 +77,7 @@ class GoalGizmo:
         self._dragged_until = 0.0
 
     def _add_handles(
-        self, scene: viser.SceneApi, on_drag: Callable[[str], object] | None
+        self, scene: viser.SceneApi, on_drag: Callable[[DragGoal], object] | None
     ) -> tuple[Any, Any]:
         position = (0.0, 0.0, self.radius)
         if on_drag is None:
@@ -69,11 +94,11 @@ class GoalGizmo:
             ),
         )
 
-        async def report_phase(event: viser.TransformControlsEvent) -> None:
-            on_drag(event.phase)
+        async def report(event: viser.TransformControlsEvent) -> None:
+            on_drag(DragGoal(ended=event.phase == "end"))
 
         for handle in handles:
-            handle.on_update(report_phase)
+            handle.on_update(report)
         return handles
 
     @property
@@ -100,12 +125,12 @@ class GoalGizmo:
             if known is None or state_error(in_force, known) > _SAME:
                 self._in_force = in_force
                 self.move_to(in_force)
-        if self.goal is None:
-            self.move_to(_ORIGIN if self._in_force is None else self._in_force)
         goal = self.goal
-        if self._in_force is None or goal is None:
-            text = "goal, not sent"
-        else:
+        if goal is None:
+            goal = _ORIGIN if self._in_force is None else self._in_force
+            self.move_to(goal)
+        text = "goal, not sent"
+        if self._in_force is not None:
             equal = state_error(goal, self._in_force) < _VISIBLE
             text = "goal" if equal else "goal, not in force"
         if text != self._label.text:

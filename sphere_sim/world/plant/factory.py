@@ -20,20 +20,9 @@ def make_plant(
     settings: RigidBodySettings | None = None,
     disturbances: DisturbanceSettings | None = None,
 ) -> Plant:
-    """Return a new plant.
+    """Return a new plant: ``rolling``, the ideal one, or ``rigid_body``, with contact and drives.
 
-    Parameters
-    ----------
-    name : str
-        ``rolling``, the ideal plant, or ``rigid_body``, the one with contact and drives.
-    robot : RobotParameters
-        True parameters of the robot.
-    state : ndarray, shape (6,)
-        Initial state; the sphere starts at rest.
-    settings : RigidBodySettings, optional
-        Settings of ``rigid_body``; ``rolling`` has none.
-    disturbances : DisturbanceSettings, optional
-        Slope, offset of the centre of mass and friction; none by default.
+    The arguments are those of `RigidBodyPlant`; ``rolling`` has no settings of its own.
 
     Raises
     ------

@@ -107,12 +107,7 @@ class MomentumBalance:
     ) -> Vector:
         """Return the derivative of `body_rate` [rad/s^2; body frame], shape (3,).
 
-        Parameters
-        ----------
-        y : tuple of float
-            State and momentum.
-        speeds, accelerations : tuple of float
-            Of the rotors [rad/s, rad/s^2].
+        `speeds` and `accelerations` are those of the rotors [rad/s, rad/s^2].
         """
         axes = _axes(y)
         turn = np.array(axes).reshape(3, 3)

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.contract import step_scale
 from sphere_sim.world.plant.momentum_balance import MomentumBalance
-from sphere_sim.world.plant.time_scale import step_scale
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below

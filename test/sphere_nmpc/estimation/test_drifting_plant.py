@@ -100,10 +100,9 @@ class Robot:
         return float(np.linalg.norm(self.found.momentum - self.drift.momentum))
 
 
-@pytest.mark.parametrize("percent", [0.0, 3.0, 10.0])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("percent", "noise"), [(0.0, 0.0), (10.0, 0.0), (3.0, 1e-3)])
 def test_nothing_is_invented_on_a_level_floor(percent: float, noise: float) -> None:
-    for seed in range(3):
+    for seed in range(2):
         robot = Robot(percent, noise=noise, seed=seed)
         for _ in range(16):
             robot.roll(1)
@@ -117,21 +116,15 @@ def test_nothing_is_invented_on_a_level_floor(percent: float, noise: float) -> N
 
 
 @pytest.mark.parametrize("percent", [3.0, 10.0])
-def test_slope_is_found_in_motion(percent: float) -> None:
-    for seed in range(3):
-        robot = Robot(percent, Drift(slope=SLOPE), seed=seed)
-        robot.roll(12)
-        assert robot.momentum_error() < MOMENTUM_TOLERANCE
-        np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
-        np.testing.assert_allclose(robot.found.imbalance, 0.0, atol=SLOPE_TOLERANCE)
-
-
-def test_momentum_slope_and_imbalance_are_found_together() -> None:
-    robot = Robot(3.0, Drift(PUSH, SLOPE, IMBALANCE))
+@pytest.mark.parametrize(
+    "drift", [Drift(slope=SLOPE), Drift(PUSH, SLOPE, IMBALANCE)], ids=["slope", "all"]
+)
+def test_momentum_slope_and_imbalance_are_found_in_motion(percent: float, drift: Drift) -> None:
+    robot = Robot(percent, drift)
     robot.roll(16)
     assert robot.momentum_error() < MOMENTUM_TOLERANCE
     np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
-    np.testing.assert_allclose(robot.found.imbalance, IMBALANCE, atol=SLOPE_TOLERANCE)
+    np.testing.assert_allclose(robot.found.imbalance, drift.imbalance, atol=SLOPE_TOLERANCE)
 
 
 def test_slope_is_found_while_the_rotors_stand_still() -> None:
@@ -146,7 +139,7 @@ def test_long_rest_on_a_slope_loses_nothing() -> None:
     robot = Robot(3.0, Drift(slope=0.05 * SLOPE))
     robot.roll(12)
     before = robot.estimator.result
-    robot.rest(240)
+    robot.rest(120)
     after = robot.estimator.result
     assert robot.momentum_error() < MOMENTUM_TOLERANCE
     true = robot.robot.lumped.as_array()
@@ -156,7 +149,7 @@ def test_long_rest_on_a_slope_loses_nothing() -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_push_is_recognised_within_two_samples(share: float) -> None:
-    for seed in range(3):
+    for seed in range(2):
         robot = Robot(3.0, seed=seed)
         robot.roll(8)
         assert robot.found is NO_DRIFT
@@ -165,12 +158,6 @@ def test_push_is_recognised_within_two_samples(share: float) -> None:
         assert robot.estimator.result.plant.noise < 1e-4
         robot.roll(6)
         assert robot.momentum_error() < MOMENTUM_TOLERANCE
-
-
-def test_second_push_is_recognised_too() -> None:
-    robot = Robot(3.0)
-    robot.roll(8)
-    robot.roll(6, PUSH)
     robot.roll(2, -2.0 * PUSH)
     assert robot.momentum_error() < 0.02 * np.linalg.norm(PUSH)
 

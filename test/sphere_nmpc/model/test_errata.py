@@ -69,21 +69,6 @@ def test_eq_4_needs_a_factor_of_two() -> None:
     assert largest(corrected) < HOLDS
 
 
-def test_eq_7_holds_as_printed() -> None:
-    residuals = []
-    for x, _, dx, body in motions():
-        q1, q2, q3, q4 = x[2:6]
-        d1, d2, d3, d4 = dx[2:6]
-        rolled = 2.0 * RADIUS * np.array([
-            -q3 * d1 + q4 * d2 + q1 * d3 - q2 * d4, q2 * d1 - q1 * d2 + q4 * d3 - q3 * d4,
-        ])
-        residuals.append(dx[:2] - rolled)
-        # The same from the rotation itself: the contact point is at rest.
-        spin = to_world(x) @ body
-        residuals.append(dx[:2] - RADIUS * np.array([spin[1], -spin[0]]))
-    assert largest(residuals) < HOLDS
-
-
 def test_eq_10_needs_the_factor_of_two_of_eq_7() -> None:
     mass = ROBOT.total_mass
     printed, corrected = [], []
@@ -215,32 +200,6 @@ def test_on_gamma_one_input_spins_in_place_as_remark_1_says(alpha: float, phi: f
     spin = to_world(x) @ body
     np.testing.assert_allclose(spin[:2], 0.0, atol=HOLDS * 10.0)
     assert abs(spin[2]) > 0.1
-
-
-def test_off_gamma_the_centre_can_move_in_every_direction() -> None:
-    for x, *_ in motions(20, seed=3):
-        columns = np.column_stack([rates(x, u)[1][:2] for u in np.eye(2)])
-        # The slowest direction vanishes only with the height of the contact point.
-        fastest, slowest = np.linalg.svd(columns)[1]
-        height = abs(to_world(x)[2, 2])
-        assert slowest >= height * fastest > HOLDS
-    upright = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    columns = np.column_stack([rates(upright, u)[1][:2] for u in np.eye(2)])
-    values = np.linalg.svd(columns)[1]
-    assert values[0] == pytest.approx(values[1])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_path_of_the_contact_point_crosses_gamma_at_a_right_angle(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    alpha, phi = rng.uniform(0, 6, 2)
-    x = np.concatenate((np.zeros(2), box_1(alpha, phi, -1.0)))
-    for u in rng.uniform(-100, 100, size=(10, 2)):
-        _, _, body = rates(x, u)
-        # The contact point -Rs k moves over the shell as k does in the body: k' = -omega x k.
-        k = to_world(x)[2]
-        path = RADIUS * np.cross(body, k)
-        np.testing.assert_allclose(path[:2], 0.0, atol=HOLDS)
 
 
 def upright(heading: float = 0.0, x: float = 0.0) -> Vector:

@@ -38,12 +38,10 @@ def test_torques_of_a_plan_are_those_of_the_plant() -> None:
     np.testing.assert_allclose(before, seen, atol=1e-9)
     # At rest the shell does not turn: what is left is the reaction of its inertia.
     np.testing.assert_allclose(after[0], INERTIA * hold.speeds[1] / 0.25, rtol=0.08)
-
-
-def test_plan_of_one_knot_has_no_torque() -> None:
-    hold = FirstOrderHold.constant(0.0, np.zeros(2))
-    after, before = torques(as_state([0, 0, 1, 0, 0, 0])[None], hold, ROBOT.lumped, INERTIA)
-    assert after.shape == before.shape == (0, 2)
+    one = FirstOrderHold.constant(0.0, np.zeros(2))
+    assert [part.shape for part in torques(states[0][None], one, ROBOT.lumped, INERTIA)] == [
+        (0, 2), (0, 2)
+    ]
 
 
 @pytest.mark.parametrize("limit", [0.4, 1.6, 3.2])
@@ -64,12 +62,10 @@ def test_slew_within_a_torque_limit_keeps_it_everywhere(limit: float) -> None:
     assert 0.9 * limit < worst <= limit
 
 
-def test_without_a_limit_or_with_a_generous_one_the_slew_stays() -> None:
+def test_without_a_limit_or_with_a_generous_one_the_slew_stays_and_too_low_a_one_is_refused():
     assert largest_acceleration(ROBOT) == ROBOT.max_rotor_acceleration
     assert within_torque(replace(ROBOT, max_rotor_torque=10.0)).max_rotor_acceleration == 400.0
-
-
-def test_limit_that_the_turning_shell_alone_exceeds_is_refused() -> None:
+    # The turning shell alone exceeds it.
     with pytest.raises(InvalidParameterError, match="max_rotor_torque"):
         largest_acceleration(replace(ROBOT, max_rotor_torque=0.05))
 

@@ -23,14 +23,9 @@ TABLE_1 = RobotParameters()
 def test_units_of_table_1_are_one_to_the_bit() -> None:
     assert RobotUnits.of(TABLE_1) == RobotUnits(1.0, 1.0, 1.0)
     assert RobotUnits.of(TABLE_1).max_speed == 100.0
-
-
-@pytest.mark.parametrize(
-    ("name", "period"), [("paper", 0.5), ("plan_keeping", 0.5), ("time_optimal", 0.25)]
-)
-def test_own_settings_of_table_1_are_those_of_the_paper_to_the_bit(name, period) -> None:
-    settings = ControllerSettings(strategy=name).of(TABLE_1)
-    assert (settings.period, settings.alpha, settings.longest_step) == (period, 0.5, 0.1)
+    for name, period in (("paper", 0.5), ("plan_keeping", 0.5), ("time_optimal", 0.25)):
+        settings = ControllerSettings(strategy=name).of(TABLE_1)
+        assert (settings.period, settings.alpha, settings.longest_step) == (period, 0.5, 0.1)
 
 
 def test_what_a_user_sets_is_used_as_set() -> None:

@@ -8,17 +8,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.errors import MissingEngineError, PlantDivergedError
-from sphere_sim.world.plant.rigid_body.floor import make_floor
-from sphere_sim.world.plant.rigid_body.mjcf import make_mjcf, servo_gain
+from sphere_sim.world.plant.rigid_body.mjcf import make_floor, make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 # Layout of MuJoCo's generalised coordinates and velocities.
 _CENTRE, _TURN, _ANGLES = slice(0, 3), slice(3, 7), slice(7, 9)
 _VELOCITY, _RATE, _SPEEDS = slice(0, 3), slice(3, 6), slice(6, 8)
+
+
+class MissingEngineError(SphereNmpcError, ImportError):
+    """The rigid-body engine is not installed."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the plant 'rigid_body' needs MuJoCo: pip install 'sphere_nmpc[rigid]' (or mujoco)"
+        )
+
+
+class PlantDivergedError(SphereNmpcError, RuntimeError):
+    """The state of a simulated plant is not finite: its longest step [s] is too long."""
+
+    def __init__(self, time_step: float) -> None:
+        super().__init__(
+            f"rigid_body: the state is no longer finite; time_step {time_step:g} s is too long "
+            "for the contact and the drives"
+        )
 
 
 class RigidBodyPlant:

@@ -69,17 +69,6 @@ def test_right_parameters_stay_right_and_uncertainty_falls() -> None:
     assert np.all(deviations(estimator) < 0.05 * before)
 
 
-def test_constants_are_not_estimated_at_rest() -> None:
-    estimator = PlantEstimator(NOMINAL.lumped)
-    state = np.array([0, 0, 1.0, 0, 0, 0])
-    for _ in range(20):
-        estimator.observe(Transition(state, state, np.array([PERIOD]), np.zeros((2, 2))))
-    assert relative_error(estimator, NOMINAL) == 0.0
-    np.testing.assert_allclose(
-        deviations(estimator), 0.1 * NOMINAL.lumped.as_array(), rtol=1e-12
-    )
-
-
 def test_noise_is_distinguished_from_wrong_constants() -> None:
     robot = perturbed(NOMINAL, 0.03, np.random.default_rng(3))
     estimator = PlantEstimator(NOMINAL.lumped)
@@ -90,22 +79,18 @@ def test_noise_is_distinguished_from_wrong_constants() -> None:
     assert np.all(np.abs(errors) < 4.0 * deviations(estimator))
 
 
-def test_transition_of_a_robot_that_was_picked_up_is_left_out() -> None:
+def test_nothing_is_learnt_at_rest_or_from_a_robot_that_was_picked_up() -> None:
     estimator = PlantEstimator(NOMINAL.lumped)
     start = np.array([0, 0, 1.0, 0, 0, 0])
+    for _ in range(20):
+        estimator.observe(Transition(start, start, np.array([PERIOD]), np.zeros((2, 2))))
+    np.testing.assert_allclose(
+        deviations(estimator), 0.1 * NOMINAL.lumped.as_array(), rtol=1e-12
+    )
     moved = start + np.array([2.0 * JUMP, 0, 0, 0, 0, 0])
     estimator.observe(Transition(start, moved, np.array([PERIOD]), np.full((2, 2), 50.0)))
     assert estimator.estimate.noise == LEAST_NOISE
     assert relative_error(estimator, NOMINAL) == 0.0
-
-
-def test_constants_stay_within_their_range_for_a_very_different_robot() -> None:
-    estimator = PlantEstimator(NOMINAL.lumped)
-    far = dataclasses.replace(NOMINAL, rotor_axial_inertia=0.05, shell_radius=0.6)
-    drive(estimator, far, 10, 2)
-    found = estimator.estimate.constants
-    assert found.transverse_ratio < 1.0 and found.axial_ratio < 1.0
-    assert np.all(found.as_array() > 0.0)
 
 
 def drive_weakly(

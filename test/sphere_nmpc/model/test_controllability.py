@@ -39,17 +39,14 @@ def growth(state: Vector) -> tuple[int, ...]:
     )
 
 
-@pytest.mark.parametrize("latitude", [1e-3, 0.1, 0.7, 1.5])
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_brackets_of_three_fields_span_everything_off_the_circle(
-    latitude: float, side: float
-) -> None:
+@pytest.mark.parametrize("latitude", [1e-3, -0.1, 0.7, -1.5])
+def test_brackets_of_three_fields_span_everything_off_the_circle(latitude: float) -> None:
     rng = np.random.default_rng(1)
     for _ in range(20):
-        state = state_at(side * latitude, *rng.uniform(-np.pi, np.pi, 2))
+        state = state_at(latitude, *rng.uniform(-np.pi, np.pi, 2))
         assert growth(state) == (2, 3, 5, 5)
         # 1e-8: the rounding of a quaternion near a contact point on the axis of the rotors' plane.
-        assert distance_to_circle(state) == pytest.approx(latitude, abs=1e-8)
+        assert distance_to_circle(state) == pytest.approx(abs(latitude), abs=1e-8)
 
 
 def test_brackets_of_three_fields_lose_one_direction_on_the_circle_and_four_regain_it() -> None:

@@ -82,12 +82,3 @@ def test_angle_between_is_that_of_scipy_for_one_and_for_many() -> None:
     np.testing.assert_allclose(rotation.angle_between(a, b), expected, atol=1e-14)
     np.testing.assert_allclose(rotation.angle_between(a, -b), expected, atol=1e-14)
     assert rotation.angle_between(a[0], b[0]) == pytest.approx(expected[0], abs=1e-14)
-
-
-def test_nearer_sign_is_the_shorter_chord() -> None:
-    a, b = draws()[:15], draws()[15:]
-    found = rotation.nearer_sign(a, b)
-    np.testing.assert_array_equal(np.abs(found), np.abs(a))
-    near, far = (np.linalg.norm(sign * found - b, axis=1) for sign in (1.0, -1.0))
-    assert np.all(near <= far)
-    assert np.any(found != a) and np.any(found == a)

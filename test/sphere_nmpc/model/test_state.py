@@ -84,10 +84,3 @@ def test_angle_error_is_the_angle_of_the_rotation_even_where_it_is_tiny(angle: f
     # 1e-7 near pi, where the sine has no slope; relative rounding elsewhere.
     expected = pytest.approx(angle, rel=1e-7, abs=1e-15)
     assert angle_error(state, np.array(ORIGIN)) == expected
-
-
-def test_errors_of_a_half_turn_two_metres_away_agree_with_hand_calculation() -> None:
-    state, goal = np.array([0.0, 2.0, *HALF_TURN[2:]]), np.array(ORIGIN)
-    assert position_error(state, goal) == 2.0
-    assert angle_error(state, goal) == pytest.approx(np.pi)
-    assert state_error(state, goal) == pytest.approx(np.sqrt(6.0))

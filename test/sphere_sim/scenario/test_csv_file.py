@@ -17,7 +17,6 @@ from sphere_sim.scenario.csv_file import (
     ScenarioFileError,
     read_scenarios,
 )
-from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.disturbances import Push
 
 HEADER = ",".join(STATE_COLUMNS)
@@ -69,13 +68,6 @@ def test_seed_is_the_number_of_the_row_where_it_is_left_out(tmp_path) -> None:
     assert [s.seed for s in found] == [5, 1]
 
 
-def test_paper_case_reads_as_the_built_in_one(tmp_path) -> None:
-    path = write(tmp_path, HEADER, "2,-3,0.03,0.454,0.88,0.1363,0,0,1,0,0,0")
-    (scenario,) = read_scenarios(path)
-    np.testing.assert_array_equal(scenario.start, PAPER_CASES[1].start)
-    assert scenario.given["qw"] == "0.03"
-
-
 @given(
     ends=st.lists(st.tuples(coordinates, coordinates, quaternions), min_size=2, max_size=2),
     seed=st.integers(0, 2**31 - 1),
@@ -108,17 +100,6 @@ def test_a_bad_number_is_named_by_line_and_column(tmp_path_factory, column, text
         write(tmp_path_factory.getbasetemp(), HEADER, *(",".join(cells) for cells in rows))
     )
     assert (error.line, error.column, error.given) == (row + 2, column, f"'{text}'")
-
-
-@given(st.binary(max_size=200), st.booleans())
-@settings(max_examples=150)
-def test_any_bytes_are_scenarios_or_the_one_error(tmp_path_factory, noise, headed) -> None:
-    path = tmp_path_factory.getbasetemp() / "noise.csv"
-    path.write_bytes((HEADER.encode() + b"\n" if headed else b"") + noise)
-    try:
-        assert read_scenarios(path)
-    except ScenarioFileError as error:
-        assert error.expected
 
 
 @pytest.mark.parametrize(

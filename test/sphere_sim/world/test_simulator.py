@@ -54,10 +54,10 @@ def test_trajectory_is_followed_as_the_plant_would_alone() -> None:
     world = simulator(WITHIN_LIMITS)
     world.advance_to(seconds(1.3))
     plant = RollingPlant(ROBOT, simulator().plant.state)
-    for start, end, speeds in zip(
-        WITHIN_LIMITS.times, WITHIN_LIMITS.times[1:], WITHIN_LIMITS.speeds[1:], strict=False
+    for duration, speeds in zip(
+        np.diff(WITHIN_LIMITS.times), WITHIN_LIMITS.speeds[1:], strict=True
     ):
-        plant.advance(speeds, end - start)
+        plant.advance(speeds, duration)
     # Both divide the time into steps of their own: twice the method's error.
     np.testing.assert_allclose(world.plant.state, plant.state, atol=1e-6)
 

@@ -140,21 +140,6 @@ def test_torque_agrees_with_the_acceleration_seen_from_outside(
     np.testing.assert_allclose(torque, expected, atol=1e-5)  # first order in h
 
 
-def test_upright_sphere_rests_with_the_momentum_in_its_rotors() -> None:
-    plant = RollingPlant(ROBOT, UPRIGHT)
-    plant.push([0.5, 0.2])
-    held = plant.momentum[:2] / ROBOT.rotor_axial_inertia
-    plant.advance(held, 0.1)
-    stopped = plant.state
-    plant.advance(held, 1.0)
-    # It stands tilted by the ramp; upright it would not move at all.
-    plant.displace(UPRIGHT)
-    np.testing.assert_allclose(plant.velocity, 0.0, atol=1e-15)
-    plant.advance(held, 1.0)
-    np.testing.assert_allclose(plant.state, UPRIGHT, atol=1e-12)
-    assert np.linalg.norm(stopped[:2]) < 0.1
-
-
 @pytest.mark.parametrize(("kind", "tolerance"), [(RollingPlant, 1e-14), (RigidBodyPlant, 2e-4)])
 def test_tilted_floor_gives_momentum_until_it_is_level_again(kind, tolerance) -> None:
     # With contact a little less in the first moment, while it has no load yet.

@@ -214,11 +214,6 @@ class DriftStateEstimator(StateEstimator[DriftFilterState]):
     A push leaves a few poses inside the gate until the motion shows. So where poses fit badly, the
     newest ones are fused again after a jump of the momentum before them, and the better history is
     kept (a generalised likelihood ratio test).
-
-    Parameters
-    ----------
-    sent, scaling, parameters, noise
-        As in `StateEstimator`.
     """
 
     def __init__(

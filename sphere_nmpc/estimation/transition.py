@@ -110,19 +110,8 @@ def driven_speeds(
     A rotor that has fallen behind turns at the limit until it has caught up. At the start it has
     the speed that was sent.
 
-    Parameters
-    ----------
-    durations : ndarray, shape (K,)
-        Lengths of the pieces sent [s].
-    inputs : ndarray, shape (K + 1, 2)
-        Speeds sent at their ends [rad/s].
-    acceleration : float
-        Largest acceleration of the rotors [rad/s^2].
-
-    Returns
-    -------
-    durations : ndarray, shape (L,)
-    inputs : ndarray, shape (L + 1, 2)
+    Both are lengths of pieces [s], shape (K,), and the speeds at their ends [rad/s], shape
+    (K + 1, 2).
     """
     given = np.concatenate(([0.0], np.cumsum(durations)))
     paths = [_followed(given, column, acceleration) for column in inputs.T]

@@ -25,16 +25,8 @@ def perturbed(
 ) -> RobotParameters:
     """Return a robot with each physical parameter times 1 + fraction * U(-1, 1).
 
-    Parameters that no robot can have, such as rotors outside the shell, are all drawn again.
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        The nominal parameters.
-    fraction : float
-        Largest relative error, from 0 (the same robot) to below 1.
-    rng : numpy.random.Generator
-        Generator of the errors.
+    `fraction` is from 0 (the same robot) to below 1. Parameters that no robot can have, such as
+    rotors outside the shell, are all drawn again.
 
     Raises
     ------

@@ -26,14 +26,8 @@ class CommandFollower:
     is never queued; a late one is evaluated at the present time. Rotor speeds that arrive within
     `command_timeout` after the end of a trajectory are late samples of it and are ignored.
 
-    Parameters
-    ----------
-    max_speed : float
-        Largest rotor speed [rad/s].
-    max_acceleration : float
-        Largest rotor acceleration [rad/s^2].
-    command_timeout : float
-        How long rotor speeds without a time stamp are followed [s].
+    The limits are in rad/s and rad/s^2; `command_timeout` [s] is how long rotor speeds without a
+    time stamp are followed.
     """
 
     def __init__(self, max_speed: float, max_acceleration: float, command_timeout: float) -> None:

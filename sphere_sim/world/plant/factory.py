@@ -22,7 +22,18 @@ def make_plant(
 ) -> Plant:
     """Return a new plant: ``rolling``, the ideal one, or ``rigid_body``, with contact and drives.
 
-    The arguments are those of `RigidBodyPlant`; ``rolling`` has no settings of its own.
+    Parameters
+    ----------
+    name : str
+        ``rolling`` or ``rigid_body``.
+    robot : RobotParameters
+        True parameters of the robot; those of the controller may differ.
+    state : ndarray, shape (6,)
+        Initial state; the sphere and its rotors start at rest.
+    settings : RigidBodySettings, optional
+        Settings of ``rigid_body``; ``rolling`` has none.
+    disturbances : DisturbanceSettings, optional
+        Slope, offset of the centre of mass and friction; none by default.
 
     Raises
     ------

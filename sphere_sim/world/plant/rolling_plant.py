@@ -29,17 +29,7 @@ _Numbers = tuple[float, ...]
 
 
 class RollingPlant:
-    """Ideal plant; see `sphere_sim.world.plant.contract.Plant`.
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        True parameters of the robot; those of the controller may differ.
-    state : ndarray, shape (6,)
-        Initial state; the sphere and its rotors start at rest.
-    disturbances : DisturbanceSettings, optional
-        Slope, offset of the centre of mass and friction; none by default.
-    """
+    """Ideal plant; for the arguments see `sphere_sim.world.plant.factory.make_plant`."""
 
     def __init__(
         self,

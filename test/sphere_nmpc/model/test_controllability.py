@@ -14,7 +14,6 @@ from sphere_nmpc.model.controllability import (
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
-from sphere_sim.scenario.scenarios import PAPER_CASES
 
 LUMPED = RobotParameters().lumped
 
@@ -101,13 +100,3 @@ def test_measure_depends_on_the_distance_alone_and_rises_with_it() -> None:
 def test_state_that_is_not_finite_gives_no_number_and_no_error() -> None:
     result = controllability(np.full(6, np.nan), LUMPED)
     assert np.isnan(result.distance_to_circle) and np.isnan(result.smallest_singular_value)
-
-
-@pytest.mark.parametrize(
-    ("case", "least", "most", "goal"),
-    # The starts of cases 2 and 4 are on the circle; case 4 is printed with four digits.
-    [(1, 0.1, 1.5, 0.5), (2, 0.0, 1e-12, 0.0), (3, 0.1, 1.5, 0.5), (4, 0.0, 1e-4, 0.0)],
-)
-def test_ends_of_the_paper_cases_lie_where_the_paper_says(case, least, most, goal) -> None:
-    assert least <= distance_to_circle(PAPER_CASES[case].start) <= most
-    assert distance_to_circle(PAPER_CASES[case].goal) == pytest.approx(np.pi * goal, abs=1e-12)

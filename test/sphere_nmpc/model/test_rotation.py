@@ -74,11 +74,3 @@ def test_left_jacobian_is_the_derivative_of_the_exponential() -> None:
         ahead, behind = (rotation.exponential(vector + sign * change) for sign in (1.0, -1.0))
         moved = rotation.logarithm(rotation.product(ahead, rotation.conjugate(behind)))
         np.testing.assert_allclose(moved / (2.0 * step), jacobian[:, i], atol=1e-9)
-
-
-def test_angle_between_is_that_of_scipy_for_one_and_for_many() -> None:
-    a, b = draws()[:15], draws()[15:]
-    expected = (scipy_rotation(a).inv() * scipy_rotation(b)).magnitude()
-    np.testing.assert_allclose(rotation.angle_between(a, b), expected, atol=1e-14)
-    np.testing.assert_allclose(rotation.angle_between(a, -b), expected, atol=1e-14)
-    assert rotation.angle_between(a[0], b[0]) == pytest.approx(expected[0], abs=1e-14)

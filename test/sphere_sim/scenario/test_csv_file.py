@@ -22,18 +22,6 @@ from sphere_sim.world.disturbances import Push
 HEADER = ",".join(STATE_COLUMNS)
 ROW = "1,2,1,0,0,0,0,0,0,0,0,1"
 
-coordinates = st.floats(-1e6, 1e6)
-quaternions = (
-    st.tuples(*[st.floats(-1.0, 1.0)] * 4)
-    .map(np.array)
-    .filter(lambda q: np.linalg.norm(q) > 0.1)
-    .map(lambda q: q / np.linalg.norm(q))
-)
-names = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1).filter(
-    lambda name: name not in (*STATE_COLUMNS, "seed") and name == name.strip()
-)
-
-
 def write(folder: Path, *lines: str, encoding: str = "utf-8") -> Path:
     path = folder / "scenarios.csv"
     path.write_bytes("".join(line + "\n" for line in lines).encode(encoding))
@@ -66,25 +54,6 @@ def test_seed_is_the_number_of_the_row_where_it_is_left_out(tmp_path) -> None:
     assert [s.seed for s in read_scenarios(marked)] == [0, 1]
     found = read_scenarios(write(tmp_path, HEADER + ",seed", ROW + ",5", ROW + ","))
     assert [s.seed for s in found] == [5, 1]
-
-
-@given(
-    ends=st.lists(st.tuples(coordinates, coordinates, quaternions), min_size=2, max_size=2),
-    seed=st.integers(0, 2**31 - 1),
-    extra=st.dictionaries(names, st.text(st.characters(codec="utf-8", exclude_characters="\0"))),
-)
-@settings(max_examples=40)
-def test_what_is_written_is_what_is_read(tmp_path_factory, ends, seed, extra) -> None:
-    path = tmp_path_factory.getbasetemp() / "round_trip.csv"
-    states = [np.array([x, y, *q]) for x, y, q in ends]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([*STATE_COLUMNS, "seed", *extra])
-        writer.writerow([*map(repr, np.concatenate(states).tolist()), seed, *extra.values()])
-    (scenario,) = read_scenarios(path)
-    np.testing.assert_allclose(scenario.start, states[0], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(scenario.goal, states[1], rtol=0, atol=1e-15)
-    assert (scenario.seed, scenario.extra) == (seed, extra)
 
 
 @given(

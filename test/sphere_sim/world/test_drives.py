@@ -55,8 +55,9 @@ def test_trajectory_has_priority_and_late_samples_of_it_are_ignored(
     follower.follow_speeds(np.array([7.0, -7.0]), 0.91)
     np.testing.assert_allclose(follower.commanded(1.0), [7, -7])
     # Without a successor they are dropped after the time-out.
-    np.testing.assert_allclose(follower.commanded(1.41), [7, -7])
-    np.testing.assert_allclose(follower.commanded(1.411), [0, 0])
+    follower.follow_speeds(np.array([7.0, -7.0]), 1.0)
+    np.testing.assert_allclose(follower.commanded(1.5), [7, -7])
+    np.testing.assert_allclose(follower.commanded(1.501), [0, 0])
 
 
 def test_new_trajectory_replaces_the_previous_one_and_a_late_one_is_evaluated_now(

@@ -40,20 +40,9 @@ class PlantDivergedError(SphereNmpcError, RuntimeError):
 
 
 class RigidBodyPlant:
-    """Plant of rigid bodies; see `sphere_sim.world.plant.contract.Plant`.
+    """Plant of rigid bodies; for the arguments see `sphere_sim.world.plant.factory.make_plant`.
 
     The world frame is that of the floor: x and y are coordinates in it, also on a slope.
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        True parameters of the robot; those of the controller may differ.
-    state : ndarray, shape (6,)
-        Initial state; the sphere and its rotors start at rest.
-    settings : RigidBodySettings, optional
-        Drives, floor, contact and integration.
-    disturbances : DisturbanceSettings, optional
-        Slope, offset of the centre of mass and friction; none by default.
 
     Raises
     ------
@@ -113,13 +102,7 @@ class RigidBodyPlant:
         velocity[_VELOCITY] = self._rolling_velocity() + np.append(slip, 0.0)
 
     def push(self, impulse: ArrayLike) -> None:
-        """Apply an impulse at the centre of the sphere.
-
-        Parameters
-        ----------
-        impulse : array_like, shape (2,) or (3,)
-            Impulse [N s; world frame].
-        """
+        """Apply an impulse [N s; world frame], shape (2,) or (3,), at the centre."""
         force = np.zeros(8)
         given = np.asarray(impulse, dtype=float)
         force[: given.size] = given

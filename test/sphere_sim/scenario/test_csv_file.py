@@ -22,6 +22,7 @@ from sphere_sim.world.disturbances import Push
 HEADER = ",".join(STATE_COLUMNS)
 ROW = "1,2,1,0,0,0,0,0,0,0,0,1"
 
+
 def write(folder: Path, *lines: str, encoding: str = "utf-8") -> Path:
     path = folder / "scenarios.csv"
     path.write_bytes("".join(line + "\n" for line in lines).encode(encoding))

@@ -31,8 +31,8 @@ from plant_runs import (
 )
 from printed_model import PrintedModel
 
-from sphere_nmpc.model.dynamics import rotor_torque
 from sphere_nmpc.model.state import angle_error, position_error
+from sphere_nmpc.model.torque import rotor_acceleration
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -311,7 +311,7 @@ def torque_function() -> ca.Function:
     """Return Eq. (45) as (q, u, du) -> torques, built once for all the steps."""
     q, u, du = ca.SX.sym("q", 4), ca.SX.sym("u", 2), ca.SX.sym("du", 2)
     constants = ca.DM(ROBOT.lumped.as_array())
-    torque = rotor_torque(q, u, du, constants, ROBOT.rotor_axial_inertia)
+    torque = ROBOT.rotor_axial_inertia * rotor_acceleration()(q, u, du, constants)
     return ca.Function("torque", [q, u, du], [torque])
 
 

@@ -24,10 +24,9 @@ from sphere_sim.evaluation.metrics import (
     state_errors,
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES
-from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.disturbances import DisturbanceSettings, Push
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.world.push import Push
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 

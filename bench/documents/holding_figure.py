@@ -19,18 +19,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import exponential
-from sphere_nmpc.model.saturation import time_to_saturation
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
 from sphere_sim.report.figures.style import BLUE, GREY, SMALLEST_ERROR, VERMILION, styled
-from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.disturbances import DisturbanceSettings, Push
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
-from sphere_sim.world.push import Push
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 

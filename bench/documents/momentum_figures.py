@@ -27,7 +27,7 @@ from sphere_nmpc.model.drift import (
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.contract import Plant

@@ -17,14 +17,12 @@ from itertools import repeat
 
 import numpy as np
 
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.saturation import time_to_saturation
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
-from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
-from sphere_sim.scenario.perturbation import perturbed
+from sphere_sim.scenario.perturbation import DisturbanceDraws, perturbed
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import prepare

@@ -27,7 +27,7 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
-from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import prepare

@@ -15,7 +15,7 @@ from sphere_nmpc.control.progress import Progress
 from sphere_nmpc.control.rotor_feedback import RotorFeedback
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate, Estimator
-from sphere_nmpc.estimation.factory import make_estimator
+from sphere_nmpc.estimation.estimators import make_estimator
 from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.model.drift import Drift, push_against
+from sphere_nmpc.model.drift import Drift, push_against, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.saturation import time_to_saturation
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 _NEAR = 0.7

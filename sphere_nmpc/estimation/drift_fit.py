@@ -33,8 +33,11 @@ from sphere_nmpc.estimation.plant_parameters import (
 )
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.drift_propagation import propagate_with_drift, state_rates_with_drift
-from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.error_state import (
+    error_between,
+    propagate_with_drift,
+    state_rates_with_drift,
+)
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector, angle_error
 from sphere_nmpc.solver.roll_out import roll_out
@@ -119,8 +122,6 @@ class DriftFit:
         self._steps: list[_Step]
         self._restart(Gaussian(np.concatenate((mean, np.zeros(8))), np.diag(deviations**-2.0)))
         self._inflation = 1.0
-        self.pushes = 0
-        """Transitions explained by a push."""
 
     @property
     def parameters(self) -> ParameterDistribution:
@@ -250,7 +251,6 @@ class DriftFit:
             if not float(np.linalg.norm(step.error)) < _EXPLAINED * surprise:
                 step.pushed, step.left_out = False, True
                 self._fit_again(before)
-        self.pushes += int(step.pushed)
         self._adapt()
         self._summary = self._equations.marginal(len(self._steps))
 

@@ -1,8 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""State of the extended Kalman filter: prediction with the inputs sent and update with a pose."""
+"""State of the extended Kalman filter: prediction with the inputs sent and update with a pose.
 
-from dataclasses import dataclass, replace
+There are two kinds: with the paper's model, and with momentum, slope and imbalance.
+"""
+
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -10,19 +13,22 @@ import numpy as np
 from sphere_nmpc.estimation import plant_parameters
 from sphere_nmpc.estimation.plant_parameters import (
     LAG_PRIOR,
+    PRIOR_DEVIATION,
     ParameterDistribution,
     ParameterScaling,
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.drift import DRIFT_SIZE, IMBALANCE, NO_DRIFT, SLOPE, Drift
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
     apply_error,
     error_between,
     propagate,
+    propagate_with_drift,
     state_rates,
+    state_rates_with_drift,
 )
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import QUATERNION, Vector
 
 SIZE = ERROR_SIZE + plant_parameters.SIZE
 """Size of the joint error state: error of the state, then of the scaled parameters."""
@@ -49,12 +55,24 @@ _MAX_RATIO = 4.0
 """Largest ratio in that average, so that a single outlier within the gate inflates nothing."""
 _TURNING = 1.0
 """Rotor speed [rad/s] below which the constants have no process noise."""
+PRIOR = np.array([30.0, 30.0, 1.0, 7.0, 7.0, 3.0, 3.0, 3.0])
+"""Prior standard deviations of momentum [rad/s], slope and imbalance [rad/s^2]."""
+WALK = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.02, 0.02, 0.02])
+"""Random walk of these [their units per root of a second]."""
+PUSHED = np.array([30.0, 30.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3])
+"""Standard deviations of these after a push of a sphere that had no drift."""
+PUSH = np.array([30.0, 30.0, 1.0, 0.3, 0.3, 0.0, 0.0, 0.0])
+"""Standard deviations of their jumps at a push."""
 
 State = slice(0, ERROR_SIZE)
 Parameters = slice(ERROR_SIZE, SIZE)
 Constants = slice(ERROR_SIZE, SIZE - 1)
 _LAG = SIZE - 1
-
+_Drift = slice(SIZE, SIZE + DRIFT_SIZE)
+_Momentum = slice(SIZE, SIZE + 3)
+_Torques = slice(SIZE + 3, SIZE + DRIFT_SIZE)
+_Moving = np.r_[State, _Momentum]
+_Learnt = np.r_[Constants, _Torques]
 
 Kind = TypeVar("Kind", bound="FilterState")
 """Model of the filter."""
@@ -267,3 +285,91 @@ def _inflation(inflation: float, ratio: float) -> float:
     if ratio < CONSISTENT:
         return max(1.0, DECREASE * inflation)
     return inflation
+
+
+@dataclass(frozen=True, eq=False)
+class DriftFilterState(FilterState):
+    """`FilterState` with drift: its joint covariance is (18, 18), the drift comes last.
+
+    Attributes
+    ----------
+    values : ndarray, shape (8,)
+        The drift as an array.
+    """
+
+    values: Vector = field(default_factory=lambda: np.zeros(DRIFT_SIZE))
+
+    @classmethod
+    def at_pose(
+        cls,
+        stamp: float,
+        pose: Vector,
+        noise: PoseNoise,
+        scaling: ParameterScaling,
+        parameters: ParameterDistribution,
+    ) -> "DriftFilterState":
+        """Return the state after one pose, shape (6,), with the parameters known before."""
+        paper = FilterState.at_pose(stamp, pose, noise, scaling, parameters)
+        return cls.from_paper(paper, PRIOR)
+
+    @classmethod
+    def from_paper(cls, paper: FilterState, deviations: Vector) -> "DriftFilterState":
+        """Return a state of the paper's model with zero drift of these deviations, shape (8,)."""
+        joint = np.zeros((SIZE + DRIFT_SIZE, SIZE + DRIFT_SIZE))
+        joint[:SIZE, :SIZE] = paper.joint
+        joint[_Drift, _Drift] = np.diag(deviations**2)
+        return cls(paper.time, paper.state, paper.scaled, joint, paper.scaling, paper.inflation)
+
+    @property
+    def drift(self) -> Drift:
+        """Drift at the time of the state."""
+        return Drift.from_array(self.values)
+
+    def pushed(self) -> "DriftFilterState":
+        """Return the state with the variance of a push."""
+        joint = self.joint.copy()
+        joint[_Drift, _Drift] += np.diag(PUSH**2)
+        return replace(self, joint=joint)
+
+    def with_drift_of(self, known: "DriftFilterState") -> "DriftFilterState":
+        """Return the state with a drift that was known before, with the variance of a push."""
+        joint = self.joint.copy()
+        joint[_Drift, _Drift] = known.joint[_Drift, _Drift] + np.diag(PUSH**2)
+        return replace(self, joint=joint, values=known.values)
+
+    def doubted(self) -> "DriftFilterState":
+        """Return the state with little faith in what was learnt: torques and parameters.
+
+        Both were fitted to a motion with another cause. The lag is kept, and parameters that are
+        taken as exact.
+        """
+        joint, values = self.joint.copy(), self.values.copy()
+        joint[_Learnt, :] = joint[:, _Learnt] = 0.0
+        joint[_Drift, _Drift] += np.diag(PRIOR**2)
+        if self.joint[Constants, Constants].any():
+            joint[Constants, Constants] = np.diag(PRIOR_DEVIATION[:-1] ** 2)
+        values[SLOPE] = values[IMBALANCE] = 0.0
+        return replace(self, joint=joint, values=values)
+
+    def _rates(self, speeds: Vector, constants: Vector) -> Vector:
+        return state_rates_with_drift(self.state, self.drift, speeds, constants)
+
+    def _advanced(self, here: Vector, there: Vector, duration: float) -> "DriftFilterState":
+        end = propagate_with_drift(
+            self.state, self.drift, np.array([duration]), np.array([here, there]), self.constants
+        )
+        transition = np.eye(SIZE + DRIFT_SIZE)
+        transition[np.ix_(_Moving, _Moving)] = end.by_start
+        transition[_Moving, Constants] = end.by_constants * self.scaling.slopes()
+        transition[_Moving, _Torques] = end.by_torques
+        joint = transition @ self.joint @ transition.T
+        # The sphere is at rest where the rotors hold the momentum.
+        moving = 0.5 * (here + there) - self.drift.rest_speeds(end.state[QUATERNION])
+        joint[:SIZE, :SIZE] += self._process_noise(duration, moving)
+        joint[_Drift, _Drift] += np.diag(WALK**2 * duration)
+        values = np.concatenate((end.momentum, self.values[SLOPE], self.values[IMBALANCE]))
+        return replace(self, state=end.state, joint=joint, values=values)
+
+    def _corrected(self, correction: Vector) -> "DriftFilterState":
+        corrected = super()._corrected(correction)
+        return replace(corrected, values=self.values + correction[_Drift])

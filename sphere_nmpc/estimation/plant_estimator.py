@@ -160,8 +160,6 @@ class PlantEstimator:
         mean = ParameterDistribution.prior(0.0).mean if mean is None else mean
         self._mean: Vector = np.append(mean, share)
         self._transitions: tuple[_Fitted, ...] = ()
-        self.jumps = 0
-        """Transitions left out as something other than the rotors had moved the robot."""
         self._publish(ParameterDistribution(mean, np.diag(PRIOR_DEVIATION**2)), share, ())
 
     @property
@@ -200,7 +198,6 @@ class PlantEstimator:
         unknowns = np.append(parameters.mean, share)
         residual = self._residual(self._driven(transition, share), unknowns)
         if float(np.linalg.norm(residual)) > JUMP:
-            self.jumps += 1
             return
         residuals = self._fit.residuals
         if float(np.max(np.abs(transition.window(LONGEST_LAG)[1]))) > EXCITED:

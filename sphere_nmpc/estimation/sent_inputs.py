@@ -130,18 +130,10 @@ class SentInputs:
         constants: Vector,
         max_step: float = DEFAULT_MAX_STEP,
     ) -> Vector:
-        """Return the state at `end`, shape (6,), predicted from `start` with the speeds sent.
+        """Return the state at `end`, shape (6,), predicted from that at `start` [s].
 
-        Parameters
-        ----------
-        state : ndarray, shape (6,)
-            State at `start`.
-        start, end : float
-            Control times [s]; the state is returned unchanged if `end` is not later.
-        constants : ndarray, shape (4,)
-            Lumped constants [Rs, c1, r1, r3].
-        max_step : float, optional
-            Longest integration step [s].
+        It is returned unchanged if `end` is not later; for `constants` and `max_step` see
+        `sphere_nmpc.solver.roll_out.roll_out`.
         """
         times, speeds = self._knots(start, end)
         if not times:
@@ -178,12 +170,9 @@ class SentInputs:
         return states[-1], replace(drift, momentum=momenta[-1].copy())
 
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
-        """Return the speeds sent between two times as straight pieces.
+        """Return the speeds sent between two times [s] as straight pieces.
 
-        Parameters
-        ----------
-        start, end : float
-            Control times [s], `end` the later one; before the first hold the rotors are at rest.
+        Before the first hold the rotors are at rest.
 
         Returns
         -------

@@ -1,20 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Transition: two measured poses and the rotor speeds sent in between."""
+"""Transition: two measured poses and the rotor speeds sent, or attained, in between."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sphere_nmpc.estimation.drive_limit import driven_speeds
 from sphere_nmpc.model.state import Vector
 
-_SHORTEST_PIECE = 1e-9
-"""Shortest piece of the rotor speeds [s]."""
 _MANY = 48
 """Number of ends of pieces above which consecutive pieces on a straight line are joined ..."""
 _STRAIGHT = 0.05
 """... if no end between them is further than this from the line [rad/s]."""
+_SAME = 1e-9
+"""Time [s] and speed [rad/s] below which two are the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ class Transition:
             return driven
         times = np.concatenate(([0.0], np.cumsum(durations)))
         begin = self.lead - lead
-        kept = times > begin + _SHORTEST_PIECE
+        kept = times > begin + _SAME
         first = [np.interp(begin, times, column) for column in inputs.T]
         return Transition(
             self.start, self.end, np.diff(np.concatenate(([begin], times[kept]))),
@@ -85,7 +84,7 @@ class Transition:
         given = np.concatenate(([0.0], np.cumsum(self.durations)))
         begin = self.lead - min(lag, self.lead)
         end = begin + given[-1] - self.lead
-        inside = (given > begin + _SHORTEST_PIECE) & (given < end - _SHORTEST_PIECE)
+        inside = (given > begin + _SAME) & (given < end - _SAME)
         times = np.concatenate(([begin], given[inside], [end]))
         speeds = [np.interp(times, given, column) for column in self.inputs.T]
         return np.diff(times), np.column_stack(speeds)
@@ -101,3 +100,47 @@ def _corners(times: Vector, speeds: Vector) -> list[int]:
             last = i - 1
             kept.append(last)
     return [*kept, times.size - 1]
+
+
+def driven_speeds(
+    durations: Vector, inputs: Vector, acceleration: float
+) -> tuple[Vector, Vector]:
+    """Return the pieces of rotors that follow straight pieces at a limited acceleration.
+
+    A rotor that has fallen behind turns at the limit until it has caught up. At the start it has
+    the speed that was sent.
+
+    Both are lengths of pieces [s], shape (K,), and the speeds at their ends [rad/s], shape
+    (K + 1, 2).
+    """
+    given = np.concatenate(([0.0], np.cumsum(durations)))
+    paths = [_followed(given, column, acceleration) for column in inputs.T]
+    times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
+    times = times[np.concatenate(([True], np.diff(times) > _SAME))]
+    speeds = [np.interp(times, *path) for path in paths]
+    return np.diff(times), np.column_stack(speeds)
+
+
+def _followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], list[float]]:
+    """Return times [s] and speeds [rad/s] of the corners of one rotor's motion."""
+    now, speed = float(times[0]), float(sent[0])
+    corners, speeds = [now], [speed]
+    ends, wants = times.tolist(), sent.tolist()
+    for begin, end, before, wanted in zip(ends, ends[1:], wants, wants[1:], strict=False):
+        if not end - begin > _SAME:
+            continue
+        slope = (wanted - before) / (end - begin)
+        behind = wanted - slope * (end - now) - speed
+        while end - now > _SAME:
+            if abs(behind) < _SAME:
+                rate, lasts = min(max(slope, -limit), limit), end - now
+            else:
+                rate = limit if behind > 0.0 else -limit
+                closing = (rate - slope) * (1.0 if behind > 0.0 else -1.0)
+                caught = abs(behind) / closing if closing > 0.0 else np.inf
+                lasts = min(caught, end - now)
+            now, speed = now + lasts, speed + rate * lasts
+            behind += (slope - rate) * lasts
+            corners.append(now)
+            speeds.append(speed)
+    return corners, speeds

@@ -19,9 +19,6 @@ from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product
 
-RANK_TOLERANCE = 1e-6
-"""Singular values below this share of the largest count as zero; 2e-5 rad from Gamma."""
-
 THIRD_ORDER = 5
 """Number of the first columns of the bracket matrix that are made from up to three fields."""
 
@@ -35,29 +32,17 @@ class Controllability:
     distance_to_circle : float
         Angle between the contact point and the circle Gamma, seen from the centre [rad],
         0 to pi/2.
-    rank3 : int
-        Rank of the span of brackets of up to three fields: 5, on Gamma 4.
-    rank4 : int
-        Rank with brackets of four fields: 5 everywhere.
     smallest_singular_value : float
-        Of the scaled brackets of up to three fields [-]; 0 on Gamma, about 1.1 times the distance
-        [rad] near it for the paper's robot. It depends on that distance alone.
+        Of the scaled brackets of up to three fields [-]; it depends on that distance alone, and
+        is 0 on Gamma.
     """
 
     distance_to_circle: float
-    rank3: int
-    rank4: int
     smallest_singular_value: float
 
 
 def distance_to_circle(state: Vector) -> float:
-    """Return the angle of the contact point from the circle Gamma [rad], 0 to pi/2.
-
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        The result does not depend on the position.
-    """
+    """Return the angle of the contact point of a state, shape (6,), from Gamma [rad]."""
     w, x, y, z = state[QUATERNION]
     # Height of the contact point over the rotors' plane and its distance from the axis, divided by
     # Rs: unlike the arcsine of the height this is accurate everywhere and needs no unit norm.
@@ -66,34 +51,16 @@ def distance_to_circle(state: Vector) -> float:
 
 
 def controllability(state: Vector, constants: LumpedConstants) -> Controllability:
-    """Return distance from Gamma, ranks and smallest singular value; nan and 0 if not finite.
-
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        Configuration of the robot.
-    constants : LumpedConstants
-        Constants of the robot.
-    """
-    brackets = bracket_matrix(state, constants)
+    """Return the measures of a configuration, shape (6,); nan where it is not finite."""
+    brackets = bracket_matrix(state, constants)[:, :THIRD_ORDER]
     if not np.all(np.isfinite(brackets)):
-        return Controllability(float("nan"), 0, 0, float("nan"))
-    third = _singular_values(brackets[:, :THIRD_ORDER])
-    fourth = _singular_values(brackets)
-    return Controllability(
-        distance_to_circle(state), _rank(third), _rank(fourth), float(third[-1])
-    )
+        return Controllability(float("nan"), float("nan"))
+    least = np.linalg.svd(brackets, compute_uv=False)[-1]
+    return Controllability(distance_to_circle(state), float(least))
 
 
 def bracket_matrix(state: Vector, constants: LumpedConstants) -> Vector:
-    """Return the scaled brackets as columns, shape (5, 8).
-
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        Configuration of the robot.
-    constants : LumpedConstants
-        Constants of the robot.
+    """Return the scaled brackets at a configuration, shape (6,), as columns.
 
     Returns
     -------
@@ -103,14 +70,6 @@ def bracket_matrix(state: Vector, constants: LumpedConstants) -> Vector:
         sqrt(2) [g2, [g1, [g1, g2]]], [g2, [g2, [g1, g2]]].
     """
     return np.array(_bracket_function()(state, constants.as_array()))
-
-
-def _singular_values(matrix: Vector) -> Vector:
-    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=float)
-
-
-def _rank(singular_values: Vector) -> int:
-    return int(np.sum(singular_values > RANK_TOLERANCE * singular_values[0]))
 
 
 @cache

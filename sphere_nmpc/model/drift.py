@@ -17,6 +17,7 @@ The sphere is at rest with momentum where the rotors hold it: rotor speeds (R^T 
 component of h along the body's z axis is zero.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -114,14 +115,9 @@ NO_DRIFT = Drift()
 
 
 def momentum_of_push(robot: RobotParameters, impulse: Vector) -> Vector:
-    """Return the jump of h by an impulse at the centre [rad/s; world frame], shape (3,).
+    """Return the jump of h [rad/s; world frame], shape (3,), by an impulse at the centre.
 
-    Parameters
-    ----------
-    robot : RobotParameters
-        Robot that is pushed.
-    impulse : ndarray, shape (2,)
-        Impulse [N s; world frame].
+    The impulse, shape (2,), is in N s in the world frame.
     """
     lever = robot.shell_radius / robot.rotor_axial_inertia
     return np.array([-lever * impulse[1], lever * impulse[0], 0.0])
@@ -139,14 +135,7 @@ def push_against(robot: RobotParameters, momentum: Vector) -> Vector:
 def slope_torque(robot: RobotParameters, angle: float, direction: float) -> Vector:
     """Return s of a slope [rad/s^2; world frame], shape (2,).
 
-    Parameters
-    ----------
-    robot : RobotParameters
-        Robot on the slope.
-    angle : float
-        Inclination [rad].
-    direction : float
-        Downhill direction: angle from the x axis [rad].
+    `angle` is its inclination, `direction` that downhill, from the x axis [rad].
     """
     force = robot.total_mass * GRAVITY * np.sin(angle)
     return momentum_of_push(robot, force * np.array([np.cos(direction), np.sin(direction)]))[:2]
@@ -169,3 +158,29 @@ def angle_of_slope(robot: RobotParameters, slope: Vector) -> float:
     """Return the inclination [rad] of a slope with torque `slope` over I1, shape (2,)."""
     weight = robot.total_mass * GRAVITY * robot.shell_radius / robot.rotor_axial_inertia
     return float(np.arcsin(min(1.0, float(np.linalg.norm(slope)) / weight)))
+
+
+def time_to_saturation(drift: Drift, quaternion: Vector, max_speed: float) -> float:
+    """Return the time that the sphere can rest with momentum until a rotor is at its limit [s].
+
+    At rest the orientation does not change, so the momentum that the rotors hold grows linearly.
+    The time is the least t >= 0 with |(R^T (h + t dh/dt))_i| = `max_speed` for a rotor i.
+
+    It is 0 if a rotor is at its limit or beyond, and inf if none ever reaches it. `drift` is that
+    at present, `quaternion`, shape (4,), the orientation, `max_speed` in rad/s.
+    """
+    gained = rotation.matrix(quaternion).T @ drift.torque_at_rest(quaternion)
+    times = (
+        _time_to_limit(float(speed), float(rate), max_speed)
+        for speed, rate in zip(drift.rest_speeds(quaternion), gained[:2], strict=True)
+    )
+    return min(times)
+
+
+def _time_to_limit(speed: float, rate: float, limit: float) -> float:
+    """Return the least t >= 0 with |speed + t rate| >= limit."""
+    if abs(speed) >= limit:
+        return 0.0
+    if rate == 0.0:
+        return math.inf
+    return (math.copysign(limit, rate) - speed) / rate

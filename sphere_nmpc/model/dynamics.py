@@ -21,11 +21,7 @@ Every function takes and returns CasADi expressions (SX, MX or DM columns).
 import casadi as ca
 
 from sphere_nmpc.model.drift import GRAVITY
-from sphere_nmpc.model.symbolic_rotation import (
-    Expression,
-    quaternion_product,
-    rotation_matrix,
-)
+from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product, rotation_matrix
 
 
 def body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
@@ -114,13 +110,11 @@ def momentum_rate(
     )
 
 
-def world_rate(q: Expression, u: Expression, p: Expression) -> Expression:
-    """Return the angular velocity of the shell [rad/s; world frame], shape (3,) (Eq. 5)."""
-    return ca.mtimes(rotation_matrix(q), body_rate(q, u, p))
-
-
 def rolling_velocity(world: Expression, shell_radius: Expression) -> Expression:
-    """Return the velocity of the centre that rolls without slipping [m/s], shape (2,) (Eq. 7)."""
+    """Return the velocity of the centre that rolls without slipping [m/s], shape (2,) (Eq. 7).
+
+    `world` is the angular velocity [rad/s; world frame] (Eq. 5).
+    """
     return shell_radius * ca.vertcat(world[1], -world[0])
 
 
@@ -130,29 +124,3 @@ def state_rate(x: Expression, u: Expression, p: Expression) -> Expression:
     rate = body_rate(q, u, p)
     turn = 0.5 * quaternion_product(q, ca.vertcat(0, rate))
     return ca.vertcat(rolling_velocity(ca.mtimes(rotation_matrix(q), rate), p[0]), turn)
-
-
-def rotor_torque(
-    q: Expression, u: Expression, du: Expression, p: Expression, rotor_axial_inertia: Expression
-) -> Expression:
-    """Return the motor torques [N m], shape (2,) (Eq. 45, with the exact derivative for Eq. 46).
-
-    Parameters
-    ----------
-    q, u, p
-        As in `body_rate`.
-    du : expression, shape (2,)
-        Rotor accelerations relative to the shell [rad/s^2].
-    rotor_axial_inertia : expression
-        I1 [kg m^2].
-    """
-    turn = ca.SX.sym("q", 4)
-    speed = ca.SX.sym("u", 2)
-    constants = ca.SX.sym("p", 4)
-    rate = body_rate(turn, speed, constants)
-    turn_rate = 0.5 * quaternion_product(turn, ca.vertcat(0, rate))
-    acceleration = ca.SX.sym("du", 2)
-    shell = ca.jtimes(rate, turn, turn_rate) + ca.jtimes(rate, speed, acceleration)
-    total = shell[0:2] + acceleration
-    absolute = ca.Function("rotor_acceleration", [turn, speed, acceleration, constants], [total])
-    return rotor_axial_inertia * absolute(q, u, du, p)

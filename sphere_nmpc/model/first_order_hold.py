@@ -87,16 +87,9 @@ class FirstOrderHold:
     def ramp_to_rest(
         cls, time: float, speeds: Vector, max_acceleration: float
     ) -> "FirstOrderHold":
-        """Return the ramp from `speeds` to zero, which both rotors reach at the same time.
+        """Return the ramp to zero from `speeds`, shape (2,) [rad/s], at `time` [s].
 
-        Parameters
-        ----------
-        time : float
-            Start of the ramp [s].
-        speeds : ndarray, shape (2,)
-            Rotor speeds at that time [rad/s].
-        max_acceleration : float
-            Largest rotor acceleration [rad/s^2].
+        Both rotors reach zero at the same time, within the largest acceleration [rad/s^2].
         """
         fastest = max(map(abs, np.asarray(speeds).tolist()))
         if fastest == 0.0:
@@ -139,14 +132,6 @@ class FirstOrderHold:
         """Return the times of the knots strictly between two times [s]."""
         knots = self._knots
         return knots[bisect_right(knots, since) : bisect_left(knots, until)]
-
-    def slope_at(self, time: float) -> Vector:
-        """Return the rotor accelerations after `time` [rad/s^2], shape (2,); 0 outside."""
-        i = int(np.searchsorted(self.times, time, side="right")) - 1
-        if i < 0 or i >= self.times.size - 1:
-            return np.zeros(INPUT_SIZE)
-        slope: Vector = (self.speeds[i + 1] - self.speeds[i]) / (self.times[i + 1] - self.times[i])
-        return slope
 
     def delayed(self, offset: float) -> "FirstOrderHold":
         """Return the same hold `offset` seconds later."""
@@ -201,12 +186,7 @@ class FirstOrderHold:
     def limited(self, max_speed: float, max_acceleration: float) -> "FirstOrderHold":
         """Return the hold with each knot, from first to last, clipped to the limits.
 
-        Parameters
-        ----------
-        max_speed : float
-            Largest rotor speed [rad/s]; the first knot, the speeds in force, is not changed.
-        max_acceleration : float
-            Largest rotor acceleration [rad/s^2].
+        They are in rad/s and rad/s^2; the first knot, the speeds in force, is not changed.
         """
         times, rows = self._knots, self.speeds.tolist()
         for i in range(1, len(times)):

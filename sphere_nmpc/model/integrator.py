@@ -8,6 +8,7 @@ robot's speeds one step is as accurate as about three of the classical Runge-Kut
 """
 
 import math
+from collections.abc import Callable, Iterator
 from functools import cache
 
 import casadi as ca
@@ -30,6 +31,12 @@ from sphere_nmpc.model.symbolic_rotation import (
 
 DEFAULT_MAX_STEP = 0.1
 """Longest integration step [s]; error of a 0.5 s interval about 2e-4 at the 99th percentile."""
+
+
+_Rates = Callable[
+    [Expression, Expression, Expression], tuple[Expression, Expression, Expression]
+]
+"""(q, u, momentum) -> body rate, velocity of the centre, derivative of the momentum."""
 
 
 def cf4_step(
@@ -55,25 +62,15 @@ def cf4_step(
     q_end : expression, shape (4,)
         Quaternion at the end of the step.
     """
-    u_middle = 0.5 * (u_start + u_end)
 
-    def rates(quaternion: Expression, u: Expression) -> tuple[Expression, Expression]:
+    def rates(
+        quaternion: Expression, u: Expression, held: Expression
+    ) -> tuple[Expression, Expression, Expression]:
         body = body_rate(quaternion, u, p)
-        return body, rolling_velocity(ca.mtimes(rotation_matrix(quaternion), body), p[0])
+        return body, rolling_velocity(ca.mtimes(rotation_matrix(quaternion), body), p[0]), held
 
-    def turned(quaternion: Expression, rotation: Expression) -> Expression:
-        return quaternion_product(quaternion, quaternion_exponential(rotation))
-
-    w1, v1 = rates(q, u_start)
-    q2 = turned(q, 0.5 * h * w1)
-    w2, v2 = rates(q2, u_middle)
-    q3 = turned(q, 0.5 * h * w2)
-    w3, v3 = rates(q3, u_middle)
-    q4 = turned(q2, h * (w3 - 0.5 * w1))
-    w4, v4 = rates(q4, u_end)
-    first = turned(q, h / 12 * (3 * w1 + 2 * w2 + 2 * w3 - w4))
-    q_end = turned(first, h / 12 * (-w1 + 2 * w2 + 2 * w3 + 3 * w4))
-    return h / 6 * (v1 + 2 * v2 + 2 * v3 + v4), q_end
+    displacement, q_end, _ = _cf4(rates, q, q[0:0], u_start, u_end, h)
+    return displacement, q_end
 
 
 def cf4_drift_step(
@@ -87,33 +84,30 @@ def cf4_drift_step(
 ) -> tuple[Expression, Expression, Expression]:
     """Advance one step of the model with momentum; on the momentum the method is Runge-Kutta 4.
 
-    Parameters
-    ----------
-    q, u_start, u_end, h, p
-        As in `cf4_step`.
-    momentum : expression, shape (3,)
-        Momentum over I1 at the start of the step [rad/s; world frame].
-    torques : expression, shape (5,)
-        As in `momentum_rate`.
-
-    Returns
-    -------
-    displacement : expression, shape (2,)
-        Displacement of the centre [m; world frame].
-    q_end : expression, shape (4,)
-        Quaternion at the end of the step.
-    momentum_end : expression, shape (3,)
-        Momentum over I1 at the end of the step [rad/s; world frame].
+    Also returns the momentum over I1 at the end of the step. `momentum` is that at its start
+    [rad/s; world frame], shape (3,), `torques` as in `momentum_rate`, the rest as in `cf4_step`.
     """
-    u_middle = 0.5 * (u_start + u_end)
 
     def rates(
         quaternion: Expression, u: Expression, held: Expression
     ) -> tuple[Expression, Expression, Expression]:
         world = world_rate_with_momentum(quaternion, u, p, held, torques[2:5])
         body = ca.mtimes(rotation_matrix(quaternion).T, world)
-        change = momentum_rate(quaternion, world, p[0], torques)
-        return body, rolling_velocity(world, p[0]), change
+        return body, rolling_velocity(world, p[0]), momentum_rate(quaternion, world, p[0], torques)
+
+    return _cf4(rates, q, momentum, u_start, u_end, h)
+
+
+def _cf4(
+    rates: _Rates,
+    q: Expression,
+    momentum: Expression,
+    u_start: Expression,
+    u_end: Expression,
+    h: Expression,
+) -> tuple[Expression, Expression, Expression]:
+    """Return displacement, quaternion and momentum after one step of the method."""
+    u_middle = 0.5 * (u_start + u_end)
 
     def turned(quaternion: Expression, rotation: Expression) -> Expression:
         return quaternion_product(quaternion, quaternion_exponential(rotation))
@@ -208,29 +202,10 @@ def tangent_drift_step_function(directions: int) -> ca.Function:
     )
 
 
-def integrate_with_drift(
-    state: Vector,
-    drift: Drift,
-    u_start: Vector,
-    u_end: Vector,
-    duration: float,
-    constants: Vector,
-    max_step: float = DEFAULT_MAX_STEP,
-) -> tuple[Vector, Vector]:
-    """Return state (6,) and momentum (3,) [rad/s] after one interval; see `integrate`.
-
-    `drift` is that at the start of the interval.
-    """
-    steps = steps_for(duration, max_step)
-    step, h = drift_step_function(), duration / steps
-    torques = np.concatenate((drift.slope, drift.imbalance))
-    x, momentum = state, drift.momentum
+def parts_of_ramp(start: Vector, end: Vector, steps: int) -> Iterator[tuple[Vector, Vector]]:
+    """Yield the inputs at both ends of each of equal steps of an interval."""
     for i in range(steps):
-        here = u_start + (u_end - u_start) * (i / steps)
-        there = u_start + (u_end - u_start) * ((i + 1) / steps)
-        ends = step(x, momentum, here, there, h, constants, torques)
-        x, momentum = (np.array(end).ravel() for end in ends)
-    return x, momentum
+        yield start + (end - start) * (i / steps), start + (end - start) * ((i + 1) / steps)
 
 
 def integrate(
@@ -255,17 +230,33 @@ def integrate(
         Lumped constants [Rs, c1, r1, r3].
     max_step : float, optional
         Longest integration step [s].
-
-    Returns
-    -------
-    ndarray, shape (6,)
     """
     steps = steps_for(duration, max_step)
-    step = step_function()
-    h = duration / steps
+    step, h = step_function(), duration / steps
     x: Vector = state
-    for i in range(steps):
-        here = u_start + (u_end - u_start) * (i / steps)
-        there = u_start + (u_end - u_start) * ((i + 1) / steps)
+    for here, there in parts_of_ramp(u_start, u_end, steps):
         x = np.array(step(x, here, there, h, constants)).ravel()
     return x
+
+
+def integrate_with_drift(
+    state: Vector,
+    drift: Drift,
+    u_start: Vector,
+    u_end: Vector,
+    duration: float,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> tuple[Vector, Vector]:
+    """Return state (6,) and momentum (3,) [rad/s] after one interval; see `integrate`.
+
+    `drift` is that at the start of the interval.
+    """
+    steps = steps_for(duration, max_step)
+    step, h = drift_step_function(), duration / steps
+    torques = np.concatenate((drift.slope, drift.imbalance))
+    x, momentum = state, drift.momentum
+    for here, there in parts_of_ramp(u_start, u_end, steps):
+        ends = step(x, momentum, here, there, h, constants, torques)
+        x, momentum = (np.array(end).ravel() for end in ends)
+    return x, momentum

@@ -44,13 +44,7 @@ class LumpedConstants:
 
 @dataclass(frozen=True)
 class RobotParameters:
-    """Masses, lengths, inertias and drive limits of the robot; defaults are Table 1.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not a finite number in its range.
-    """
+    """Masses, lengths, inertias and drive limits of the robot; defaults are Table 1."""
 
     shell_mass: float = quantity(
         1.0, "kg", "Mass of the spherical shell (M_S)", minimum=1e-3, maximum=1e3

@@ -35,10 +35,6 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
     quaternion_wxyz : array_like, shape (4,)
         Orientation, body to world, of a norm within `NORM_TOLERANCE` of 1.
 
-    Returns
-    -------
-    ndarray, shape (6,)
-
     Raises
     ------
     InvalidStateError
@@ -71,21 +67,12 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
 
 
 def as_state(values: ArrayLike) -> Vector:
-    """Check and normalise a flat state; see `make_state`.
-
-    Parameters
-    ----------
-    values : array_like, shape (6,)
-        [x, y, qw, qx, qy, qz].
-
-    Returns
-    -------
-    ndarray, shape (6,)
+    """Check and normalise a flat state [x, y, qw, qx, qy, qz], shape (6,).
 
     Raises
     ------
     InvalidStateError
-        If the length is wrong, a number is not finite, or the quaternion is not of unit norm.
+        If the length is wrong; otherwise see `make_state`.
     """
     flat = np.asarray(values, dtype=float)
     if flat.shape != (STATE_SIZE,):
@@ -94,13 +81,7 @@ def as_state(values: ArrayLike) -> Vector:
 
 
 def upright_state(x: float, y: float, yaw: float) -> Vector:
-    """Return the state, shape (6,), of an upright sphere at x, y [m] with a heading [rad].
-
-    Raises
-    ------
-    InvalidStateError
-        See `make_state`.
-    """
+    """Return the state, shape (6,), of an upright sphere at x, y [m] with a heading [rad]."""
     return make_state((x, y), (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)))
 
 
@@ -146,11 +127,6 @@ def angle_error(state: Vector, goal: Vector) -> float:
 def contact_points(states: Vector, shell_radius: float) -> Vector:
     """Return the contact points on the shell [m; body frame], shape (..., 3) (Eq. 18).
 
-    Parameters
-    ----------
-    states : ndarray, shape (..., 6)
-        One state, or one a row.
-    shell_radius : float
-        Rs [m].
+    `states`, shape (..., 6), is one state, or one a row; `shell_radius` is in m.
     """
     return -shell_radius * rotation.vertical(states[..., QUATERNION])

@@ -20,10 +20,11 @@ import casadi as ca
 import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.dynamics import body_rate, rotor_torque
+from sphere_nmpc.model.dynamics import body_rate
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.model.symbolic_rotation import quaternion_product
 
 _ORIENTATIONS = 500
 """Directions of the vertical in the search; the maxima are flat, 400 give them within 1 %."""
@@ -36,14 +37,14 @@ _EDGE = 21
 def torques(
     states: Vector, hold: FirstOrderHold, constants: LumpedConstants, rotor_axial_inertia: float
 ) -> tuple[Vector, Vector]:
-    """Return the motor torques along a plan, just after and just before its knots.
+    """Return the motor torques along a plan of K knots, just after and just before them.
 
     Parameters
     ----------
     states : ndarray, shape (K, 6)
         States at the knots.
     hold : FirstOrderHold
-        Rotor speeds, K knots.
+        Rotor speeds.
     constants : LumpedConstants
         Constants of the plant.
     rotor_axial_inertia : float
@@ -51,15 +52,14 @@ def torques(
 
     Returns
     -------
-    after : ndarray, shape (K - 1, 2)
-        At the start of each interval [N m].
-    before : ndarray, shape (K - 1, 2)
-        At its end [N m]. Within an interval the torque is nearly linear in time.
+    after, before : ndarray, shape (K - 1, 2)
+        At the start and at the end of each interval [N m]; in between it is nearly linear in time.
     """
     slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
-    after = _torques(states[:-1], hold.speeds[:-1], slopes, constants, rotor_axial_inertia)
-    before = _torques(states[1:], hold.speeds[1:], slopes, constants, rotor_axial_inertia)
-    return after, before
+    turns, p = states[:, QUATERNION], constants.as_array()
+    after = _accelerations(turns[:-1], hold.speeds[:-1], slopes, p)
+    before = _accelerations(turns[1:], hold.speeds[1:], slopes, p)
+    return rotor_axial_inertia * after, rotor_axial_inertia * before
 
 
 def largest_acceleration(robot: RobotParameters) -> float:
@@ -105,26 +105,16 @@ def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tu
     # Quadratic in the speeds, it is largest on the edges of the square; opposite edges agree.
     edges = np.vstack([np.column_stack((np.ones(_EDGE), along)),
                        np.column_stack((along, np.ones(_EDGE)))])
-    turning = max(
-        float(np.max(np.abs(_evaluate(turns, np.tile(u, (len(turns), 1)), 0.0 * turns[:, :2], p))))
-        for u in edges
-    )
-    return _MARGIN * float(np.max(sums)), _MARGIN * turning
+    still = np.zeros((len(turns), INPUT_SIZE))
+    turning = max(np.max(np.abs(_accelerations(turns, still + u, still, p))) for u in edges)
+    return _MARGIN * float(np.max(sums)), _MARGIN * float(turning)
 
 
-def _torques(
-    states: Vector, speeds: Vector, slopes: Vector, constants: LumpedConstants, inertia: float
-) -> Vector:
-    turns = states[:, QUATERNION]
-    found: Vector = inertia * _evaluate(turns, speeds, slopes, constants.as_array())
-    return found
-
-
-def _evaluate(turns: Vector, speeds: Vector, slopes: Vector, constants: Vector) -> Vector:
+def _accelerations(turns: Vector, speeds: Vector, slopes: Vector, constants: Vector) -> Vector:
     """Return rotor accelerations in space [rad/s^2], shape (K, 2)."""
     if not len(turns):
         return np.zeros((0, INPUT_SIZE))
-    batch = _unit_torque().map(len(turns))
+    batch = rotor_acceleration().map(len(turns))
     found: Vector = np.array(
         batch(turns.T, speeds.T, slopes.T, np.tile(constants[:, None], len(turns)))
     ).T
@@ -132,9 +122,18 @@ def _evaluate(turns: Vector, speeds: Vector, slopes: Vector, constants: Vector) 
 
 
 @cache
-def _unit_torque() -> ca.Function:
+def rotor_acceleration() -> ca.Function:
+    """Return (q, u, du, p) -> acceleration of the rotors in space [rad/s^2], shape (2,).
+
+    It is the motor torque over I1 (Eq. 45, with the exact derivative for Eq. 46). q is the unit
+    quaternion wxyz, u and du are speeds and accelerations of the rotors relative to the shell
+    [rad/s, rad/s^2], p the lumped constants [Rs, c1, r1, r3].
+    """
     q, u, du, p = (ca.SX.sym(name, size) for name, size in zip("qudp", (4, 2, 2, 4), strict=True))
-    return ca.Function("unit_torque", [q, u, du, p], [rotor_torque(q, u, du, p, 1.0)])
+    rate = body_rate(q, u, p)
+    turn_rate = 0.5 * quaternion_product(q, ca.vertcat(0, rate))
+    shell = ca.jtimes(rate, q, turn_rate) + ca.jtimes(rate, u, du)
+    return ca.Function("rotor_acceleration", [q, u, du, p], [shell[0:2] + du])
 
 
 def _turns(number: int) -> Vector:

@@ -16,10 +16,9 @@ from sphere_nmpc.model.state import POSITION, Vector
 _TABLE_1 = RobotParameters()
 
 _LONGEST_RAMP = 4.0
-"""Ramp to the largest speed that is planned with [of the ramp of Table 1's robot, in the units of
-the robot]. There a ramp takes half a sample period of the paper; one of two sample periods still
-leads up and down again within the horizon. With ramps of 27 and 31 and no such bound,
-`plan_keeping` missed goals and took up to twice as long."""
+"""Ramp to the largest speed that is planned with, over that of Table 1's robot in units of each.
+One of two sample periods of the paper still leads up and down again within the horizon; with ramps
+of 27 and 31 `plan_keeping` missed goals and took up to twice as long."""
 
 
 @dataclass(frozen=True)

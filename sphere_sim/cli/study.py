@@ -16,7 +16,7 @@ from sphere_sim.output.result_folder import prepare_folder
 from sphere_sim.world.settings import PLANTS
 
 if TYPE_CHECKING:
-    from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+    from sphere_sim.scenario.perturbation import DisturbanceDraws
     from sphere_sim.study.conditions import StudyConditions
     from sphere_sim.study.motion import Motion
 
@@ -95,7 +95,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _draws(arguments: argparse.Namespace) -> "DisturbanceDraws":
-    from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+    from sphere_sim.scenario.perturbation import DisturbanceDraws
 
     push = None
     if arguments.push is not None:

@@ -12,7 +12,7 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
-from sphere_sim.world.push import Push
+from sphere_sim.world.disturbances import Push
 from sphere_sim.world.simulator import NANOSECONDS, Simulator
 
 AT_PUSH_SIZE = 11

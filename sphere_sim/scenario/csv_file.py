@@ -15,14 +15,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidParameterError, InvalidStateError, SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
-from sphere_sim.scenario.errors import ScenarioFileError
 from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
-from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.push import Push
+from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
@@ -37,6 +35,26 @@ LARGEST_SEED = 2**31 - 1
 """Largest seed."""
 STRONGEST_PUSH = 1e3
 """Largest component of a push [N s]."""
+
+
+class ScenarioFileError(SphereNmpcError, ValueError):
+    """A scenario file cannot be read or is invalid; lines are counted from 1."""
+
+    exit_code = 2
+
+    def __init__(
+        self, path: Path, given: str, expected: str, line: int | None = None, column: str = ""
+    ) -> None:
+        where = str(path)
+        if line is not None:
+            where += f", line {line}"
+        if column:
+            where += f", column {column}"
+        super().__init__(printable_line(f"{where}: given {given}, expected {expected}"))
+        self.line = line
+        self.column = column
+        self.given = given
+        self.expected = expected
 
 
 def read_scenarios(path: Path) -> list[Scenario]:

@@ -8,8 +8,7 @@ import numpy as np
 
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_sim.scenario.draws import DRAWS
-from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.push import Push
+from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 PUSH_COLUMNS = ("push_x", "push_y", "push_time")
 """Columns of scenario files for a push: impulse [N s; world], time [s]."""
@@ -74,16 +73,9 @@ PAPER_CASES: dict[int, Scenario] = {
 
 
 def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scenario]:
-    """Return random scenarios of one of the kinds in `sphere_sim.scenario.draws`.
+    """Return random scenarios of one of the kinds in `sphere_sim.scenario.draws.DRAWS`.
 
-    Parameters
-    ----------
-    number : int
-        Number of scenarios.
-    seed : int
-        Seed of starts and goals; scenario i does not depend on `number`.
-    kind : str
-        One of `DRAWS`.
+    Scenario i depends on the seed alone, not on `number`.
     """
     scenarios = []
     for i in range(number):

@@ -137,14 +137,7 @@ class SimulatedClock:
     def wait(self, now: int, wall: float, controller_found: bool = True) -> float:
         """Return how long to wait before time advances from `now` [ns]; 0 if it is due.
 
-        Parameters
-        ----------
-        now : int
-            Simulated time [ns].
-        wall : float
-            Steady clock [s].
-        controller_found : bool, optional
-            Whether there is a node that sends commands; otherwise lockstep waits without limit.
+        Without a node that sends commands lockstep waits without limit.
         """
         if self.paused:
             return math.inf

@@ -1,12 +1,28 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of what gives the sphere angular momentum in any plant, apart from pushes."""
+"""What gives the sphere angular momentum in any plant: pushes, slope, centre of mass, friction."""
 
 import math
 from dataclasses import dataclass
 
 from sphere_nmpc.model.drift import GRAVITY
 from sphere_nmpc.quantity import quantity, validate
+
+
+@dataclass(frozen=True)
+class Push:
+    """Push at the centre of the sphere.
+
+    Attributes
+    ----------
+    time : float
+        From the start of the run [s].
+    impulse : tuple of float
+        x, y [N s; world frame].
+    """
+
+    time: float
+    impulse: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -20,19 +36,11 @@ class DisturbanceSettings:
     """
 
     slope: float = quantity(
-        0.0,
-        "rad",
-        "Inclination of the floor; x and y are measured in the floor",
-        minimum=0.0,
-        maximum=0.5,
-        live=True,
+        0.0, "rad", "Inclination of the floor; x and y are measured in the floor", minimum=0.0,
+        maximum=0.5, live=True,
     )
     slope_direction: float = quantity(
-        0.0,
-        "rad",
-        "Downhill direction: angle from the x axis",
-        minimum=-math.pi,
-        maximum=math.pi,
+        0.0, "rad", "Downhill direction: angle from the x axis", minimum=-math.pi, maximum=math.pi,
         live=True,
     )
     mass_offset_x: float = quantity(
@@ -48,10 +56,7 @@ class DisturbanceSettings:
         0.0, "m", "Friction torque against rolling over normal force", minimum=0.0, maximum=1.0
     )
     torsional_friction: float = quantity(
-        0.0,
-        "m",
-        "Friction torque against spinning on the spot over normal force",
-        minimum=0.0,
+        0.0, "m", "Friction torque against spinning on the spot over normal force", minimum=0.0,
         maximum=1.0,
     )
 

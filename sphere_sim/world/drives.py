@@ -2,11 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives of the rotors: the command in force, its time-out, limits of speed and acceleration."""
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+
+PLANNED_LIMITS = (
+    "max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque", "rotor_axial_inertia"
+)
+"""Parameters of a controller's robot that determine what its plans demand of the drives."""
 
 
 class CommandFollower:
@@ -17,14 +26,8 @@ class CommandFollower:
     is never queued; a late one is evaluated at the present time. Rotor speeds that arrive within
     `command_timeout` after the end of a trajectory are late samples of it and are ignored.
 
-    Parameters
-    ----------
-    max_speed : float
-        Largest rotor speed [rad/s].
-    max_acceleration : float
-        Largest rotor acceleration [rad/s^2].
-    command_timeout : float
-        How long rotor speeds without a time stamp are followed [s].
+    The limits are in rad/s and rad/s^2; `command_timeout` [s] is how long rotor speeds without a
+    time stamp are followed.
     """
 
     def __init__(self, max_speed: float, max_acceleration: float, command_timeout: float) -> None:
@@ -84,21 +87,9 @@ class CommandFollower:
         return np.zeros(INPUT_SIZE)
 
     def speeds_after(self, speeds: Vector, time: float, duration: float) -> Vector:
-        """Return the rotor speeds at the end of a short step, within the limits.
+        """Return the rotor speeds (2,) [rad/s] at the end of a short step, within the limits.
 
-        Parameters
-        ----------
-        speeds : ndarray, shape (2,)
-            Rotor speeds at `time` [rad/s].
-        time : float
-            Start of the step [s].
-        duration : float
-            Its length [s].
-
-        Returns
-        -------
-        ndarray, shape (2,)
-            Rotor speeds at the end of the step [rad/s].
+        `speeds` are those at its start `time` [s], `duration` is its length [s].
         """
         reach = self._max_acceleration * duration
         target = self.commanded(time + duration)
@@ -111,3 +102,34 @@ class CommandFollower:
         if self._trajectory is None:
             return []
         return [float(t) for t in self._trajectory.times if start + 1e-9 < t < end - 1e-9]
+
+
+def beyond(
+    robot: RobotParameters,
+    planned: Mapping[str, float],
+    controller: str,
+    torque_limit: float = math.inf,
+) -> str:
+    """Return in one line which limits of the robot plans exceed; empty if there are none.
+
+    `planned` are the values of `PLANNED_LIMITS` in the node `controller`, `torque_limit` is the
+    largest torque of a drive [N m].
+    """
+    speed, acceleration = planned["max_rotor_speed"], planned["max_rotor_acceleration"]
+    torque, inertia = planned["max_rotor_torque"], planned["rotor_axial_inertia"]
+    if torque > 0.0 and inertia > 0.0:
+        acceleration = min(acceleration, torque / inertia)
+    attained = torque_limit / robot.rotor_axial_inertia
+    figures = (
+        ("robot.max_rotor_speed", speed, robot.max_rotor_speed, "rad/s", "as in this node"),
+        ("robot.max_rotor_acceleration", acceleration, robot.max_rotor_acceleration, "rad/s^2",
+         "as in this node"),
+        ("robot.max_rotor_acceleration", acceleration, attained, "rad/s^2",
+         f"for rigid_body.torque_limit = {torque_limit:g} N m"),
+    )
+    return "; ".join(
+        f"{name}: given {wanted:g} {unit} in {controller}, expected at most {given:g} {unit}, "
+        f"{why}"
+        for name, wanted, given, unit, why in figures
+        if wanted > given * (1.0 + 1e-9)
+    )

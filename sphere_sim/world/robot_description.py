@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.world.plant.rigid_body.bodies import Body, build_mechanism
+from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_mechanism
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 _NOTICE = """
@@ -41,8 +41,8 @@ def make_urdf(robot: RobotParameters) -> str:
     root = ElementTree.Element("robot", name="sphere")
     root.append(ElementTree.Comment(_NOTICE))
     for name, colour in _COLOURS.items():
-        _add(_add(root, "material", name=name), "color", rgba=colour)
-    _add(root, "link", name="base_link")
+        add_element(add_element(root, "material", name=name), "color", rgba=colour)
+    add_element(root, "link", name="base_link")
     shell = _add_link(root, mechanism.shell)
     _add_shape(shell, "visual", "shell", (0.0, 0.0), "sphere", radius=robot.shell_radius)
     _add_shape(shell, "collision", "", (0.0, 0.0), "sphere", radius=robot.shell_radius)
@@ -51,9 +51,9 @@ def make_urdf(robot: RobotParameters) -> str:
         link = _add_link(root, rotor)
         _add_rotor_shapes(link, rotor, i, _MIN_THICKNESS * robot.shell_radius)
         joint = _add_joint(root, rotor.name, rotor.position, "continuous")
-        _add(joint, "axis", xyz=_text(*np.eye(3)[i]))
+        add_element(joint, "axis", xyz=_text(*np.eye(3)[i]))
         speed = robot.max_rotor_speed
-        _add(joint, "limit", effort=_text(limits.torque_limit), velocity=_text(speed))
+        add_element(joint, "limit", effort=_text(limits.torque_limit), velocity=_text(speed))
     for weight in mechanism.counterweights:
         link = _add_link(root, weight)
         # A ball of steel of that mass.
@@ -66,22 +66,16 @@ def make_urdf(robot: RobotParameters) -> str:
 
 
 def _add_link(root: ElementTree.Element, body: Body) -> ElementTree.Element:
-    link = _add(root, "link", name=body.name)
-    inertial = _add(link, "inertial")
+    link = add_element(root, "link", name=body.name)
+    inertial = add_element(link, "inertial")
     # The origin of the shell is the centre of the sphere, that of the others the centre of mass.
     centre = body.position if body.name == "shell" else np.zeros(3)
-    _add(inertial, "origin", xyz=_text(*centre), rpy=_text(0.0, 0.0, 0.0))
-    _add(inertial, "mass", value=_text(body.mass))
+    add_element(inertial, "origin", xyz=_text(*centre), rpy=_text(0.0, 0.0, 0.0))
+    add_element(inertial, "mass", value=_text(body.mass))
     full = body.inertia
-    _add(
-        inertial,
-        "inertia",
-        ixx=_text(full[0, 0]),
-        ixy=_text(full[0, 1]),
-        ixz=_text(full[0, 2]),
-        iyy=_text(full[1, 1]),
-        iyz=_text(full[1, 2]),
-        izz=_text(full[2, 2]),
+    add_element(
+        inertial, "inertia", ixx=_text(full[0, 0]), ixy=_text(full[0, 1]), ixz=_text(full[0, 2]),
+        iyy=_text(full[1, 1]), iyz=_text(full[1, 2]), izz=_text(full[2, 2]),
     )
     return link
 
@@ -110,29 +104,25 @@ def _add_shape(
     shape: str,
     **dimensions: float | list[float],
 ) -> None:
-    element = _add(link, kind)
-    _add(element, "origin", xyz=_text(0.0, 0.0, 0.0), rpy=_text(*tilt, 0.0))
+    element = add_element(link, kind)
+    add_element(element, "origin", xyz=_text(0.0, 0.0, 0.0), rpy=_text(*tilt, 0.0))
     texts = {
         name: _text(*value) if isinstance(value, list) else _text(value)
         for name, value in dimensions.items()
     }
-    _add(_add(element, "geometry"), shape, **texts)
+    add_element(add_element(element, "geometry"), shape, **texts)
     if material:
-        _add(element, "material", name=material)
+        add_element(element, "material", name=material)
 
 
 def _add_joint(
     root: ElementTree.Element, child: str, position: np.ndarray, kind: str
 ) -> ElementTree.Element:
-    joint = _add(root, "joint", name=f"{child}_joint", type=kind)
-    _add(joint, "parent", link="base_link")
-    _add(joint, "child", link=child)
-    _add(joint, "origin", xyz=_text(*position), rpy=_text(0.0, 0.0, 0.0))
+    joint = add_element(root, "joint", name=f"{child}_joint", type=kind)
+    add_element(joint, "parent", link="base_link")
+    add_element(joint, "child", link=child)
+    add_element(joint, "origin", xyz=_text(*position), rpy=_text(0.0, 0.0, 0.0))
     return joint
-
-
-def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, attributes)
 
 
 def _text(*numbers: float) -> str:

@@ -18,11 +18,6 @@ class PoseSensor:
 
     Times are simulated time [ns]. The measurements depend on the seed and the settings alone, not
     on the times at which poses are read, unless the sensor is plain: it measures at each of these.
-
-    Parameters
-    ----------
-    settings : SimulatorSettings
-        Rate, noise, latency, drop-outs and seed.
     """
 
     def __init__(self, settings: SimulatorSettings) -> None:

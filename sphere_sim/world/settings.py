@@ -24,47 +24,31 @@ class SimulatorSettings:
     """
 
     plant: str = quantity(
-        "rolling",
-        "-",
-        "What is simulated: ideal rolling, or bodies with contact and drives",
+        "rolling", "-", "What is simulated: ideal rolling, or bodies with contact and drives",
         choices=PLANTS,
     )
     initial_state: tuple[float, ...] = quantity(
-        (2.0, -3.0, 0.03, 0.454, 0.88, 0.1363),
-        "m, -",
-        "Start at rest: x, y, then the quaternion w, x, y, z",
-        minimum=-1e6,
-        maximum=1e6,
+        (2.0, -3.0, 0.03, 0.454, 0.88, 0.1363), "m, -",
+        "Start at rest: x, y, then the quaternion w, x, y, z", minimum=-1e6, maximum=1e6,
     )
     clock: str = quantity(
-        "simulated",
-        "-",
+        "simulated", "-",
         "Simulated time, published on /clock, or the system clock, as on a real robot",
         choices=CLOCKS,
     )
     frame_prefix: str = quantity(
-        "",
-        "-",
-        "Prefix of base_link in frame names; if empty, the node's namespace",
+        "", "-", "Prefix of base_link in frame names; if empty, the node's namespace"
     )
     real_time_factor: float = quantity(
-        1.0,
-        "-",
-        "Simulated over wall time; 0 is as fast as possible",
-        minimum=0.0,
-        maximum=1000.0,
-        live=True,
+        1.0, "-", "Simulated over wall time; 0 is as fast as possible", minimum=0.0,
+        maximum=1000.0, live=True,
     )
     lockstep: bool = quantity(
-        False,
-        "-",
+        False, "-",
         "Stop the clock at each sampling instant until the rotor command for it has arrived",
     )
     lockstep_timeout: float = quantity(
-        5.0,
-        "s",
-        "Wall time after which waiting in lockstep ends with a warning",
-        minimum=0.01,
+        5.0, "s", "Wall time after which waiting in lockstep ends with a warning", minimum=0.01,
         maximum=3600.0,
     )
     sample_period: float = quantity(
@@ -79,53 +63,31 @@ class SimulatorSettings:
         100.0, "Hz", "Rate of pose, odometry and joint states", minimum=1.0, maximum=2000.0
     )
     command_timeout: float = quantity(
-        0.5,
-        "s",
-        "Time after which rotor_commands that are not renewed are no longer followed",
-        minimum=1e-3,
-        maximum=60.0,
+        0.5, "s", "Time after which rotor_commands that are not renewed are no longer followed",
+        minimum=1e-3, maximum=60.0,
     )
     noise_period: float = quantity(
         0.5, "s", "Spacing of the process noise: the paper's T", minimum=1e-3, maximum=10.0
     )
     process_noise: float = quantity(
-        0.0,
-        "m, -",
-        "Standard deviation added to each state every noise period (Eq. 43)",
-        minimum=0.0,
-        maximum=1.0,
-        live=True,
+        0.0, "m, -", "Standard deviation added to each state every noise period (Eq. 43)",
+        minimum=0.0, maximum=1.0, live=True,
     )
     position_noise: float = quantity(
-        0.0,
-        "m",
-        "Standard deviation of the published position",
-        minimum=0.0,
-        maximum=1.0,
+        0.0, "m", "Standard deviation of the published position", minimum=0.0, maximum=1.0,
         live=True,
     )
     orientation_noise: float = quantity(
-        0.0,
-        "rad",
-        "Standard deviation of the published orientation about each axis",
-        minimum=0.0,
-        maximum=1.0,
-        live=True,
+        0.0, "rad", "Standard deviation of the published orientation about each axis", minimum=0.0,
+        maximum=1.0, live=True,
     )
     sensor_rate: float = quantity(
-        0.0,
-        "Hz",
-        "Sampling rate of the pose sensor; 0 is at pose_rate",
-        minimum=0.0,
+        0.0, "Hz", "Sampling rate of the pose sensor; 0 is at pose_rate", minimum=0.0,
         maximum=2000.0,
     )
     sensor_latency: float = quantity(
-        0.0,
-        "s",
-        "Delay of poses; their stamp is the time of measurement",
-        minimum=0.0,
-        maximum=10.0,
-        live=True,
+        0.0, "s", "Delay of poses; their stamp is the time of measurement", minimum=0.0,
+        maximum=10.0, live=True,
     )
     sensor_dropout: float = quantity(
         0.0, "-", "Share of poses that are lost", minimum=0.0, maximum=1.0, live=True
@@ -172,12 +134,8 @@ class PushSettings:
     """
 
     push_impulse: tuple[float, ...] = quantity(
-        (0.5, 0.0),
-        "N s",
-        "Impulse of a push at the centre of the sphere: x, y in the world",
-        minimum=-1e3,
-        maximum=1e3,
-        live=True,
+        (0.5, 0.0), "N s", "Impulse of a push at the centre of the sphere: x, y in the world",
+        minimum=-1e3, maximum=1e3, live=True,
     )
 
     def __post_init__(self) -> None:

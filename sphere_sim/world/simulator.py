@@ -19,14 +19,8 @@ _LONGEST_STEP = 10_000_000
 class Simulator:
     """Simulation of a plant on a clock of whole nanoseconds, with ROS and without.
 
-    Parameters
-    ----------
-    settings : SimulatorSettings
-        Start, noise and timing.
-    robot : RobotParameters
-        True parameters of the plant.
-    plant : Plant, optional
-        Defaults to the one named in `settings`, with default settings of its own.
+    `robot` has the true parameters. The plant is by default the one named in `settings`, with
+    default settings of its own.
     """
 
     def __init__(

@@ -19,9 +19,8 @@ from holding_figure import (
     times_on_slope,
 )
 
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, time_to_saturation
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.saturation import time_to_saturation
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 
 

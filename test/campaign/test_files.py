@@ -24,8 +24,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
-from sphere_sim.scenario.errors import ScenarioFileError
+from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_scenarios
 
 HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()
 ROW = b"2,-3,1,0,0,0,0,0,0,1,0,0,7"

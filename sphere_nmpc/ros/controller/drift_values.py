@@ -4,9 +4,8 @@
 
 import math
 
-from sphere_nmpc.model.drift import Drift, angle_of_slope, offset_of_imbalance
+from sphere_nmpc.model.drift import Drift, angle_of_slope, offset_of_imbalance, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.saturation import time_to_saturation
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 

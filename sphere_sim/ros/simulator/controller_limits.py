@@ -11,7 +11,7 @@ from rclpy.client import Client
 from rclpy.parameter import parameter_value_to_python
 
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_sim.world.limits import PLANNED_LIMITS
+from sphere_sim.world.drives import PLANNED_LIMITS
 
 _REQUESTS = ([f"robot.{name}" for name in PLANNED_LIMITS], ["lockstep"])
 """Parameters by request; where one does not exist, rclpy answers a request with nothing."""

@@ -39,7 +39,7 @@ from sphere_sim.ros.simulator.push_receiver import PushReceiver
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.limits import beyond
+from sphere_sim.world.drives import beyond
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings

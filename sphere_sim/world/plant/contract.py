@@ -1,12 +1,17 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of the plants."""
+"""Interface of the plants, and the time scale of a robot with which their steps are chosen."""
 
+import math
 from typing import Protocol
 
 from numpy.typing import ArrayLike
 
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+
+_REFERENCE = RobotParameters()
+"""Robot of Table 1, for which the constants were measured."""
 
 
 class Plant(Protocol):
@@ -75,3 +80,22 @@ class Plant(Protocol):
     def tilt(self, slope: float, direction: float) -> None:
         """Change the inclination of the floor and its downhill direction [rad]."""
         ...
+
+
+def time_scale(robot: RobotParameters) -> float:
+    """Return the robot's unit of time, 1 / (c1 u_max), over that of Table 1 [-]."""
+    return _fastest_rate(_REFERENCE) / _fastest_rate(robot)
+
+
+def step_scale(robot: RobotParameters) -> float:
+    """Return the factor on steps of integration [-]: the time scale as a power of two, at most 1.
+
+    Rounded, so that errors of the parameters change neither the steps nor, thereby, the rounding
+    of results. Slow robots have the steps of Table 1, as gravity acts on all at the same pace.
+    """
+    return min(1.0, 2.0 ** round(math.log2(time_scale(robot))))
+
+
+def _fastest_rate(robot: RobotParameters) -> float:
+    """Return c1 u_max [rad/s]."""
+    return robot.lumped.input_gain * robot.max_rotor_speed

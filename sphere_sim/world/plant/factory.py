@@ -20,16 +20,16 @@ def make_plant(
     settings: RigidBodySettings | None = None,
     disturbances: DisturbanceSettings | None = None,
 ) -> Plant:
-    """Return a new plant.
+    """Return a new plant: ``rolling``, the ideal one, or ``rigid_body``, with contact and drives.
 
     Parameters
     ----------
     name : str
-        ``rolling``, the ideal plant, or ``rigid_body``, the one with contact and drives.
+        ``rolling`` or ``rigid_body``.
     robot : RobotParameters
-        True parameters of the robot.
+        True parameters of the robot; those of the controller may differ.
     state : ndarray, shape (6,)
-        Initial state; the sphere starts at rest.
+        Initial state; the sphere and its rotors start at rest.
     settings : RigidBodySettings, optional
         Settings of ``rigid_body``; ``rolling`` has none.
     disturbances : DisturbanceSettings, optional

@@ -26,17 +26,9 @@ Numbers = tuple[float, ...]
 class MomentumBalance:
     """Equations of motion of state and momentum, y = [x, y, qw, qx, qy, qz, Hx, Hy, Hz].
 
-    Parameters
-    ----------
-    robot : RobotParameters
-        True parameters of the robot.
-    inertia : tuple of float
-        Principal inertias about the centre of the sphere [kg m^2; body frame].
-    settings : DisturbanceSettings
-        Slope, centre of mass and friction.
-    max_step : float
-        Longest integration step [s]. Where friction could stop the shell within it, the torque
-        falls in proportion to the angular velocity, so that the sphere comes to rest.
+    `inertia` are the principal inertias about the centre of the sphere [kg m^2; body frame]. Where
+    friction could stop the shell within the longest integration step `max_step` [s], its torque
+    falls in proportion to the angular velocity, so that the sphere comes to rest.
     """
 
     def __init__(
@@ -107,12 +99,7 @@ class MomentumBalance:
     ) -> Vector:
         """Return the derivative of `body_rate` [rad/s^2; body frame], shape (3,).
 
-        Parameters
-        ----------
-        y : tuple of float
-            State and momentum.
-        speeds, accelerations : tuple of float
-            Of the rotors [rad/s, rad/s^2].
+        `speeds` and `accelerations` are those of the rotors [rad/s, rad/s^2].
         """
         axes = _axes(y)
         turn = np.array(axes).reshape(3, 3)

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.contract import step_scale
 from sphere_sim.world.plant.momentum_balance import MomentumBalance
-from sphere_sim.world.plant.time_scale import step_scale
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
@@ -29,17 +29,7 @@ _Numbers = tuple[float, ...]
 
 
 class RollingPlant:
-    """Ideal plant; see `sphere_sim.world.plant.contract.Plant`.
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        True parameters of the robot; those of the controller may differ.
-    state : ndarray, shape (6,)
-        Initial state; the sphere and its rotors start at rest.
-    disturbances : DisturbanceSettings, optional
-        Slope, offset of the centre of mass and friction; none by default.
-    """
+    """Ideal plant; for the arguments see `sphere_sim.world.plant.factory.make_plant`."""
 
     def __init__(
         self,

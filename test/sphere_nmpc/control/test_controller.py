@@ -14,7 +14,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate
-from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
+from sphere_nmpc.estimation.estimators import ExactPoseEstimator
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters

@@ -10,7 +10,7 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.estimation.contract import Estimate
-from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
+from sphere_nmpc.estimation.estimators import ExactPoseEstimator
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift, momentum_of_push, slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -20,9 +20,8 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.rest import SATURATED
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.disturbances import DisturbanceSettings, Push
 from sphere_sim.world.plant.rolling_plant import RollingPlant
-from sphere_sim.world.push import Push
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 

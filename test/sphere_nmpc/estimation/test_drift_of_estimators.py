@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.estimation.contract import Estimate, Estimator
-from sphere_nmpc.estimation.factory import make_estimator
+from sphere_nmpc.estimation.estimators import make_estimator
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.drift import NO_DRIFT, Drift, momentum_of_push, slope_torque
 from sphere_nmpc.model.error_state import apply_error
@@ -81,11 +81,10 @@ class Run:
 
 @BOTH
 def test_nothing_is_invented(settings: ControllerSettings) -> None:
-    for seed in range(3):
-        run, paper = (Run(one, NO_DRIFT, seed) for one in (settings, replace(
-            settings, momentum=False
-        )))
-        for until in range(1, 8):
+    for seed in range(2):
+        run = Run(settings, NO_DRIFT, seed)
+        paper = Run(replace(settings, momentum=False), NO_DRIFT, seed)
+        for until in range(1, 7):
             run.go(float(until))
             paper.go(float(until))
             assert run.estimate.drift.is_zero
@@ -102,26 +101,21 @@ def test_slope_and_momentum_are_estimated(settings: ControllerSettings) -> None:
     run.go(6.0)
     assert run.momentum_error() < momentum
     np.testing.assert_allclose(run.estimate.drift.slope, SLOPE, atol=slope)
+    # It is predicted to the time of the estimate. The imbalance that is estimated beside the slope
+    # is within its own error of zero.
+    later = run.estimated(run.time + 0.4)
+    gained = later.drift.momentum - run.estimate.drift.momentum
+    np.testing.assert_allclose(gained[:2], 0.4 * SLOPE, atol=0.4)
 
 
 @BOTH
 def test_push_is_estimated(settings: ControllerSettings) -> None:
-    for seed in range(3):
+    for seed in range(2):
         run = Run(settings, NO_DRIFT, seed)
         run.go(3.0)
         assert run.estimate.drift.is_zero
         run.go(6.0, PUSH)
         assert run.momentum_error() < (3.0 if settings is NOISY else 0.05)
-
-
-@BOTH
-def test_drift_is_predicted_to_the_time_of_the_estimate(settings: ControllerSettings) -> None:
-    run = Run(settings, Drift(slope=SLOPE))
-    run.go(6.0)
-    now, later = run.estimate, run.estimated(run.time + 0.4)
-    gained = later.drift.momentum - now.drift.momentum
-    # The imbalance that is estimated beside the slope is within its own error of zero.
-    np.testing.assert_allclose(gained[:2], 0.4 * SLOPE, atol=0.4)
 
 
 @BOTH
@@ -131,63 +125,39 @@ def test_momentum_is_switched_on_and_off_while_running(settings: ControllerSetti
     assert not run.estimate.drift.is_zero
     run.estimator.change(replace(settings, momentum=False))
     assert run.estimated(run.time).drift.is_zero
-    run.go(8.0)
+    run.go(7.0)
     assert run.estimate.drift.is_zero
     run.estimator.change(settings)
-    run.go(14.0)
+    run.go(12.0)
     assert not run.estimate.drift.is_zero
-
-
-@BOTH
-def test_without_learning_drift_is_estimated_with_the_constants_as_built(
-    settings: ControllerSettings,
-) -> None:
-    run = Run(replace(settings, learning=False), Drift(slope=SLOPE))
-    run.go(6.0)
-    assert run.estimate.plant.constants == ROBOT.lumped
-    assert run.momentum_error() < 0.2 * np.linalg.norm(run.drift.momentum)
 
 
 @BOTH
 def test_drift_survives_forgotten_poses(settings: ControllerSettings) -> None:
     run = Run(settings, Drift(slope=SLOPE))
     run.go(6.0)
+    before = run.estimator.drift.as_array()
     run.estimator.forget()
+    np.testing.assert_array_equal(run.estimator.drift.as_array(), before)
     run.observe()
-    run.go(12.0)
+    np.testing.assert_array_equal(run.estimator.drift.as_array(), before)
+    run.go(10.0)
     assert run.momentum_error() < (4.0 if settings is NOISY else 0.05)
 
 
-@BOTH
-def test_slope_and_momentum_are_known_at_once_after_poses_were_forgotten(
-    settings: ControllerSettings,
-) -> None:
-    run = Run(settings, Drift(slope=SLOPE))
-    run.go(6.0)
-    before = run.estimator.drift
-    run.estimator.forget()
-    np.testing.assert_array_equal(run.estimator.drift.as_array(), before.as_array())
-    run.observe()
-    np.testing.assert_array_equal(run.estimator.drift.as_array(), before.as_array())
-
-
-@pytest.mark.parametrize("learning", [True, False])
-def test_wrong_slope_and_constants_are_learnt_again(
-    learning: bool,
-) -> None:
-    # A filter that is certain of a slope of the other sign, and of a wrong constant if it learns.
-    run = Run(replace(NOISY, learning=learning), Drift(slope=SLOPE))
+def test_wrong_slope_and_constants_are_learnt_again() -> None:
+    # A filter that is certain of a slope of the other sign, and of a wrong constant.
+    run = Run(NOISY, Drift(slope=SLOPE))
     run.go(4.0)
     filtered = run.estimator._drifting  # type: ignore[attr-defined]
     last = filtered._history.pop()
     values = last.after.values.copy()
     values[3:5] = -SLOPE
-    scaled = last.after.scaled + np.array([0.0, 0.0, 0.0, 0.15 * learning, 0.0])
+    scaled = last.after.scaled + np.array([0.0, 0.0, 0.0, 0.15, 0.0])
     filtered._history.clear()
     filtered._history.append(
         replace(last, after=replace(last.after, values=values, scaled=scaled))
     )
     run.go(10.0)
-    # Constants 3 % wrong that are taken as exact are an error of the momentum of some per cent.
-    assert run.momentum_error() < (3.0 if learning else 0.1 * np.linalg.norm(run.drift.momentum))
+    assert run.momentum_error() < 3.0
     np.testing.assert_allclose(run.estimate.drift.slope, SLOPE, atol=2.5)

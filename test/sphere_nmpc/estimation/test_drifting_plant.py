@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Momentum, slope and imbalance from exact transitions of a plant with wrong constants.
 
-The transitions are exact to the integrator's error, about 1e-5 in a quarter of a second, and a
-momentum of 1 rad/s moves the sphere by 5e-3 in that time: it is seen to about 2e-3 rad/s, and a
-slope within a second to 1e-2 rad/s^2. Tolerances are five to ten times that.
+A transition is exact to 1e-5, and a momentum of 1 rad/s moves the sphere by 5e-3 in it: it is seen
+to about 2e-3 rad/s, and a slope within a second to 1e-2 rad/s^2. Tolerances are five to ten times
+that.
 """
 
 from dataclasses import replace
@@ -45,8 +45,8 @@ class Robot:
         self, percent: float = 3.0, drift: Drift = NO_DRIFT, noise: float = 0.0, seed: int = 1
     ) -> None:
         self.rng = np.random.default_rng(seed)
-        self.robot = perturbed(NOMINAL, percent / 100.0, np.random.default_rng(seed + 100))
-        self.constants = self.robot.lumped.as_array()
+        robot = perturbed(NOMINAL, percent / 100.0, np.random.default_rng(seed + 100))
+        self.constants = robot.lumped.as_array()
         self.state = as_state([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         self.drift, self.noise = drift, noise
         self.speeds: Vector = np.zeros(2)
@@ -100,10 +100,9 @@ class Robot:
         return float(np.linalg.norm(self.found.momentum - self.drift.momentum))
 
 
-@pytest.mark.parametrize("percent", [0.0, 3.0, 10.0])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("percent", "noise"), [(0.0, 0.0), (10.0, 0.0), (3.0, 1e-3)])
 def test_nothing_is_invented_on_a_level_floor(percent: float, noise: float) -> None:
-    for seed in range(3):
+    for seed in range(2):
         robot = Robot(percent, noise=noise, seed=seed)
         for _ in range(16):
             robot.roll(1)
@@ -117,46 +116,36 @@ def test_nothing_is_invented_on_a_level_floor(percent: float, noise: float) -> N
 
 
 @pytest.mark.parametrize("percent", [3.0, 10.0])
-def test_slope_is_found_in_motion(percent: float) -> None:
-    for seed in range(3):
-        robot = Robot(percent, Drift(slope=SLOPE), seed=seed)
-        robot.roll(12)
-        assert robot.momentum_error() < MOMENTUM_TOLERANCE
-        np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
-        np.testing.assert_allclose(robot.found.imbalance, 0.0, atol=SLOPE_TOLERANCE)
-
-
-def test_momentum_slope_and_imbalance_are_found_together() -> None:
-    robot = Robot(3.0, Drift(PUSH, SLOPE, IMBALANCE))
+@pytest.mark.parametrize(
+    "drift", [Drift(slope=SLOPE), Drift(PUSH, SLOPE, IMBALANCE)], ids=["slope", "all"]
+)
+def test_momentum_slope_and_imbalance_are_found_in_motion(percent: float, drift: Drift) -> None:
+    robot = Robot(percent, drift)
     robot.roll(16)
     assert robot.momentum_error() < MOMENTUM_TOLERANCE
     np.testing.assert_allclose(robot.found.slope, SLOPE, atol=SLOPE_TOLERANCE)
-    np.testing.assert_allclose(robot.found.imbalance, IMBALANCE, atol=SLOPE_TOLERANCE)
-
-
-def test_slope_is_found_while_the_rotors_stand_still() -> None:
-    robot = Robot(3.0, Drift(slope=SLOPE))
-    for _ in range(8):
-        robot.move(np.zeros(2))
-    # Without motion of the rotors the gain c1 is as good as its prior of 3 %.
-    assert robot.momentum_error() < 0.1 * np.linalg.norm(robot.drift.momentum)
+    np.testing.assert_allclose(robot.found.imbalance, drift.imbalance, atol=SLOPE_TOLERANCE)
 
 
 def test_long_rest_on_a_slope_loses_nothing() -> None:
     robot = Robot(3.0, Drift(slope=0.05 * SLOPE))
     robot.roll(12)
     before = robot.estimator.result
-    robot.rest(240)
+    robot.rest(60)
     after = robot.estimator.result
     assert robot.momentum_error() < MOMENTUM_TOLERANCE
-    true = robot.robot.lumped.as_array()
     for result in (before, after):
-        np.testing.assert_allclose(result.plant.constants.as_array(), true, rtol=2e-3)
+        constants = result.plant.constants.as_array()
+        np.testing.assert_allclose(constants, robot.constants, rtol=2e-3)
+    # Another lag keeps the drift.
+    changed = robot.estimator.restarted(0.01).result
+    np.testing.assert_allclose(changed.drift.as_array(), after.drift.as_array(), atol=1e-6)
+    assert changed.plant.lag == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_push_is_recognised_within_two_samples(share: float) -> None:
-    for seed in range(3):
+    for seed in range(2):
         robot = Robot(3.0, seed=seed)
         robot.roll(8)
         assert robot.found is NO_DRIFT
@@ -165,14 +154,11 @@ def test_push_is_recognised_within_two_samples(share: float) -> None:
         assert robot.estimator.result.plant.noise < 1e-4
         robot.roll(6)
         assert robot.momentum_error() < MOMENTUM_TOLERANCE
-
-
-def test_second_push_is_recognised_too() -> None:
-    robot = Robot(3.0)
-    robot.roll(8)
-    robot.roll(6, PUSH)
     robot.roll(2, -2.0 * PUSH)
     assert robot.momentum_error() < 0.02 * np.linalg.norm(PUSH)
+    robot.roll(4, PUSH)
+    robot.roll(14)
+    assert np.linalg.norm(robot.found.momentum) < MOMENTUM_TOLERANCE, "drift that is gone"
 
 
 def test_robot_that_was_carried_is_no_push() -> None:
@@ -184,27 +170,6 @@ def test_robot_that_was_carried_is_no_push() -> None:
     assert robot.found is NO_DRIFT
     robot.roll(4)
     assert robot.found is NO_DRIFT
-
-
-def test_drift_that_is_gone_is_no_longer_published() -> None:
-    robot = Robot(3.0)
-    robot.roll(8)
-    robot.roll(6, PUSH)
-    assert robot.found is not NO_DRIFT
-    robot.roll(4, -PUSH)
-    robot.rest(1)
-    robot.roll(14)
-    assert np.linalg.norm(robot.found.momentum) < MOMENTUM_TOLERANCE
-
-
-def test_changed_lag_keeps_the_drift() -> None:
-    robot = Robot(3.0, Drift(slope=SLOPE))
-    robot.roll(12)
-    before = robot.estimator.result
-    robot.estimator = robot.estimator.restarted(0.01)
-    after = robot.estimator.result
-    np.testing.assert_allclose(after.drift.as_array(), before.drift.as_array(), atol=1e-6)
-    assert after.plant.lag == pytest.approx(0.01)
 
 
 def test_update_that_fails_does_not_break_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:

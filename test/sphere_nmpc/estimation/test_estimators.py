@@ -10,9 +10,11 @@ from delayed_worker import DelayedWorker
 
 from sphere_nmpc.estimation import plant_estimator
 from sphere_nmpc.estimation.contract import Estimator, PlantEstimate
-from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
-from sphere_nmpc.estimation.factory import make_estimator
-from sphere_nmpc.estimation.noisy_poses import NoisyPoseEstimator
+from sphere_nmpc.estimation.estimators import (
+    ExactPoseEstimator,
+    NoisyPoseEstimator,
+    make_estimator,
+)
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -66,19 +68,27 @@ def state_at(estimator: Estimator, time: float) -> Vector:
 
 
 @BOTH
-def test_constants_and_lag_are_estimated(settings: ControllerSettings, sent: SentInputs) -> None:
-    found = tracked(settings, sent)
-    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
-    assert found.plant.lag == pytest.approx(LAG, rel=0.1)
-
-
-@BOTH
-def test_without_a_pose_there_is_no_state_but_the_nominal_plant(
+def test_constants_and_lag_are_estimated_and_kept(
     settings: ControllerSettings, sent: SentInputs
 ) -> None:
     found = make_estimator(settings, LUMPED, sent)
     assert found.newest is None and found.estimate(0.0) is None
     assert found.plant.constants == LUMPED and found.plant.lag == 0.0
+    track(found, sent)
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+    assert found.plant.lag == pytest.approx(LAG, rel=0.1)
+    before, state = found.plant, state_at(found, DURATION)
+    # Settings of no concern change nothing.
+    found.change(replace(settings, goal_tolerance=0.1, planning_effort=1000, pose_timeout=1.0))
+    assert found.plant.noise == before.noise
+    np.testing.assert_array_equal(state_at(found, DURATION), state)
+    found.change(replace(settings, learning=False))
+    assert found.plant.constants == LUMPED and found.plant.lag == 0.0
+    found.change(settings)
+    assert (found.plant.constants, found.plant.lag) == (before.constants, before.lag)
+    found.forget()
+    assert found.newest is None and found.estimate(DURATION) is None
+    assert (found.plant.constants, found.plant.lag) == (before.constants, before.lag)
 
 
 @BOTH
@@ -90,55 +100,11 @@ def test_changed_drive_lag_restarts_the_lag_and_keeps_the_constants(
     found.change(replace(settings, drive_lag=0.03))
     assert found.plant.lag == pytest.approx(0.03)
     assert found.plant.constants == constants
+    known = make_estimator(replace(settings, learning=False), LUMPED, sent)
+    known.change(replace(settings, learning=False, drive_lag=0.03))
+    assert known.plant.constants == LUMPED and known.plant.lag == 0.03
     track(found, sent, LATER)
     assert found.plant.lag == pytest.approx(LAG, rel=0.1), "estimated again from the new prior"
-
-
-@BOTH
-def test_changed_drive_lag_is_used_at_once_without_learning(
-    settings: ControllerSettings, sent: SentInputs
-) -> None:
-    settings = replace(settings, learning=False)
-    found = tracked(settings, sent)
-    before = state_at(found, DURATION + 0.1)
-    found.change(replace(settings, drive_lag=0.03))
-    assert found.plant.constants == LUMPED and found.plant.lag == 0.03
-    assert np.linalg.norm(state_at(found, DURATION + 0.1) - before) > 1e-3
-
-
-@BOTH
-def test_learning_that_is_switched_off_and_on_again_keeps_what_was_estimated(
-    settings: ControllerSettings, sent: SentInputs
-) -> None:
-    found = tracked(settings, sent)
-    before = found.plant
-    found.change(replace(settings, learning=False))
-    assert found.plant.constants == LUMPED and found.plant.lag == 0.0
-    found.change(settings)
-    assert found.plant.constants == before.constants and found.plant.lag == before.lag
-
-
-@BOTH
-def test_change_of_a_setting_of_no_concern_changes_no_estimate(
-    settings: ControllerSettings, sent: SentInputs
-) -> None:
-    found = tracked(settings, sent)
-    before, state = found.plant, state_at(found, DURATION)
-    found.change(replace(settings, goal_tolerance=0.1, planning_effort=1000, pose_timeout=1.0))
-    assert found.plant.constants == before.constants and found.plant.lag == before.lag
-    assert found.plant.noise == before.noise
-    np.testing.assert_array_equal(state_at(found, DURATION), state)
-
-
-@BOTH
-def test_forgetting_poses_keeps_the_constants(
-    settings: ControllerSettings, sent: SentInputs
-) -> None:
-    found = tracked(settings, sent)
-    before = found.plant
-    found.forget()
-    assert found.newest is None and found.estimate(DURATION) is None
-    assert found.plant.constants == before.constants and found.plant.lag == before.lag
 
 
 def test_changed_noise_level_keeps_state_and_constants_and_weighs_later_poses(
@@ -189,14 +155,15 @@ def test_learning_by_a_worker_gives_the_constants_of_learning_in_line(
     assert same(found.plant, in_line.plant)
 
 
-def test_learning_of_which_no_result_has_arrived_changes_nothing(sent: SentInputs) -> None:
+def test_result_that_arrives_after_a_changed_drive_lag_does_not_undo_it(sent: SentInputs) -> None:
     clock = Clock()
     found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(clock, 1.0))
     before = found.plant
     track(found, sent)
-    assert same(found.plant, before)
+    assert same(found.plant, before), "no result has arrived"
+    found.change(replace(EXACT, drive_lag=0.03))
     clock.time = 1.0
-    assert not same(found.plant, before)
+    assert found.plant.lag == pytest.approx(0.03)
 
 
 class Clock:
@@ -245,23 +212,4 @@ def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known(
     assert found.plant.constants == before.constants
     track(found, sent, LATER)
     assert not same(found.plant, before)
-    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
-
-
-def test_result_that_arrives_after_a_changed_drive_lag_does_not_undo_it(
-    sent: SentInputs,
-) -> None:
-    clock = Clock()
-    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(clock, 1.0))
-    track(found, sent)
-    found.change(replace(EXACT, drive_lag=0.03))
-    clock.time = 1.0
-    assert found.plant.lag == pytest.approx(0.03)
-
-
-def test_learning_goes_on_where_measured_rotor_speeds_end(sent: SentInputs) -> None:
-    """As they do after the controller has ended its subscription: none are awaited for long."""
-    found = make_estimator(EXACT, LUMPED, sent)
-    sent.known_until = 0.3
-    track(found, sent)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)

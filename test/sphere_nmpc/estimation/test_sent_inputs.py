@@ -15,7 +15,7 @@ from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import as_state
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
@@ -38,6 +38,7 @@ def test_without_commands_there_is_no_speed_and_no_motion() -> None:
     sent = SentInputs()
     np.testing.assert_array_equal(sent.at(3.0), [0.0, 0.0])
     np.testing.assert_array_equal(sent.predict(START, 0.0, 5.0, P), START)
+    np.testing.assert_array_equal(sent.predict(START, 0.8, 0.5, P), START)
     assert sent.newest is None
     assert not sent.moves_after(0.0)
 
@@ -61,39 +62,25 @@ def test_until_a_hold_begins_the_one_in_force_is_followed(
         np.testing.assert_allclose(followed.at(t), before.at(t), atol=1e-3)  # knots 1e-6 s apart
     for t in np.linspace(begins, begins + 1.0, 20):
         np.testing.assert_allclose(followed.at(t), hold.at(t), atol=1e-3)
+    # One that has begun is joined at its next knot.
+    joined = sent.leading_to(hold, begins + 0.1)
+    np.testing.assert_allclose(joined.times, [begins + 0.1, begins + 0.5])
+    np.testing.assert_allclose(joined.speeds, [before.at(begins + 0.1), hold.speeds[1]])
 
 
-def test_hold_that_has_begun_is_joined_at_its_next_knot() -> None:
-    sent = SentInputs()
-    sent.record(ramp(0.0, [0, 0], [10, 0], 1.0))
-    followed = sent.leading_to(ramp(0.2, [2, 0], [5, 5], 0.5), 0.3)
-    np.testing.assert_allclose(followed.times, [0.3, 0.7])
-    np.testing.assert_allclose(followed.speeds, [[3, 0], [5, 5]])
-
-
-def test_each_hold_lasts_until_the_next_takes_effect() -> None:
+def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces_later_ones():
     sent = SentInputs()
     sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))
     sent.record(ramp(1.5, [5, 10], [0, 0], 0.5))
-    np.testing.assert_allclose(sent.at(0.5), [0, 0])
-    np.testing.assert_allclose(sent.at(1.25), [2.5, 5])
-    np.testing.assert_allclose(sent.at(1.75), [2.5, 5])
-    np.testing.assert_allclose(sent.at(9.0), [0, 0])
-
-
-def test_hold_that_takes_effect_earlier_replaces_later_ones() -> None:
-    sent = SentInputs()
-    sent.record(FirstOrderHold.constant(2.0, np.array([50.0, 50.0])))
-    sent.record(FirstOrderHold.constant(1.0, np.array([1.0, 1.0])))
+    np.testing.assert_allclose([sent.at(t)[0] for t in (0.5, 1.25, 1.75, 9.0)], [0, 2.5, 2.5, 0])
+    sent.record(FirstOrderHold.constant(1.2, np.array([1.0, 1.0])))
     np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
-
-
-def test_motion_is_reported_until_the_hold_has_ended() -> None:
-    sent = SentInputs()
-    sent.record(FirstOrderHold(np.array([0.0, 1.0, 2.0]), np.array([[0, 0], [9, 0], [0, 0.0]])))
-    assert sent.moves_after(0.0)
-    assert sent.moves_after(1.5)
-    assert not sent.moves_after(2.0)
+    late = ramp(2.0, [1, 1], [3, 3], 0.5)
+    sent.record(late)
+    sent.withdraw(late)
+    np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
+    sent.record(ramp(4.0, [1, 1], [0, 0], 1.0))
+    assert sent.moves_after(4.9) and not sent.moves_after(5.0)
     sent.clear()
     assert not sent.moves_after(0.0)
 
@@ -129,39 +116,10 @@ def test_prediction_agrees_with_the_plant_driven_by_the_same_speeds(
     predicted = sent.predict(START, start, end, P, max_step=0.0125)
     # The error of each method is below 1e-6 in a second at full speed.
     np.testing.assert_allclose(predicted, plant.state, atol=2e-6)
-
-
-def test_prediction_into_the_past_changes_nothing() -> None:
-    sent = replaced([ramp(0.0, [0, 0], [50, 50], 1.0)])
-    np.testing.assert_array_equal(sent.predict(START, 0.8, 0.5, P), START)
-
-
-def test_prediction_in_two_parts_is_that_in_one() -> None:
-    sent = replaced([ramp(0.0, [0, 0], [50, -80], 0.4), ramp(0.5, [0, 0], [-20, 10], 0.5)])
-    middle = sent.predict(START, 0.1, 0.5, P, max_step=0.01)
-    in_two: Vector = sent.predict(middle, 0.5, 0.9, P, max_step=0.01)
-    np.testing.assert_allclose(in_two, sent.predict(START, 0.1, 0.9, P, max_step=0.01), atol=1e-9)
-
-
-def test_prediction_over_a_short_time_reads_few_holds_of_a_long_history(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    sent = SentInputs()
-    for i in range(3000):
-        sent.record(ramp(1e-3 * i, [0, 0], [1, 1], 2.0))
-    reads: list[float] = []
-    begin = FirstOrderHold.start.fget
-
-    def counted(hold: FirstOrderHold) -> float:
-        assert begin is not None
-        reads.append(begin(hold))
-        return reads[-1]
-
-    monkeypatch.setattr(FirstOrderHold, "start", property(counted))
-    sent.predict(START, 2.99, 3.0, P)
-    # Ten holds are in force in these 10 ms, each is read at most three times; 2048 are kept.
-    assert 10 <= len(reads) <= 40
-    assert sent.at(0.5) == pytest.approx([0.0, 0.0])  # beyond the history
+    middle = sent.predict(START, start, 0.5 * (start + end), P, max_step=0.0125)
+    in_two = sent.predict(middle, 0.5 * (start + end), end, P, max_step=0.0125)
+    np.testing.assert_allclose(in_two, plant.state, atol=2e-6)
+    assert sent.predict_with_drift(START, NO_DRIFT, start, end, P)[1] is NO_DRIFT
 
 
 def test_prediction_with_drift_also_covers_the_time_before_the_first_hold() -> None:
@@ -180,15 +138,6 @@ def test_prediction_with_drift_also_covers_the_time_before_the_first_hold() -> N
     np.testing.assert_allclose(state, end[0], atol=1e-9)
     np.testing.assert_allclose(after.momentum, end[1], atol=1e-8)
     np.testing.assert_array_equal(after.as_array()[3:], drift.as_array()[3:])
-
-
-def test_prediction_without_drift_is_that_of_the_paper() -> None:
-    sent = SentInputs()
-    sent.record(FirstOrderHold(np.array([0.0, 1.0]), np.array([[0.0, 0.0], [40.0, -20.0]])))
-    start = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
-    state, after = sent.predict_with_drift(start, NO_DRIFT, 0.0, 1.0, P)
-    np.testing.assert_array_equal(state, sent.predict(start, 0.0, 1.0, P))
-    assert after is NO_DRIFT
 
 
 def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:

@@ -53,8 +53,10 @@ def to_world(x: Vector) -> Vector:
     return Rotation.from_quat(x[[3, 4, 5, 2]]).as_matrix()
 
 
-def largest(residuals: list[Vector]) -> float:
-    return float(np.max(np.abs(residuals)))
+def check(printed: list[Vector], corrected: list[Vector]) -> None:
+    """Check that the printed equation leaves residuals and the corrected one none."""
+    assert np.max(np.abs(printed)) > FAILS
+    assert np.max(np.abs(corrected)) < HOLDS
 
 
 def test_eq_4_needs_a_factor_of_two() -> None:
@@ -65,23 +67,7 @@ def test_eq_4_needs_a_factor_of_two() -> None:
         spin = to_world(x) @ body
         printed.append(matrix @ dx[2:6] - spin)
         corrected.append(2.0 * matrix @ dx[2:6] - spin)
-    assert largest(printed) > FAILS
-    assert largest(corrected) < HOLDS
-
-
-def test_eq_7_holds_as_printed() -> None:
-    residuals = []
-    for x, _, dx, body in motions():
-        q1, q2, q3, q4 = x[2:6]
-        d1, d2, d3, d4 = dx[2:6]
-        rolled = 2.0 * RADIUS * np.array([
-            -q3 * d1 + q4 * d2 + q1 * d3 - q2 * d4, q2 * d1 - q1 * d2 + q4 * d3 - q3 * d4,
-        ])
-        residuals.append(dx[:2] - rolled)
-        # The same from the rotation itself: the contact point is at rest.
-        spin = to_world(x) @ body
-        residuals.append(dx[:2] - RADIUS * np.array([spin[1], -spin[0]]))
-    assert largest(residuals) < HOLDS
+    check(printed, corrected)
 
 
 def test_eq_10_needs_the_factor_of_two_of_eq_7() -> None:
@@ -93,10 +79,9 @@ def test_eq_10_needs_the_factor_of_two_of_eq_7() -> None:
         momentum = mass * RADIUS * np.array([
             -q3 * d1 + q4 * d2 + q1 * d3 - q2 * d4, q2 * d1 - q1 * d2 + q4 * d3 - q3 * d4,
         ])
-        printed.append(momentum - mass * dx[:2])
-        corrected.append(2.0 * momentum - mass * dx[:2])
-    assert largest(printed) > FAILS
-    assert largest(corrected) < HOLDS * 10.0  # times the mass
+        printed.append(momentum / mass - dx[:2])
+        corrected.append(2.0 * momentum / mass - dx[:2])
+    check(printed, corrected)
 
 
 def test_eq_12_needs_a_minus_in_its_third_line() -> None:
@@ -121,10 +106,7 @@ def test_eq_12_needs_a_minus_in_its_third_line() -> None:
         spun = it2 * (-d1 * q4 + d2 * q3 - d3 * q2 + d4 * q1)
         printed.append(moved + spun)
         corrected.append(-moved + spun)
-    assert largest(first) < HOLDS
-    assert largest(second) < HOLDS
-    assert largest(printed) > FAILS
-    assert largest(corrected) < HOLDS
+    check(printed, [*first, *second, *corrected])
 
 
 def test_body_rate_below_eq_12_needs_a_factor_of_two() -> None:
@@ -135,8 +117,7 @@ def test_body_rate_below_eq_12_needs_a_factor_of_two() -> None:
         given = -d1 * q4 + d2 * q3 - d3 * q2 + d4 * q1
         printed.append(given - body[2])
         corrected.append(2.0 * given - body[2])
-    assert largest(printed) > FAILS
-    assert largest(corrected) < HOLDS
+    check(printed, corrected)
 
 
 def test_eq_19_needs_the_sign_of_eq_18() -> None:
@@ -147,8 +128,7 @@ def test_eq_19_needs_the_sign_of_eq_18() -> None:
         east = 2 * RADIUS * (q3 * q1 - q4 * q2)
         printed.append(np.hypot(east, -2 * RADIUS * (q2 * q1 - q3 * q4)) - RADIUS)
         corrected.append(np.hypot(east, -2 * RADIUS * (q2 * q1 + q3 * q4)) - RADIUS)
-    assert largest(printed) > FAILS
-    assert largest(corrected) < HOLDS
+    check(printed, corrected)
 
 
 def box_1(alpha: float, phi: float, sign: float) -> Vector:
@@ -215,32 +195,6 @@ def test_on_gamma_one_input_spins_in_place_as_remark_1_says(alpha: float, phi: f
     spin = to_world(x) @ body
     np.testing.assert_allclose(spin[:2], 0.0, atol=HOLDS * 10.0)
     assert abs(spin[2]) > 0.1
-
-
-def test_off_gamma_the_centre_can_move_in_every_direction() -> None:
-    for x, *_ in motions(20, seed=3):
-        columns = np.column_stack([rates(x, u)[1][:2] for u in np.eye(2)])
-        # The slowest direction vanishes only with the height of the contact point.
-        fastest, slowest = np.linalg.svd(columns)[1]
-        height = abs(to_world(x)[2, 2])
-        assert slowest >= height * fastest > HOLDS
-    upright = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    columns = np.column_stack([rates(upright, u)[1][:2] for u in np.eye(2)])
-    values = np.linalg.svd(columns)[1]
-    assert values[0] == pytest.approx(values[1])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_path_of_the_contact_point_crosses_gamma_at_a_right_angle(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    alpha, phi = rng.uniform(0, 6, 2)
-    x = np.concatenate((np.zeros(2), box_1(alpha, phi, -1.0)))
-    for u in rng.uniform(-100, 100, size=(10, 2)):
-        _, _, body = rates(x, u)
-        # The contact point -Rs k moves over the shell as k does in the body: k' = -omega x k.
-        k = to_world(x)[2]
-        path = RADIUS * np.cross(body, k)
-        np.testing.assert_allclose(path[:2], 0.0, atol=HOLDS)
 
 
 def upright(heading: float = 0.0, x: float = 0.0) -> Vector:

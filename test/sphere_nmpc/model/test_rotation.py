@@ -45,12 +45,10 @@ def test_matrix_takes_body_vectors_to_world_ones() -> None:
         np.testing.assert_allclose(rotation.vertical(q), expected[2], atol=ROUNDING)
         vector = np.array([0.3, -1.2, 0.7])
         np.testing.assert_allclose(rotation.to_body(q, vector), expected.T @ vector, atol=ROUNDING)
-
-
-def test_conjugate_is_the_inverse() -> None:
-    for q in draws():
         unit = rotation.product(q, rotation.conjugate(q))
         np.testing.assert_allclose(unit, [1.0, 0.0, 0.0, 0.0], atol=ROUNDING)
+        found = rotation.from_matrix(expected)
+        np.testing.assert_allclose(rotation.nearer_sign(found, q), q, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-4, 0.3, 2.0, 3.0])
@@ -63,14 +61,9 @@ def test_exponential_and_logarithm_agree_with_scipy(angle: float) -> None:
         np.testing.assert_allclose(rotation.logarithm(sign), vector, rtol=1e-14, atol=1e-23)
     scalar, parts = exponential_parts(ca.vertsplit(ca.DM(vector)))
     np.testing.assert_allclose(np.array(ca.vertcat(scalar, *parts)).ravel(), expected, atol=1e-14)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.3, 1.0, 2.0])
-def test_power_series_of_the_exponential_agrees_with_scipy_up_to_two_radians(angle: float) -> None:
-    vector = angle * np.array([0.48, -0.6, 0.64])
-    found = np.array(quaternion_exponential(ca.DM(vector))).ravel()
-    expected = Rotation.from_rotvec(vector).as_quat()[[3, 0, 1, 2]]
-    np.testing.assert_allclose(found, expected, atol=2e-16)
+    if angle <= 2.0:  # up to which the power series is meant
+        series = np.array(quaternion_exponential(ca.DM(vector))).ravel()
+        np.testing.assert_allclose(series, expected, atol=2e-16)
 
 
 def test_left_jacobian_is_the_derivative_of_the_exponential() -> None:
@@ -81,28 +74,3 @@ def test_left_jacobian_is_the_derivative_of_the_exponential() -> None:
         ahead, behind = (rotation.exponential(vector + sign * change) for sign in (1.0, -1.0))
         moved = rotation.logarithm(rotation.product(ahead, rotation.conjugate(behind)))
         np.testing.assert_allclose(moved / (2.0 * step), jacobian[:, i], atol=1e-9)
-
-
-def test_angle_between_is_that_of_scipy_for_one_and_for_many() -> None:
-    a, b = draws()[:15], draws()[15:]
-    expected = (scipy_rotation(a).inv() * scipy_rotation(b)).magnitude()
-    np.testing.assert_allclose(rotation.angle_between(a, b), expected, atol=1e-14)
-    np.testing.assert_allclose(rotation.angle_between(a, -b), expected, atol=1e-14)
-    assert rotation.angle_between(a[0], b[0]) == pytest.approx(expected[0], abs=1e-14)
-
-
-def test_nearer_sign_is_the_shorter_chord() -> None:
-    a, b = draws()[:15], draws()[15:]
-    found = rotation.nearer_sign(a, b)
-    np.testing.assert_array_equal(np.abs(found), np.abs(a))
-    near, far = (np.linalg.norm(sign * found - b, axis=1) for sign in (1.0, -1.0))
-    assert np.all(near <= far)
-    assert np.any(found != a) and np.any(found == a)
-
-
-@pytest.mark.parametrize(
-    ("scale", "expected"),
-    [(1.0, True), (1.009, True), (1.011, False), (0.0, False), (np.nan, False)],
-)
-def test_norm_of_a_quaternion_is_one_within_a_tolerance(scale: float, expected: bool) -> None:
-    assert rotation.is_unit(scale * draws()[0]) == expected

@@ -15,7 +15,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
-from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
+from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.best_known_cache import BestKnownTimes
 from sphere_sim.study.motion import Motion

@@ -18,9 +18,8 @@ from sphere_sim.study.conditions import OF_NODES, StudyConditions
 from sphere_sim.study.followed_inputs import followed_inputs
 from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
 from sphere_sim.study.single_run import prepare, run_scenario
-from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.disturbances import DisturbanceSettings, Push
 from sphere_sim.world.plant.rolling_plant import RollingPlant
-from sphere_sim.world.push import Push
 
 SCENARIO = draw_scenarios(1, 5)[0]
 SHORT = StudyConditions(duration=4.0)

@@ -27,7 +27,7 @@ from sphere_sim.study.motion import Motion
 from sphere_sim.study.record import PUSH_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
-from sphere_sim.world.push import Push
+from sphere_sim.world.disturbances import Push
 
 SCENARIOS = draw_scenarios(2, 1)
 SCENARIOS += [replace(SCENARIOS[0], goal=SCENARIOS[0].start)]

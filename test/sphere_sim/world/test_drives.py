@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The command that the drives follow, and their limits."""
+"""The command that the drives follow, their limits, and what contradicts these."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_sim.world.drives import CommandFollower
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_sim.world.drives import PLANNED_LIMITS, CommandFollower, beyond
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 STEP = 0.01
 
@@ -25,59 +27,51 @@ def hold(*knots: tuple[float, float, float]) -> FirstOrderHold:
 
 
 def test_without_commands_the_rotors_ramp_to_rest(follower: CommandFollower) -> None:
-    np.testing.assert_array_equal(follower.commanded(1.0), [0.0, 0.0])
+    follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
+    follower.follow_trajectory(hold((0, 0, 0), (5, 50, 50)))
+    follower.reset()
+    np.testing.assert_array_equal(follower.commanded(0.1), [0, 0])
     np.testing.assert_array_equal(follower.speeds_after(np.array([1.0, -9.0]), 0.0, STEP), [0, -5])
 
 
 def test_hold_is_newer_unless_it_starts_before_the_last_one(follower: CommandFollower) -> None:
-    assert follower.is_newer(hold((1, 0, 0)))
+    assert follower.is_newer(hold((1, 0, 0))) and not follower.has_followed(hold((1, 0, 0)))
     follower.follow_trajectory(hold((1, 0, 0), (2, 5, 5)))
     assert follower.is_newer(hold((1, 0, 0))) and follower.is_newer(hold((1.1, 0, 0)))
     assert not follower.is_newer(hold((0.9, 0, 0)))
+    assert follower.has_followed(hold((1, 0, 0), (2, 5, 5)))
+    assert not follower.has_followed(hold((1, 0, 0), (2, 5, 6)))
 
 
-def test_trajectory_has_priority_over_speeds_until_its_last_knot(
+def test_trajectory_has_priority_and_late_samples_of_it_are_ignored(
     follower: CommandFollower,
 ) -> None:
     follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
     follower.follow_trajectory(hold((0, 0, 0), (0.4, 40, 20)))
-    np.testing.assert_allclose(follower.commanded(0.2), [20, 10])
-    np.testing.assert_allclose(follower.commanded(0.4), [40, 20])
-    np.testing.assert_allclose(follower.commanded(0.45), [0, 0])
-
-
-def test_late_samples_of_a_trajectory_are_ignored_after_its_end(
-    follower: CommandFollower,
-) -> None:
-    follower.follow_trajectory(hold((0, 40, 20), (0.4, 0, 0)))
-    follower.follow_speeds(np.array([7.0, 7.0]), 0.3)
-    np.testing.assert_allclose(follower.commanded(0.45), [0, 0])
+    for time, speeds in ((0.2, [20, 10]), (0.4, [40, 20]), (0.45, [0, 0])):
+        np.testing.assert_allclose(follower.commanded(time), speeds)
     follower.follow_speeds(np.array([3.0, 3.0]), 0.5)
     np.testing.assert_allclose(follower.commanded(0.6), [0, 0])
-    follower.follow_speeds(np.array([7.0, 7.0]), 0.91)
-    np.testing.assert_allclose(follower.commanded(1.0), [7, 7])
+    follower.follow_speeds(np.array([7.0, -7.0]), 0.91)
+    np.testing.assert_allclose(follower.commanded(1.0), [7, -7])
+    # Without a successor they are dropped after the time-out.
+    follower.follow_speeds(np.array([7.0, -7.0]), 1.0)
+    np.testing.assert_allclose(follower.commanded(1.5), [7, -7])
+    np.testing.assert_allclose(follower.commanded(1.501), [0, 0])
 
 
 def test_new_trajectory_replaces_the_previous_one_and_a_late_one_is_evaluated_now(
     follower: CommandFollower,
 ) -> None:
+    assert follower.knots_between(0.0, 9.0) == []
     follower.follow_trajectory(hold((0, 0, 0), (5, 50, 50)))
     follower.follow_trajectory(hold((0, 0, 0), (1, 30, 0), (2, 0, 0)))
     np.testing.assert_allclose(follower.commanded(1.5), [15, 0])
     np.testing.assert_allclose(follower.commanded(3.0), [0, 0])
+    assert follower.knots_between(0.0, 2.0) == [1.0] and follower.knots_between(1.0, 1.5) == []
 
 
-def test_speeds_without_a_successor_are_dropped_after_the_timeout(
-    follower: CommandFollower,
-) -> None:
-    follower.follow_speeds(np.array([7.0, -7.0]), 1.0)
-    np.testing.assert_array_equal(follower.commanded(1.5), [7, -7])
-    np.testing.assert_array_equal(follower.commanded(1.501), [0, 0])
-
-
-@pytest.mark.parametrize(
-    "bad", [[1.0], [1.0, 2.0, 3.0], [np.nan, 0.0], [0.0, np.inf], [[1.0, 2.0]]]
-)
+@pytest.mark.parametrize("bad", [[1.0], [np.nan, 0.0], [0.0, np.inf], [[1.0, 2.0]]])
 def test_invalid_speeds_are_refused_and_the_previous_ones_stay(
     follower: CommandFollower, bad: list[float]
 ) -> None:
@@ -87,18 +81,12 @@ def test_invalid_speeds_are_refused_and_the_previous_ones_stay(
     np.testing.assert_array_equal(follower.commanded(0.2), [7, 7])
 
 
-def test_commands_beyond_the_largest_speed_are_clamped_and_counted(
-    follower: CommandFollower,
-) -> None:
+def test_commands_beyond_the_largest_speed_are_counted(follower: CommandFollower) -> None:
     follower.follow_speeds(np.array([100.0, 0.0]), 0.0)
     assert follower.clamped == 0
     follower.follow_speeds(np.array([500.0, 0.0]), 0.0)
     follower.follow_trajectory(hold((0, 0, 0), (1, 0, -101)))
     assert follower.clamped == 2
-    speeds = np.array([0.0, -99.0])
-    for i in range(200):
-        speeds = follower.speeds_after(speeds, STEP * i, STEP)
-        assert np.max(np.abs(speeds)) <= 100.0
 
 
 speeds = st.tuples(st.floats(-100, 100), st.floats(-100, 100)).map(np.array)
@@ -122,15 +110,45 @@ def test_drives_keep_all_limits_and_approach_the_command_as_fast_as_they_allow(
     assert np.all(np.abs(target - after) <= np.abs(target - now) + 1e-12)
 
 
-def test_knots_between_two_times_are_those_of_the_trajectory(follower: CommandFollower) -> None:
-    assert follower.knots_between(0.0, 9.0) == []
-    follower.follow_trajectory(hold((0, 0, 0), (0.5, 1, 1), (1.0, 0, 0)))
-    assert follower.knots_between(0.0, 1.0) == [0.5]
-    assert follower.knots_between(0.5, 0.6) == []
+LARGE = RobotParameters(
+    shell_radius=1.0, rotor_axial_inertia=0.9, max_rotor_speed=60.0, max_rotor_acceleration=50.0
+)
 
 
-def test_reset_discards_all_commands(follower: CommandFollower) -> None:
-    follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
-    follower.follow_trajectory(hold((0, 0, 0), (5, 50, 50)))
-    follower.reset()
-    np.testing.assert_array_equal(follower.commanded(0.1), [0, 0])
+@pytest.mark.parametrize(
+    ("robot", "torque_limit", "figures"),
+    [
+        (LARGE, 3.2, ("3.2 N m", "45 N m", "50 rad/s^2")),
+        (RobotParameters(max_rotor_torque=2.0), 1.6, ("1.6 N m", "2 N m")),
+        (LARGE, 0.0, None),
+        (RobotParameters(), 3.2, None),
+        (RobotParameters(max_rotor_torque=1.6), 1.6, None),
+    ],
+)
+def test_drives_that_are_too_weak_for_the_robot_are_named(robot, torque_limit, figures) -> None:
+    line = RigidBodySettings(torque_limit=torque_limit).contradiction(robot)
+    if figures is None:
+        assert line is None
+    else:
+        assert "\n" not in line and all(figure in line for figure in figures)
+
+
+@pytest.mark.parametrize(
+    ("changes", "torque_limit", "figures"),
+    [
+        ({"max_rotor_speed": 120.0}, 3.2, ("120 rad/s", "100 rad/s", "as in this node")),
+        ({"max_rotor_acceleration": 500.0}, 9.0, ("500 rad/s^2", "400 rad/s^2")),
+        ({}, 1.6, ("400 rad/s^2", "200 rad/s^2", "1.6 N m")),
+        ({}, 3.2, None),
+        ({"max_rotor_speed": 60.0, "max_rotor_acceleration": 100.0}, 3.2, None),
+        ({"max_rotor_acceleration": 1000.0, "max_rotor_torque": 3.0}, 3.2, None),
+    ],
+)
+def test_limits_beyond_those_of_the_robot_are_named(changes, torque_limit, figures) -> None:
+    planned = {name: getattr(RobotParameters(**changes), name) for name in PLANNED_LIMITS}
+    line = beyond(RobotParameters(), planned, "/controller", torque_limit)
+    if figures is None:
+        assert line == ""
+    else:
+        assert "/controller" in line and "\n" not in line and ";" not in line
+        assert all(figure in line for figure in figures)

@@ -4,15 +4,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-
-ROTOR_NAMES = ("rotor_1", "rotor_2")
-COUNTERWEIGHT_NAMES = ("counterweight_1", "counterweight_2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +49,6 @@ class Mechanism:
     rotors: tuple[Body, ...]
     counterweights: tuple[Body, ...]
 
-    @property
-    def bodies(self) -> tuple[Body, ...]:
-        """All bodies, the shell first."""
-        return (self.shell, *self.rotors, *self.counterweights)
-
 
 def build_mechanism(
     robot: RobotParameters,
@@ -69,44 +62,26 @@ def build_mechanism(
     subtracted from the shell's inertia. As the rotor is rigidly connected to the shell about its
     transverse axes, the motion stays the same. With `balanced` the shell's centre of mass is moved
     so that the common centre of mass is the centre of the sphere; the shell's inertia about the
-    centre stays as given.
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        Parameters of the robot.
-    balanced : bool, optional
-        Whether to move the shell's centre of mass.
-    mass_offset : sequence of float, optional
-        How far the common centre of mass is moved beyond that [m; body frame], by the shell's.
+    centre stays as given. `mass_offset` is how far the common centre of mass is moved beyond that
+    [m; body frame], also by the shell's.
 
     Raises
     ------
     InvalidParameterError
         If no shell of the given mass and inertia allows these corrections.
     """
-    rotors = [
-        _disc(
-            ROTOR_NAMES[i],
-            robot.rotor_mass,
-            robot.rotor_offset * np.eye(3)[i],
-            (robot.rotor_axial_inertia, robot.rotor_transverse_inertia),
-            np.eye(3)[i],
+    rotor = robot.rotor_axial_inertia, robot.rotor_transverse_inertia
+    weight = robot.counterweight_axial_inertia, robot.counterweight_transverse_inertia
+    discs = [
+        _disc(f"{name}_{i + 1}", mass, place * np.eye(3)[i], inertias, np.eye(3)[i])
+        for name, mass, place, inertias in (
+            ("rotor", robot.rotor_mass, robot.rotor_offset, rotor),
+            ("counterweight", robot.counterweight_mass, -robot.rotor_offset, weight),
         )
         for i in range(2)
     ]
-    counterweights = [
-        _disc(
-            COUNTERWEIGHT_NAMES[i],
-            robot.counterweight_mass,
-            -robot.rotor_offset * np.eye(3)[i],
-            (robot.counterweight_axial_inertia, robot.counterweight_transverse_inertia),
-            np.eye(3)[i],
-        )
-        for i in range(2)
-    ]
-    carried = [body for body, _ in (*rotors, *counterweights)]
-    left = np.sum([excess for _, excess in (*rotors, *counterweights)], axis=0)
+    carried = [body for body, _ in discs]
+    left = np.sum([excess for _, excess in discs], axis=0)
     trim: Vector = np.zeros(3)
     if balanced:
         moments = [body.mass * body.position for body in carried]
@@ -117,14 +92,18 @@ def build_mechanism(
     principal = np.linalg.eigvalsh(shell_inertia)
     if principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:
         raise InvalidParameterError(
-            "shell_inertia",
-            robot.shell_inertia,
+            "shell_inertia", robot.shell_inertia,
             "enough for the bodies inside to be thinner than discs or out of balance "
             f"(left: {principal.tolist()} kg m^2)",
         )
     shell = Body("shell", robot.shell_mass, trim, shell_inertia)
-    present = tuple(body for body, _ in counterweights if body.mass > 0.0)
-    return Mechanism(shell, tuple(body for body, _ in rotors), present)
+    present = tuple(body for body in carried[2:] if body.mass > 0.0)
+    return Mechanism(shell, tuple(carried[:2]), present)
+
+
+def add_element(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    """Add an element to a model in XML."""
+    return ElementTree.SubElement(parent, tag, attributes)
 
 
 def _disc(

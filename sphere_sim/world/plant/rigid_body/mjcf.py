@@ -1,16 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""MJCF, the model of robot and floor for MuJoCo."""
+"""MJCF, the model of robot and floor for MuJoCo, and the heights of a rough floor.
 
+The floor is a random height field, the same for the same seed. SciPy is imported where it is used:
+loading takes a third of a second and a plane does not need it.
+"""
+
+import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.rigid_body.bodies import Body, build_mechanism
-from sphere_sim.world.plant.rigid_body.floor import RoughFloor
+from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_mechanism
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 _IMPEDANCE_RATIO = 10
@@ -18,6 +24,64 @@ _IMPEDANCE_RATIO = 10
 
 _FLOOR_BASE = 0.5
 """Thickness of a rough floor under its lowest point [m]."""
+
+
+_CELLS_PER_WAVELENGTH = 10
+_MAX_CELLS = 1000
+"""Largest number of cells along one side, so that no settings need gigabytes of memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoughFloor:
+    """Height field on a square grid about the origin.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (n, n)
+        Height above the lowest point [m]; rows along y, columns along x.
+    extent : float
+        Half the side of the square [m].
+    """
+
+    heights: Vector
+    extent: float
+
+    @property
+    def span(self) -> float:
+        """Height of the highest point [m]."""
+        return float(self.heights.max())
+
+    def resting_height(self, x: float, y: float, radius: float) -> float:
+        """Return the height of the centre of a sphere at x, y that touches the floor [m]."""
+        from scipy.ndimage import map_coordinates
+
+        # The field is low, so that the contact is near the lowest point of the sphere.
+        reach = min(radius, 2.0 * math.sqrt(2.0 * radius * self.span) + 1e-3)
+        offsets = np.linspace(-reach, reach, 121)
+        dx, dy = np.meshgrid(offsets, offsets)
+        inside = dx**2 + dy**2 < reach**2
+        dx, dy = dx[inside], dy[inside]
+        cells = self.heights.shape[0] - 1
+        scale = cells / (2.0 * self.extent)
+        at = np.vstack((y + dy + self.extent, x + dx + self.extent)) * scale
+        floor = map_coordinates(self.heights, at, order=1, mode="constant", cval=0.0)
+        return float(np.max(floor + np.sqrt(radius**2 - dx**2 - dy**2)))
+
+
+def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
+    """Return a random rough floor, or None for a plane."""
+    if settings.floor_roughness == 0.0:
+        return None
+    from scipy.ndimage import gaussian_filter
+
+    cell = settings.floor_wavelength / _CELLS_PER_WAVELENGTH
+    cells = min(_MAX_CELLS, math.ceil(2.0 * settings.floor_extent / cell))
+    noise = np.random.default_rng(settings.floor_seed).normal(size=(cells + 1, cells + 1))
+    # A Gaussian filter of this width makes bumps at distances of about a wavelength.
+    width = settings.floor_wavelength / 4.0 * cells / (2.0 * settings.floor_extent)
+    smooth = gaussian_filter(noise, width, mode="wrap")
+    heights = smooth * (settings.floor_roughness / smooth.std())
+    return RoughFloor(heights - heights.min(), settings.floor_extent)
 
 
 def make_mjcf(
@@ -28,26 +92,13 @@ def make_mjcf(
 ) -> str:
     """Return the model of the robot on its floor.
 
-    Parameters
-    ----------
-    robot : RobotParameters
-        True parameters of the robot.
-    settings : RigidBodySettings
-        Drives, floor, contact and integration, all derived by `for_robot`.
-    disturbances : DisturbanceSettings
-        Slope, offset of the centre of mass and friction.
-    floor : RoughFloor, optional
-        Rough floor, whose heights the caller puts into the compiled model; a plane by default.
-
-    Returns
-    -------
-    str
-        MJCF with actuators and joints in the order rotor 1, rotor 2. The world frame is that of
-        the floor: a slope tilts gravity, so that x and y are coordinates in the floor.
+    The settings are those derived by `for_robot`. The caller puts the heights of a rough floor
+    into the compiled model. Actuators and joints are in the order rotor 1, rotor 2. The world
+    frame is that of the floor: a slope tilts gravity, so that x and y are coordinates in it.
     """
     root = ElementTree.Element("mujoco", model="sphere")
-    _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
-    option = _add(
+    add_element(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    option = add_element(
         root,
         "option",
         timestep=_text(settings.time_step),
@@ -58,33 +109,25 @@ def make_mjcf(
         impratio=_text(_IMPEDANCE_RATIO),
     )
     # A diverged state has to be reported, not reset.
-    _add(option, "flag", autoreset="disable")
+    add_element(option, "flag", autoreset="disable")
     if floor is not None:
-        _add(
-            _add(root, "asset"),
-            "hfield",
-            name="floor",
-            nrow=str(floor.heights.shape[0]),
+        add_element(
+            add_element(root, "asset"), "hfield", name="floor", nrow=str(floor.heights.shape[0]),
             ncol=str(floor.heights.shape[1]),
             size=_text(floor.extent, floor.extent, floor.span, _FLOOR_BASE),
         )
-    world = _add(root, "worldbody")
-    _add(world, "geom", name="plane", type="plane", size="0 0 1")
+    world = add_element(root, "worldbody")
+    add_element(world, "geom", name="plane", type="plane", size="0 0 1")
     if floor is not None:
-        _add(world, "geom", name="floor", type="hfield", hfield="floor")
+        add_element(world, "geom", name="floor", type="hfield", hfield="floor")
     _add_robot(world, robot, settings, disturbances)
-    actuators = _add(root, "actuator")
+    actuators = add_element(root, "actuator")
     gain = servo_gain(robot, settings)
     for i in (1, 2):
         # The activation is the speed reference, the control its slope, so that ramps are exact.
-        _add(
-            actuators,
-            "general",
-            name=f"rotor_{i}_drive",
-            joint=f"rotor_{i}_joint",
-            dyntype="integrator",
-            gainprm=_text(gain),
-            biastype="affine",
+        add_element(
+            actuators, "general", name=f"rotor_{i}_drive", joint=f"rotor_{i}_joint",
+            dyntype="integrator", gainprm=_text(gain), biastype="affine",
             biasprm=_text(0.0, 0.0, -gain),
             forcerange=_text(-settings.torque_limit, settings.torque_limit),
         )
@@ -108,31 +151,25 @@ def _add_robot(
     disturbances: DisturbanceSettings,
 ) -> None:
     mechanism = build_mechanism(robot, settings.balanced, disturbances.mass_offset)
-    base = _add(world, "body", name="base_link", pos=_text(0.0, 0.0, robot.shell_radius))
-    _add(base, "freejoint", name="base_joint")
+    base = add_element(world, "body", name="base_link", pos=_text(0.0, 0.0, robot.shell_radius))
+    add_element(base, "freejoint", name="base_joint")
     _add_inertial(base, mechanism.shell, mechanism.shell.position)
     # Without torsional friction, as in the rolling model, the contact transmits forces alone.
     spinning, rolling = disturbances.torsional_friction, disturbances.rolling_friction
     condim = 6 if rolling > 0.0 else 4 if spinning > 0.0 else 3
-    _add(
-        base,
-        "geom",
-        name="shell",
-        type="sphere",
-        size=_text(robot.shell_radius),
-        priority="1",
-        condim=str(condim),
-        friction=_text(settings.friction, spinning, rolling),
+    add_element(
+        base, "geom", name="shell", type="sphere", size=_text(robot.shell_radius), priority="1",
+        condim=str(condim), friction=_text(settings.friction, spinning, rolling),
         solref=_text(settings.contact_time_constant, 1.0),
         solimp=_text(settings.contact_impedance, settings.contact_impedance, 0.001),
     )
     for i, rotor in enumerate(mechanism.rotors):
-        body = _add(base, "body", name=rotor.name, pos=_text(*rotor.position))
+        body = add_element(base, "body", name=rotor.name, pos=_text(*rotor.position))
         axis = _text(*np.eye(3)[i])
-        _add(body, "joint", name=f"{rotor.name}_joint", type="hinge", axis=axis)
+        add_element(body, "joint", name=f"{rotor.name}_joint", type="hinge", axis=axis)
         _add_inertial(body, rotor, np.zeros(3))
     for weight in mechanism.counterweights:
-        body = _add(base, "body", name=weight.name, pos=_text(*weight.position))
+        body = add_element(base, "body", name=weight.name, pos=_text(*weight.position))
         _add_inertial(body, weight, np.zeros(3))
 
 
@@ -145,11 +182,7 @@ def _add_inertial(parent: ElementTree.Element, body: Body, position: Iterable[fl
         inertia = {
             "fullinertia": _text(*np.diag(full), full[0, 1], full[0, 2], full[1, 2]),
         }
-    _add(parent, "inertial", pos=_text(*position), mass=_text(body.mass), **inertia)
-
-
-def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, attributes)
+    add_element(parent, "inertial", pos=_text(*position), mass=_text(body.mass), **inertia)
 
 
 def _text(*numbers: float) -> str:

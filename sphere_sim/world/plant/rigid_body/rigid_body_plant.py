@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.errors import MissingEngineError, PlantDivergedError
-from sphere_sim.world.plant.rigid_body.floor import make_floor
-from sphere_sim.world.plant.rigid_body.mjcf import make_mjcf, servo_gain
+from sphere_sim.world.plant.rigid_body.mjcf import make_floor, make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 # Layout of MuJoCo's generalised coordinates and velocities.
@@ -21,21 +20,29 @@ _CENTRE, _TURN, _ANGLES = slice(0, 3), slice(3, 7), slice(7, 9)
 _VELOCITY, _RATE, _SPEEDS = slice(0, 3), slice(3, 6), slice(6, 8)
 
 
+class MissingEngineError(SphereNmpcError, ImportError):
+    """The rigid-body engine is not installed."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the plant 'rigid_body' needs MuJoCo: pip install 'sphere_nmpc[rigid]' (or mujoco)"
+        )
+
+
+class PlantDivergedError(SphereNmpcError, RuntimeError):
+    """The state of a simulated plant is not finite: its longest step [s] is too long."""
+
+    def __init__(self, time_step: float) -> None:
+        super().__init__(
+            f"rigid_body: the state is no longer finite; time_step {time_step:g} s is too long "
+            "for the contact and the drives"
+        )
+
+
 class RigidBodyPlant:
-    """Plant of rigid bodies; see `sphere_sim.world.plant.contract.Plant`.
+    """Plant of rigid bodies; for the arguments see `sphere_sim.world.plant.factory.make_plant`.
 
     The world frame is that of the floor: x and y are coordinates in it, also on a slope.
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        True parameters of the robot; those of the controller may differ.
-    state : ndarray, shape (6,)
-        Initial state; the sphere and its rotors start at rest.
-    settings : RigidBodySettings, optional
-        Drives, floor, contact and integration.
-    disturbances : DisturbanceSettings, optional
-        Slope, offset of the centre of mass and friction; none by default.
 
     Raises
     ------
@@ -95,13 +102,7 @@ class RigidBodyPlant:
         velocity[_VELOCITY] = self._rolling_velocity() + np.append(slip, 0.0)
 
     def push(self, impulse: ArrayLike) -> None:
-        """Apply an impulse at the centre of the sphere.
-
-        Parameters
-        ----------
-        impulse : array_like, shape (2,) or (3,)
-            Impulse [N s; world frame].
-        """
+        """Apply an impulse [N s; world frame], shape (2,) or (3,), at the centre."""
         force = np.zeros(8)
         given = np.asarray(impulse, dtype=float)
         force[: given.size] = given

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity, validate
-from sphere_sim.world.plant.time_scale import step_scale, time_scale
+from sphere_sim.world.plant.contract import step_scale, time_scale
 
 _BANDWIDTH = 300.0  # [rad/s]
 _CONTACT_TIME_CONSTANT, _TIME_STEP = 0.004, 0.002  # [s]
@@ -29,52 +29,37 @@ class RigidBodySettings:
     """
 
     drive_bandwidth: float = quantity(
-        0.0,
-        "rad/s",
+        0.0, "rad/s",
         "Bandwidth of the rotors' speed servos, cut at 1 / time_step; 0 is the robot's own",
-        minimum=0.0,
-        maximum=1e6,
+        minimum=0.0, maximum=1e6,
     )
     drive_feedforward: bool = quantity(
-        False,
-        "-",
+        False, "-",
         "Feed the slope of the reference forward, so that the servos follow ramps without lag",
     )
     torque_limit: float = quantity(
-        0.0,
-        "N m",
+        0.0, "N m",
         "Largest torque of a rotor drive; 0 is the robot's own: I1 max_rotor_acceleration",
-        minimum=0.0,
-        maximum=1e9,
+        minimum=0.0, maximum=1e9,
     )
     friction: float = quantity(
-        0.8,
-        "-",
-        "Coefficient of sliding friction between shell and floor",
-        minimum=1e-3,
+        0.8, "-", "Coefficient of sliding friction between shell and floor", minimum=1e-3,
         maximum=10.0,
     )
     floor_roughness: float = quantity(
-        0.0,
-        "m",
-        "Standard deviation of the floor's height; 0 is a plane",
-        minimum=0.0,
+        0.0, "m", "Standard deviation of the floor's height; 0 is a plane", minimum=0.0,
         maximum=0.05,
     )
     floor_wavelength: float = quantity(
         0.5, "m", "Spacing of the bumps of a rough floor", minimum=0.05, maximum=10.0
     )
     floor_extent: float = quantity(
-        8.0,
-        "m",
-        "Half the side of the rough square, centred at the origin",
-        minimum=0.5,
+        8.0, "m", "Half the side of the rough square, centred at the origin", minimum=0.5,
         maximum=50.0,
     )
     floor_seed: int = quantity(0, "-", "Seed of the rough floor", minimum=0, maximum=2**31 - 1)
     balanced: bool = quantity(
-        True,
-        "-",
+        True, "-",
         "Move the shell's centre of mass so that the common one is the centre of the sphere",
     )
     contact_time_constant: float = quantity(

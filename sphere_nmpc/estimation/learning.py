@@ -1,23 +1,76 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Learning of the plant's parameters, in line or by a worker beside the control loop."""
+"""Learning of the plant's parameters, in line or by a worker beside the control loop.
 
-from dataclasses import replace
+A worker does the tasks `Begin`, `Observe` and `Restart` and keeps the estimator between them.
+"""
 
-from sphere_nmpc.estimation.drifting_plant import DriftingPlant
-from sphere_nmpc.estimation.learning_task import Begin, Observe, Restart
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sphere_nmpc.estimation.drifting_plant import DriftingPlant, DriftingPlantEstimator
 from sphere_nmpc.estimation.transition import Transition
-from sphere_nmpc.worker.contract import Reply, Task, Worker
+from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.worker.contract import Reply, Store, Task, Worker
+
+_KEY = "learning"
+
+
+@dataclass(frozen=True, eq=False)
+class Begin:
+    """Task that makes a new estimator; attributes as for `DriftingPlantEstimator`."""
+
+    nominal: LumpedConstants
+    mean: Vector
+    momentum: bool
+    acceleration: float = np.inf
+
+    def estimator(self) -> DriftingPlantEstimator:
+        """Return a new estimator."""
+        return DriftingPlantEstimator(self.nominal, self.mean, self.momentum, self.acceleration)
+
+    def __call__(self, store: Store) -> DriftingPlant:
+        """Make the estimator in the worker."""
+        made = store[_KEY] = self.estimator()
+        return made.result
+
+
+@dataclass(frozen=True, eq=False)
+class Observe:
+    """Task that takes a transition into account; attributes as for its `observe`."""
+
+    transition: Transition
+    time: float
+    connected: bool
+
+    def __call__(self, store: Store) -> DriftingPlant | None:
+        """Update the estimator in the worker; None where the worker has lost it."""
+        estimator: DriftingPlantEstimator | None = store.get(_KEY)
+        if estimator is None:
+            return None
+        estimator.observe(self.transition, self.time, self.connected)
+        return estimator.result
+
+
+@dataclass(frozen=True)
+class Restart:
+    """Task that keeps the constants and takes another lag [s] as prior."""
+
+    lag: float
+
+    def __call__(self, store: Store) -> DriftingPlant | None:
+        """Replace the estimator in the worker; None where the worker has lost it."""
+        estimator: DriftingPlantEstimator | None = store.get(_KEY)
+        if estimator is None:
+            return None
+        estimator = store[_KEY] = estimator.restarted(self.lag)
+        return estimator.result
 
 
 class InLineLearning:
-    """Learning of which each result is complete when `observe` returns.
-
-    Parameters
-    ----------
-    begin : Begin
-        Constants as built, prior and limits.
-    """
+    """Learning of which each result is complete when `observe` returns."""
 
     def __init__(self, begin: Begin) -> None:
         self._estimator = begin.estimator()
@@ -42,13 +95,6 @@ class LearningBeside:
 
     Where the worker has lost the estimator, as it has ended, another one begins with the
     parameters known so far.
-
-    Parameters
-    ----------
-    begin : Begin
-        Constants as built, prior and limits.
-    worker : Worker
-        Does the tasks.
     """
 
     def __init__(self, begin: Begin, worker: Worker) -> None:

@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.drive_limit import driven_speeds
-from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.estimation.transition import Transition, driven_speeds
 from sphere_nmpc.model.state import Vector
 
 LIMIT = 300.0
@@ -25,7 +24,7 @@ def simulated(durations: Vector, inputs: Vector, limit: float) -> Vector:
     return np.array(followed)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
     rng = np.random.default_rng(seed)
     durations = rng.uniform(0.05, 0.25, 8)
@@ -39,16 +38,8 @@ def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
     assert np.max(np.abs(found - expected)) < 2.0 * STEP * 200.0 / 0.05
     slopes = np.diff(speeds, axis=0) / times[:, None]
     assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-6)
-
-
-def test_speeds_within_the_limit_are_followed_exactly() -> None:
-    transition = Transition(
-        np.zeros(6), np.zeros(6), np.array([0.25, 0.25]),
-        np.array([[0.0, 0.0], [70.0, -70.0], [0.0, 0.0]]),
-    )
-    driven = transition.driven(LIMIT, 0.05)
-    np.testing.assert_array_equal(driven.inputs, transition.inputs)
-    np.testing.assert_array_equal(driven.durations, transition.durations)
+    raw = Transition(np.zeros(6), np.zeros(6), durations, inputs)
+    assert np.array_equal(raw.driven(raw.steepest, 0.05).inputs, inputs)
 
 
 def test_what_a_rotor_lacks_at_the_start_comes_from_the_lead() -> None:

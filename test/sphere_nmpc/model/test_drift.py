@@ -1,0 +1,75 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Units of the drift, and the time until a rotor of a resting sphere is at its limit."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.drift import (
+    NO_DRIFT,
+    Drift,
+    angle_of_slope,
+    imbalance_of_offset,
+    momentum_of_push,
+    offset_of_imbalance,
+    push_against,
+    slope_torque,
+    time_to_saturation,
+)
+from sphere_nmpc.model.parameters import RobotParameters
+
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+ON_SIDE = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0])
+"""Body z level and along -y."""
+ROBOT = RobotParameters()
+TORQUE = np.array([0.0, 10.0])
+
+
+def test_units_of_a_robot_and_their_inverses_agree_with_hand_calculation() -> None:
+    push = momentum_of_push(ROBOT, np.array([0.5, -0.2]))
+    np.testing.assert_allclose(push, [0.2 * 0.3 / 0.008, 0.5 * 0.3 / 0.008, 0.0])
+    np.testing.assert_allclose(push_against(ROBOT, push), [-0.5, 0.2])
+    slope = slope_torque(ROBOT, 0.02, 0.7)
+    assert np.linalg.norm(slope) == pytest.approx(3.8 * 9.81 * math.sin(0.02) * 0.3 / 0.008)
+    assert slope @ [math.cos(0.7), math.sin(0.7)] == pytest.approx(0.0, abs=1e-12)
+    assert angle_of_slope(ROBOT, slope) == pytest.approx(0.02)
+    offset = np.array([1e-3, -2e-3, 3e-3])
+    imbalance = imbalance_of_offset(ROBOT, offset)
+    np.testing.assert_allclose(imbalance, 3.8 * 9.81 / 0.008 * offset)
+    np.testing.assert_allclose(offset_of_imbalance(ROBOT, imbalance), offset)
+
+
+@pytest.mark.parametrize(
+    ("drift", "quaternion", "expected"),
+    [
+        (NO_DRIFT, UPRIGHT, math.inf),
+        (Drift(np.array([50.0, 0.0, 0.0])), UPRIGHT, math.inf),
+        # At its limit or beyond, even where the torque takes from it.
+        (Drift(np.array([0.0, 100.0, 0.0]), -TORQUE), UPRIGHT, 0.0),
+        (Drift(np.array([0.0, -130.0, 0.0]), TORQUE), UPRIGHT, 0.0),
+        (Drift(np.array([0.0, -50.0, 0.0]), TORQUE), UPRIGHT, 15.0),
+        (Drift(np.array([0.0, 50.0, 0.0]), TORQUE), UPRIGHT, 5.0),
+        (Drift(slope=np.array([10.0, 0.0])), ON_SIDE, 10.0),
+    ],
+)
+def test_time_to_saturation_agrees_with_hand_calculation(drift, quaternion, expected) -> None:
+    found = time_to_saturation(drift, quaternion, 100.0)
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_rotor_is_at_its_limit_at_that_time_and_none_before() -> None:
+    """Against the drift after a rest of this duration; tolerance: rounding."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+        drift = Drift(*(rng.normal(size=n) * size for n, size in ((3, 30), (2, 5), (3, 5))))
+        time = time_to_saturation(drift, quaternion, 150.0)
+        for part, compare in ((1.0, np.isclose), (0.99, np.less), (0.5, np.less)):
+            speeds = drift.after_rest(quaternion, part * time).rest_speeds(quaternion)
+            assert compare(np.abs(speeds).max(), 150.0)
+    # On its side, with the torque along the level body z, both rotors are free of it.
+    along = Drift(slope=np.array([0.0, 1.0]))
+    assert time_to_saturation(along, ON_SIDE, 100.0) > 1e9  # inf but for rounding

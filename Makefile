@@ -47,7 +47,7 @@ homes:  ## Install from scratch with pip and colcon, and test that (HOMES="pytho
 
 clean:  ## Remove the virtual environments and all that was built
 	rm -rf $(VENV) $(COLCON_VENV) .venv-homes build dist install log *.egg-info
-	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache sphere_nmpc/solver/native/*.so
 
 define new_venv
 @$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
@@ -57,7 +57,9 @@ define new_venv
 $(PYTHON) -m venv $(@D)
 endef
 
-$(VENV)/.stamp: setup.py requirements/lock.txt
+# The last ones decide the compiled solver, which the installation builds.
+$(VENV)/.stamp: setup.py requirements/lock.txt $(wildcard sphere_nmpc/solver/native/*.[ch] \
+		sphere_nmpc/model/*.py) sphere_nmpc/solver/native/codegen.py sphere_nmpc/solver/native/layout.py
 	$(new_venv)
 	$(VENV)/bin/python -m pip install --quiet --use-pep517 --no-deps -r requirements/lock.txt
 	$(VENV)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .

@@ -1,10 +1,16 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""All package metadata; colcon cannot read it from a ``[project]`` table in pyproject.toml."""
+"""Metadata, which colcon cannot read from a ``[project]`` table, and the build of the solver."""
 
+import os
+import platform
+import sys
+import tempfile
 from glob import glob
+from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 NAME = "sphere_nmpc"
 SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
@@ -46,7 +52,94 @@ EXTRAS = {
     ],
 }
 
+DEPENDS = [
+    "setup.py",
+    *sorted(glob("sphere_nmpc/solver/native/*.[ch]") + glob("sphere_nmpc/model/*.py")),
+    "sphere_nmpc/solver/native/codegen.py",
+    "sphere_nmpc/solver/native/layout.py",
+]
+"""What decides the compiled solver; the Makefile has the same list."""
+FLAGS = [
+    "-O3", "-std=gnu11", "-ffp-contract=fast", "-fno-math-errno", "-Wno-psabi", "-g0",
+]
+LEVELS: dict[str, list[str]] = {"": []}
+"""Compiler options by the suffix that ``hold_level`` in solver.c returns for a processor."""
+if platform.machine().lower() in ("x86_64", "amd64"):
+    LEVELS |= {
+        # On Zen 2 and 3 chains of fused operations are slow; tuned for any processor, the code is
+        # up to 4 % slower there.
+        "_avx2": ["-mavx2", "-mfma", "-mtune=znver2"],
+        "_avx512": ["-mavx512f", "-mavx512dq", "-mavx512vl", "-mfma", "-mtune=skylake-avx512"],
+    }
+
+
+class BuildSolver(build_ext):
+    """Builds a shared library, loaded by ctypes, for each instruction set.
+
+    Where that is not possible the package is installed all the same: it has a slower solver.
+    """
+
+    def run(self) -> None:
+        """Build, and copy the libraries into the source tree for an editable installation."""
+        try:
+            super().run()
+        except Exception as cause:
+            self.extensions = []
+            words = " ".join(str(cause).split())
+            print(
+                f"sphere_nmpc: the solver is not compiled ({words}); a plain one takes its place, "
+                "which takes about 300 times as long. To cure this, install the package again "
+                "with a C compiler and CasADi", file=sys.stderr,
+            )
+
+    def build_extensions(self) -> None:
+        """Generate the kernels, then compile in parallel, each library in a folder of its own."""
+        sys.path.insert(0, os.getcwd())
+        from sphere_nmpc.solver.native.codegen import kernel_source
+        from sphere_nmpc.solver.native.layout import problem_header
+
+        folder = Path(self.build_temp)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "kernels.h").write_text(kernel_source(), encoding="utf-8")
+        (folder / "problem.h").write_text(problem_header(), encoding="utf-8")
+        self.parallel = True
+        super().build_extensions()
+
+    def build_extension(self, ext: Extension) -> None:
+        """Compile and link one library, unless one in the build folder is up to date."""
+        made = Path(self.get_ext_fullpath(ext.name))
+        changed = max(Path(source).stat().st_mtime for source in [*ext.sources, *ext.depends])
+        if made.exists() and made.stat().st_mtime > changed:
+            return
+        objects = self.compiler.compile(
+            ext.sources, os.path.join(self.build_temp, ext.name), include_dirs=[self.build_temp],
+            extra_postargs=ext.extra_compile_args,
+        )
+        self.compiler.link_shared_object(objects, str(made), libraries=["m"])
+
+    def get_ext_filename(self, fullname: str) -> str:
+        """Return the name of a library, without the tag of a Python version: it serves all."""
+        return os.path.join(*fullname.split(".")) + ".so"
+
+    def copy_file(self, infile: str, outfile: str, *args: object, **options: object) -> None:
+        """Copy into the source tree such that other processes find the old file or the new one."""
+        fresh = f"{outfile}.{os.getpid()}"
+        super().copy_file(infile, fresh, *args, **options)
+        os.replace(fresh, outfile)
+
+
+# Not in the source tree: two installations from one tree may run at once.
+build_folder = tempfile.TemporaryDirectory()
 setup(
+    options={"build": {"build_base": build_folder.name}},
+    cmdclass={"build_ext": BuildSolver},
+    ext_modules=[
+        Extension(
+            f"sphere_nmpc.solver.native.solver{level}", ["sphere_nmpc/solver/native/solver.c"],
+            extra_compile_args=[*FLAGS, *flags], depends=DEPENDS,
+        )
+        for level, flags in LEVELS.items()
+    ],
     name=NAME,
     version="0.1.0",
     description="NMPC of a rolling sphere with two rotors, to any position and orientation",

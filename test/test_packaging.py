@@ -18,14 +18,23 @@ import pytest
 from packaging.requirements import Requirement
 
 from sphere_sim.cli import main as cli
-from sphere_sim.output.error_text import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
 EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
 SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
+NATIVE = "sphere_nmpc/solver/native"
 SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
 HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
+
+
+@pytest.fixture(scope="module")
+def quick_compiler(tmp_path_factory) -> Path:
+    """C compiler that does not optimise."""
+    script = tmp_path_factory.mktemp("compiler") / "cc"
+    script.write_text('#!/bin/sh\nexec cc "$@" -O0\n')
+    script.chmod(0o755)
+    return script
 
 
 @pytest.fixture(scope="module")
@@ -62,18 +71,20 @@ def clean_environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in leftovers}
 
 
-def run(*command: str | Path, **options) -> str:
+def run(*command: str | Path, compiler: Path | str = "cc", **options) -> str:
+    """Return the output of a command that compiles with a given compiler."""
     done = subprocess.run(
-        command, env=clean_environment(), capture_output=True, text=True, check=False, **options
+        command, env=clean_environment() | {"CC": str(compiler)}, capture_output=True, text=True,
+        check=False, **options,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 @pytest.mark.slow
-def test_wheel_is_complete(tree, tmp_path) -> None:
+def test_wheel_is_complete(tree, tmp_path, quick_compiler) -> None:
     options = ("--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path)
-    run(sys.executable, "-m", "pip", "wheel", *options, tree)
+    run(sys.executable, "-m", "pip", "wheel", *options, tree, compiler=quick_compiler)
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
         names = set(wheel.namelist())
         entry_points = wheel.read("sphere_nmpc-0.1.0.dist-info/entry_points.txt").decode()
@@ -85,6 +96,7 @@ def test_wheel_is_complete(tree, tmp_path) -> None:
     }
     share = "sphere_nmpc-0.1.0.data/data/share"
     assert sources <= names
+    assert "sphere_nmpc/solver/native/solver.so" in names
     assert {f"{share}/sphere_nmpc/{name}" for name in shared_files(tree)} <= names
     assert f"{share}/ament_index/resource_index/packages/sphere_nmpc" in names
     assert set(re.findall(r"^(\w+) =", entry_points, re.MULTILINE)) == EXECUTABLES
@@ -93,9 +105,17 @@ def test_wheel_is_complete(tree, tmp_path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not COLCON.exists(), reason="make test provides colcon")
 @pytest.mark.parametrize("option", [[], ["--symlink-install"]], ids=["copy", "symlink"])
-def test_colcon_installs_executables_and_shared_files(tree, tmp_path, option) -> None:
+def test_colcon_installs_executables_and_shared_files(
+    tree, tmp_path, option, quick_compiler
+) -> None:
     bases = ("--build-base", tmp_path / "build", "--install-base", tmp_path / "install")
-    run(COLCON, "--log-base", tmp_path / "log", "build", *bases, *option, cwd=tree)
+    logs = ("--log-base", tmp_path / "log")
+    for built in tree.rglob("solver*.so"):
+        built.unlink()
+    run(COLCON, *logs, "build", *bases, *option, cwd=tree, compiler=quick_compiler)
+    # A linked installation has it in the source tree.
+    built = tree if option else tmp_path / "install"
+    assert list(built.rglob("solver.so"))
     prefix = tmp_path / "install" / "sphere_nmpc"
     for name in EXECUTABLES:
         assert os.access(prefix / "lib" / "sphere_nmpc" / name, os.X_OK)
@@ -106,6 +126,27 @@ def test_colcon_installs_executables_and_shared_files(tree, tmp_path, option) ->
         words = f". {tmp_path}/install/{setup} && command -v sphere_nmpc && sphere_nmpc --version"
         path, version = run(shell, "-c", words).splitlines()
         assert Path(path).is_relative_to(prefix) and version == "sphere_nmpc 0.1.0"
+
+
+@pytest.mark.slow
+def test_installations_from_one_tree_at_once_and_one_without_a_compiler(
+    tree, tmp_path, quick_compiler
+) -> None:
+    """The one without a compiler says so in one line, and is complete."""
+    build = [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"]
+    builds = [
+        subprocess.Popen(
+            build, cwd=tree, env=clean_environment() | {"CC": str(compiler)}, text=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        )
+        for compiler in (quick_compiler, quick_compiler, "/bin/false")
+    ]
+    errors = [build.communicate()[1] for build in builds]
+    assert not any(build.returncode for build in builds), errors
+    made = {path.name for path in (tree / NATIVE).glob("*.so*")}
+    assert "solver.so" in made and not any(name[-1].isdigit() for name in made)
+    assert ["not compiled" in text for text in errors] == [False, False, True]
+    assert len(errors[2].splitlines()) == 1
 
 
 def test_setup_lists_the_verbs_of_the_command() -> None:
@@ -150,12 +191,6 @@ def test_core_requires_three_packages_only() -> None:
     requirements = map(Requirement, metadata.requires("sphere_nmpc"))
     core = {r.name for r in requirements if "extra" not in str(r.marker)}
     assert core == {"numpy", "scipy", "casadi"}
-
-
-def test_tutorial_installs_every_extra_in_a_workspace_except_ros_and_tests() -> None:
-    text = (ROOT / "docs" / "tutorial.md").read_text()
-    (given,) = re.findall(r"^pip install 'sphere_nmpc\[(.*)\]'$", text, re.MULTILINE)
-    assert {*given.split(",")} == EXTRAS.keys() - {"ros"}
 
 
 def test_lock_satisfies_every_extra() -> None:

@@ -4,11 +4,20 @@
 
 import json
 import os
+import tempfile
 import time
 from pathlib import Path
 
-from sphere_nmpc.cache import make_private
 from sphere_nmpc.model.state import Vector, as_state
+
+
+def cache_folder() -> Path:
+    """Return the user's folder for files that are kept between runs; it may not exist yet."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if base.startswith("~"):
+        # Neither HOME nor an entry in the list of users, as of a bare user id in a container.
+        return Path(tempfile.gettempdir(), f"sphere_nmpc-{os.getuid()}")
+    return Path(base, "sphere_nmpc")
 
 
 class GoalMemory:
@@ -44,7 +53,7 @@ class GoalMemory:
         if goal is None:
             self._path.unlink(missing_ok=True)
             return
-        make_private(self._path.parent)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
         # A process that is killed while it writes must leave the old file or the new one intact.
         fresh = self._path.with_suffix(f".{os.getpid()}")
         content = {"goal": goal.tolist(), "stamp": stamp, "simulated": simulated}

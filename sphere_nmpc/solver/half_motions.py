@@ -4,8 +4,8 @@
 
 Without momentum the sphere rolls back along the same way with the opposite speeds. So a motion
 from start to goal is one from the start and one from the goal that meet, and among a few thousand
-of each, which are millions of pairs, some nearly do. Compiled where possible, in single precision;
-otherwise on NumPy with the same results but for rounding.
+of each, which are millions of pairs, some nearly do. The compiled functions work in single
+precision; the plain ones, where there are none, give the same results but for rounding.
 """
 
 from typing import Any, NamedTuple
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.model.integrator import step_function
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.backend import resolve_backend
-from sphere_nmpc.solver.native.memory import library
+from sphere_nmpc.solver.native.library import library
 
 LANES = 16
 """The number of half motions is a multiple of this."""
@@ -138,16 +137,24 @@ def half_motions(
     constants : ndarray, shape (4,)
         Lumped constants [Rs, c1, r1, r3].
     """
+    solver, count = library(), signals.shape[1]
+    if solver is None:
+        return plain_half_motions(end, begin, signals, levels, drives, constants)
+    states = np.empty((levels + 1, 6, count), dtype=np.float32)
+    steady, corners = np.empty((2, count), dtype=np.int32)
+    arrays = (
+        _doubles(constants), _doubles(end), _doubles(begin),
+        np.ascontiguousarray(signals, dtype=np.float32), states, steady, corners,
+    )
+    solver.hold_half_motions(count, levels, *drives, *_addresses(*arrays))
+    return Side(end, states, steady, corners)
+
+
+def plain_half_motions(
+    end: Vector, begin: Vector, signals: Floats, levels: int, drives: Drives, constants: Vector
+) -> Side:
+    """Return what `half_motions` does, on NumPy and CasADi's virtual machine."""
     count = signals.shape[1]
-    if resolve_backend("auto") == "compiled":
-        states = np.empty((levels + 1, 6, count), dtype=np.float32)
-        steady, corners = np.empty((2, count), dtype=np.int32)
-        arrays = (
-            _doubles(constants), _doubles(end), _doubles(begin),
-            np.ascontiguousarray(signals, dtype=np.float32), states, steady, corners,
-        )
-        library().hold_half_motions(count, levels, *drives, *_addresses(*arrays))
-        return Side(end, states, steady, corners)
     knots = knots_of(signals, levels, begin, drives)
     step = step_function().map(count)
     states = np.empty((levels + 1, 6, count), dtype=np.float32)
@@ -186,9 +193,9 @@ def meet(
     turn_weight : float
         Weight of orientation [m^2]: of the squared distance of the quaternions.
     """
-    count = start.steady.size
-    if resolve_backend("auto") != "compiled":
-        return _meet(start, goal, periods, wanted, period, speed, delay, turn_weight)
+    solver, count = library(), start.steady.size
+    if solver is None:
+        return plain_meet(start, goal, periods, wanted, period, speed, delay, turn_weight)
     scores, memory = np.empty(count, np.float32), np.empty(14 * (count + LANES), np.float32)
     lengths, partners = np.empty((2, count), np.int32)
     arrays = (
@@ -196,17 +203,18 @@ def meet(
         np.concatenate((start.steady, goal.steady)),
         np.concatenate((start.corners, 3 - goal.corners)), memory, scores, lengths, partners,
     )
-    pairs = library().hold_meet(
+    pairs = solver.hold_meet(
         count, periods.start, periods.stop - 1, wanted, period, speed, delay, turn_weight,
         *_addresses(*arrays),
     )
     return Meetings(scores, lengths, partners, int(pairs))
 
 
-def _meet(
+def plain_meet(
     start: Side, goal: Side, periods: range, wanted: int, period: float, speed: float,
     delay: float, turn_weight: float,
 ) -> Meetings:
+    """Find what `meet` does, on NumPy."""
     count, pairs = start.steady.size, 0
     scores = np.full(count, np.inf, dtype=np.float32)
     lengths, partners = np.zeros((2, count), dtype=np.int32)

@@ -3,9 +3,6 @@
 """Prediction of the states under a first-order hold, by the solver's own integrator."""
 
 import threading
-from collections.abc import Callable
-from functools import cache
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -13,12 +10,10 @@ import numpy as np
 from sphere_nmpc.model.drift import DRIFT_SIZE, NO_DRIFT, Drift
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.backend import resolve_backend
-from sphere_nmpc.solver.native.memory import library
+from sphere_nmpc.solver import plain
+from sphere_nmpc.solver.native.library import library
 
 _WORKSPACES = threading.local()
-
-_RollOut = Callable[[Vector, Drift, Vector, Vector, Vector, float], tuple[Vector, Vector]]
 
 
 def roll_out(
@@ -30,8 +25,6 @@ def roll_out(
     drift: Drift = NO_DRIFT,
 ) -> Vector:
     """Return the states at the knots of a first-order hold; safe to call from several threads.
-
-    Compiled where possible, otherwise on NumPy; see `sphere_nmpc.solver.backend`.
 
     Parameters
     ----------
@@ -53,7 +46,7 @@ def roll_out(
     ndarray, shape (N + 1, 6)
         x_0 ... x_N.
     """
-    return _chosen()(state, drift, inputs, durations, constants, max_step)[0]
+    return roll_out_with_momentum(state, drift, inputs, durations, constants, max_step)[0]
 
 
 def roll_out_with_momentum(
@@ -68,23 +61,10 @@ def roll_out_with_momentum(
 
     The momenta h are (N + 1, 3) [rad/s; world frame].
     """
-    return _chosen()(state, drift, inputs, durations, constants, max_step)
-
-
-@cache
-def _chosen() -> _RollOut:
-    if resolve_backend("auto") == "compiled":
-        return roll_out_compiled
-    # Imported only where it is needed: SciPy takes a third of a node's start.
-    on_numpy: _RollOut = import_module("sphere_nmpc.solver.numpy_backend.horizon").roll_out
-    return on_numpy
-
-
-def roll_out_compiled(
-    state: Vector, drift: Drift, inputs: Vector, durations: Vector, constants: Vector,
-    max_step: float,
-) -> tuple[Vector, Vector]:
-    """Predict in C; see `roll_out_with_momentum`."""
+    solver = library()
+    if solver is None:
+        found = plain.shoot(state, drift.as_array(), inputs, durations, constants, max_step)
+        return found.states, found.momenta
     n = durations.size
     kept: dict[Any, Any] = _WORKSPACES.__dict__
     workspace: _Workspace | None = kept.get(n)
@@ -95,7 +75,7 @@ def roll_out_compiled(
     workspace.state[:] = state
     workspace.drift[:] = 0.0 if drift is NO_DRIFT else drift.as_array()
     workspace.inputs[:] = inputs
-    library().hold_roll_out(n, max_step, *workspace.addresses)
+    solver.hold_roll_out(n, max_step, *workspace.addresses)
     return workspace.states.copy(), workspace.momenta.copy()
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from sphere_nmpc.cache import cache_folder
+from sphere_nmpc.control.goal_memory import cache_folder
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import nearer_sign, state_error

@@ -9,8 +9,6 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from sphere_nmpc.cache import make_private
-
 _log = logging.getLogger("sphere_nmpc")
 
 
@@ -69,7 +67,7 @@ class BestKnownCache:
         if not self._is_usable:
             return
         try:
-            make_private(self._path.parent)
+            self._path.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps([key, *found]) + "\n")
         except OSError as error:

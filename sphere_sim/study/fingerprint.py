@@ -18,7 +18,8 @@ from sphere_sim.study.imported_modules import imported_modules
 _RUN_MODULE = "sphere_sim.study.single_run"
 WORKER_MODULES = (_RUN_MODULE, "sphere_sim.study.best_known")
 """Modules whose functions workers call."""
-_C_SOURCES = ("*.c", "*.h")
+_C_SOURCES = ("*.c", "*.h", "codegen.py")
+"""What the compiled solver is built from, in the folder of a package."""
 
 
 def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> dict[str, Any]:

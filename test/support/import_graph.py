@@ -37,7 +37,7 @@ FLOORS = {
         ("strategy", "estimation"),
         ("solver", "settings"),
         ("model",),
-        ("quantity", "cache", "fault_log", "worker"),
+        ("quantity", "fault_log", "worker"),
         ("child_command", "end_signals", "errors", "library_threads"),
         ("foreign_text",),
     ),

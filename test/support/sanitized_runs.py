@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calls of every function of the compiled solver, ordinary ones and edge cases.
 
-    sanitized_runs.py [FAULT]
+    sanitized_runs.py FOLDER [FAULT]
 
-Run by ``test_sanitizers.py``. With an argument that fault is in the solver.
+Run by ``test_sanitizers.py`` with the folder of a solver that `write_sources` prepared. With a
+second argument that fault is in the solver.
 """
 
 import os
@@ -12,16 +13,20 @@ import sys
 import threading
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
+from compiled_solver import compiled, expand_compiled
 
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.hold_solver import HoldSolver, expand_compiled
+from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.native import library
+from sphere_nmpc.solver.native.codegen import kernel_source
+from sphere_nmpc.solver.native.layout import problem_header
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
-from sphere_nmpc.solver.roll_out import roll_out_compiled
+from sphere_nmpc.solver.roll_out import roll_out_with_momentum
 
 HORIZONS = (1, 2, 3, 4, 9, 40)
 WEIGHTS: tuple[dict[str, float], ...] = (
@@ -57,11 +62,11 @@ def ordinary_calls(n: int) -> None:
     """Solve, expand and predict over N intervals with every kind of cost."""
     for weights, drift in product(WEIGHTS, (NO_DRIFT, DRIFT)):
         problem = replace(make_problem(n, **weights), drift=drift.as_array())
-        solution = HoldSolver(SolverSettings(max_iterations=12), "compiled").solve(
+        solution = HoldSolver(SolverSettings(max_iterations=12)).solve(
             problem, random_start(n)
         )
         expand_compiled(problem, random_start(n))
-        roll_out_compiled(
+        roll_out_with_momentum(
             problem.state, DRIFT, solution.inputs, problem.durations, problem.constants,
             problem.max_step,
         )
@@ -74,13 +79,13 @@ def steady_rolling(n: int) -> None:
             make_problem(n, **weights), steady_interval=interval,
             steady_axis=np.array([0.6, -0.8]), whole_turns=-4.0,
         )
-        HoldSolver(SolverSettings(max_iterations=12), "compiled").solve(problem, random_start(n))
+        HoldSolver(SolverSettings(max_iterations=12)).solve(problem, random_start(n))
         expand_compiled(problem, random_start(n))
 
 
 def edge_cases(n: int) -> None:
     """Fixed knots, numbers that are not finite, no time, no iterations, intervals of no length."""
-    solver = HoldSolver(SolverSettings(max_iterations=5), "compiled")
+    solver = HoldSolver(SolverSettings(max_iterations=5))
     start = random_start(n)
     for weights in WEIGHTS:
         problem = make_problem(n, **weights)
@@ -100,11 +105,11 @@ def edge_cases(n: int) -> None:
         for value in (np.nan, np.inf, 1e300):
             solver.solve(problem, np.full((n, 2), value))
         solver.solve(problem, start, 0.0)
-        HoldSolver(SolverSettings(max_iterations=0), "compiled").solve(problem, start)
+        HoldSolver(SolverSettings(max_iterations=0)).solve(problem, start)
     state, constants = problem.state, problem.constants
     inputs = np.vstack((problem.input_in_force, start))
-    roll_out_compiled(state, DRIFT, inputs, np.zeros(n), constants, 0.1)
-    roll_out_compiled(state, DRIFT, inputs * np.nan, problem.durations, constants, 0.1)
+    roll_out_with_momentum(state, DRIFT, inputs, np.zeros(n), constants, 0.1)
+    roll_out_with_momentum(state, DRIFT, inputs * np.nan, problem.durations, constants, 0.1)
 
 
 FAULTS = {
@@ -123,12 +128,15 @@ static int has_fault(char number)
 """
 
 
-def add_faults() -> None:
-    """Build the solver from sources with all faults; a variable selects one of them at run time.
+def write_sources(folder: Path) -> None:
+    """Write the solver's sources with all faults; a variable selects one of them at run time.
 
     So there is one build for all of them, which takes much longer than the calls.
     """
-    sources = library.c_sources()
+    sources = {
+        path.name: path.read_text(encoding="utf-8") for path in library.FOLDER.glob("*.[ch]")
+    }
+    sources |= {"kernels.h": kernel_source(), "problem.h": problem_header()}
     for number, (file, text, right, wrong) in enumerate(FAULTS.values()):
         original = text.format(right)
         assert original in sources[file]
@@ -136,13 +144,15 @@ def add_faults() -> None:
         sources[file] = sources[file].replace(original, either)
     first = '#include "problem.h"'
     sources["solver.c"] = sources["solver.c"].replace(first, SWITCH + first)
-    library.c_sources = lambda: sources
+    for name, text in sources.items():
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def main() -> None:
-    add_faults()
-    if len(sys.argv) > 1:
-        os.environ["SOLVER_FAULT"] = str(list(FAULTS).index(sys.argv[1]))
+    library.FOLDER = Path(sys.argv[1])
+    compiled()
+    if len(sys.argv) > 2:
+        os.environ["SOLVER_FAULT"] = str(list(FAULTS).index(sys.argv[2]))
     for n in HORIZONS:
         ordinary_calls(n)
         steady_rolling(n)

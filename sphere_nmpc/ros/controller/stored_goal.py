@@ -8,8 +8,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from sphere_nmpc.cache import cache_folder
-from sphere_nmpc.control.goal_memory import GoalMemory
+from sphere_nmpc.control.goal_memory import GoalMemory, cache_folder
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.control_clock import ControlClock

@@ -2,7 +2,7 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Many half motions at once, from the start or back from the goal, in single precision: guesses
- * need no more. solver/half_motions.py explains the method and has it in NumPy.
+ * need no more. solver/half_motions.py explains the method and has it in plain form.
  */
 #define LANES 16
 

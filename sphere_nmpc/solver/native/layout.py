@@ -4,10 +4,11 @@
 
 This is the only place that names its fields. Every field is made of words of eight bytes, so the
 structure is a row of doubles in which integers and pointers are read through an integer view of
-the same bytes. The C declaration is generated from the table; it belongs to the sources whose hash
-names the kept binary, so a binary of another layout is never loaded.
+the same bytes. The C declaration is generated from the table, with its check sum: a binary of
+another layout is not used.
 """
 
+import zlib
 from typing import NamedTuple
 
 from sphere_nmpc.solver.problem import SolveStatus
@@ -96,6 +97,15 @@ def span(first: str, last: str | None = None) -> slice:
 
 def problem_header() -> str:
     """Return the C header ``problem.h``: the structure and the numbers of the statuses."""
+    return f"{_declarations()}#define LAYOUT {check_sum()}\n"
+
+
+def check_sum() -> int:
+    """Return a number that differs for another layout; the binary exports its own."""
+    return zlib.crc32(_declarations().encode())
+
+
+def _declarations() -> str:
     lines = ["typedef struct {"]
     for field in FIELDS:
         array = f"[{field.words}]" if field.words > 1 else ""

@@ -7,13 +7,11 @@ to the members of a `ctypes.Structure`.
 """
 
 import ctypes
-from functools import cache
 
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.layout import SIZE, STATUSES, index, span
-from sphere_nmpc.solver.native.library import load_library
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 
 _SETTINGS = span("gradient_tolerance", "initial_damping")
@@ -23,36 +21,13 @@ _STATUS, _ITERATIONS = index("status"), index("iterations")
 _STEADY_INTERVAL = index("steady_interval")
 
 
-@cache
-def library() -> ctypes.CDLL:
-    """Return the compiled solver with its signatures declared.
-
-    Raises
-    ------
-    CompilerError
-        If it can neither be loaded nor built.
-    """
-    solver = load_library()
-    address, count, number = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-    for name, arguments in {
-        "hold_solve": [address],
-        "hold_roll_out": [count, number, *[address] * 7],
-        "hold_expand": [address] * 4,
-        "hold_half_motions": [count, count, *[number] * 3, *[address] * 7],
-    }.items():
-        function = getattr(solver, name)
-        function.argtypes, function.restype = arguments, None
-    solver.hold_workspace.argtypes, solver.hold_workspace.restype = [count], count
-    solver.hold_meet.argtypes = [*[count] * 4, *[number] * 4, *[address] * 10]
-    solver.hold_meet.restype = count
-    return solver
-
-
 class Slot:
     """One problem with its arrays and the workspace of its solve; for one thread at a time.
 
     Parameters
     ----------
+    solver : ctypes.CDLL
+        The compiled solver.
     intervals : int
         N.
 
@@ -62,7 +37,7 @@ class Slot:
         Address of the C structure.
     """
 
-    def __init__(self, intervals: int) -> None:
+    def __init__(self, solver: ctypes.CDLL, intervals: int) -> None:
         n = intervals
         self._words: Vector = np.zeros(SIZE)
         self._integers = self._words.view(np.int64)
@@ -70,7 +45,7 @@ class Slot:
         self._lower, self._upper, self._start = np.zeros((3, n, 2))
         self._inputs, self._states = np.zeros((n + 1, 2)), np.zeros((n + 1, 6))
         self._momenta = np.zeros((n + 1, 3))
-        self._workspace = np.zeros(int(library().hold_workspace(n)))
+        self._workspace = np.zeros(int(solver.hold_workspace(n)))
         self._integers[index("intervals")] = n
         arrays = (
             self._durations, self._lower, self._upper, self._start, self._inputs, self._states,

@@ -1,7 +1,7 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Cost, gradient and Gauss-Newton Hessian, as in sphere_nmpc/solver/reference/objective.py.
+ * Cost, gradient and Gauss-Newton Hessian, as in solver/plain.py.
  *
  * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 7 plus D, tridiagonal
  * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed,

@@ -1,11 +1,11 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The Levenberg-Marquardt iteration of solver/numpy_backend/levenberg_marquardt.py in C,
- * with the same steps; that file explains the method. Nothing is allocated: the caller provides
- * the memory.
+ * The Levenberg-Marquardt iteration of solver/plain.py in C, with the same steps; that file explains
+ * the method. Nothing is allocated: the caller provides the memory.
  *
- * problem.h and kernels.h are generated, by layout.py and codegen.py.
+ * problem.h and kernels.h are generated, by layout.py and codegen.py. setup.py compiles this file
+ * once for each instruction set.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
@@ -29,6 +29,21 @@
 #include "objective.h"
 #include "bounded_step.h"
 #include "half_motions.h"
+
+/* Suffix of the library that is the fastest on this processor, see LEVELS in setup.py. */
+const char *hold_level(void)
+{
+#if defined(__x86_64__)
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")
+        && __builtin_cpu_supports("avx512vl"))
+        return "_avx512";
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
+        return "_avx2";
+#endif
+    return "";
+}
+
+const int64_t hold_layout = LAYOUT;
 
 static double now(void)
 {

@@ -31,15 +31,13 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOWHERE = "/proc/nonexistent"
 """Folder that not even root can create."""
-COMPILER = Path(__file__).parents[1] / "solver" / "quick_cc.sh"
-"""One that does not optimise, for nodes that build the solver."""
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 
 
 def controller(
     environment: dict[str, str | None], within: tuple[str, ...] = ()
 ) -> subprocess.Popen:
-    whole = os.environ | {"PYTHONUNBUFFERED": "1", "CC": str(COMPILER)} | environment
+    whole = os.environ | {"PYTHONUNBUFFERED": "1"} | environment
     return subprocess.Popen(
         [*within, sys.executable, "-c", CONTROLLER],
         env={name: value for name, value in whole.items() if value is not None},
@@ -124,7 +122,7 @@ def test_node_ends_with_code_2_and_one_line(environment, message) -> None:
 @pytest.mark.parametrize("home", [NOWHERE, None], ids=["unwritable", "unset"])
 def test_node_without_home_folder_starts_with_one_message(home, tmp_path) -> None:
     lines = lines_until_up(
-        controller({"HOME": home, "ROS_LOG_DIR": None, "SPHERE_NMPC_CACHE": str(tmp_path)})
+        controller({"HOME": home, "ROS_LOG_DIR": None, "XDG_CACHE_HOME": str(tmp_path)})
     )
     assert sum("log file: given" in line for line in lines) == 1, lines
 
@@ -163,7 +161,7 @@ def test_shared_memory_of_other_users_selects_udp(tmp_path) -> None:
 def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
     graph, lines = Graph(), []
-    environment = {"ROS_LOG_DIR": None, "HOME": NOWHERE, "SPHERE_NMPC_CACHE": str(tmp_path)}
+    environment = {"ROS_LOG_DIR": None, "HOME": NOWHERE, "XDG_CACHE_HOME": str(tmp_path)}
     node = controller(environment, as_user(65534))
     try:
         while not lines or "reachable" not in lines[-1]:  # the solver may have to be built first
@@ -183,9 +181,8 @@ def test_nodes_of_two_users_exchange_messages(monkeypatch, tmp_path, reach) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("user", [65534, 54321], ids=["nobody", "without a passwd entry"])
 def test_node_of_another_user_starts_after_one_of_root(user, tmp_path) -> None:
-    cache = tmp_path / "roots"
-    lines_until_up(controller({"SPHERE_NMPC_CACHE": str(cache)}))
-    environment = {"SPHERE_NMPC_CACHE": str(cache), "ROS_LOG_DIR": None, "HOME": None}
+    lines_until_up(controller({"XDG_CACHE_HOME": str(tmp_path)}))
+    environment = {"XDG_CACHE_HOME": str(tmp_path), "ROS_LOG_DIR": None, "HOME": None}
     lines = lines_until_up(controller(environment, as_user(user)))
     assert not any("Traceback" in line for line in lines)
     assert sum("log file: given ~/.ros/log" in line or "log file: given /nonexistent" in line

@@ -1,16 +1,24 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Half motions and their meetings, compiled and on NumPy."""
+"""Half motions and their meetings, compiled and plain."""
 
 import numpy as np
 import pytest
+from compiled_solver import compiled
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.solver import half_motions as module
-from sphere_nmpc.solver.backend import BACKENDS, resolve_backend
-from sphere_nmpc.solver.half_motions import Drives, Side, half_motions, knots_of, meet
+from sphere_nmpc.solver.half_motions import (
+    Drives,
+    Floats,
+    Side,
+    half_motions,
+    knots_of,
+    meet,
+    plain_half_motions,
+    plain_meet,
+)
 from sphere_nmpc.solver.roll_out import roll_out
 
 CONSTANTS = RobotParameters().lumped.as_array()
@@ -21,7 +29,7 @@ ROUNDING = 1e-3
 SPEED = 0.742
 
 
-def signals(seed: int) -> module.Floats:
+def signals(seed: int) -> Floats:
     rng = np.random.default_rng(seed)
     times = np.sort(rng.exponential(1.0, (2, 2, COUNT)), axis=1)
     times[:, 1, ::2] = 1e9
@@ -42,19 +50,12 @@ def both_sides(seed: int, begin: Vector) -> tuple[Side, Side]:
     return forth, half_motions(goal, np.zeros(2), given, LEVELS, DRIVES, CONSTANTS)
 
 
-@pytest.fixture(params=["compiled", "numpy"])
-def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    assert request.param in BACKENDS
-    if request.param == "compiled":
-        assert resolve_backend("compiled") == "compiled"
-    monkeypatch.setattr(module, "resolve_backend", lambda _: request.param)
-    return str(request.param)
-
-
+@pytest.mark.parametrize("motions", [half_motions, plain_half_motions])
 @pytest.mark.parametrize("begin", [np.zeros(2), np.array([70.0, -100.0])])
-def test_states_are_those_of_the_solver_along_the_knots(backend: str, begin: Vector) -> None:
+def test_states_are_those_of_the_solver_along_the_knots(motions, begin: Vector) -> None:
+    assert compiled()
     start, _ = states(1)
-    found = half_motions(start, begin, signals(1), LEVELS, DRIVES, CONSTANTS)
+    found = motions(start, begin, signals(1), LEVELS, DRIVES, CONSTANTS)
     knots = knots_of(signals(1), LEVELS, begin, DRIVES)
     durations = np.full(LEVELS, DRIVES.period)
     for i in range(0, COUNT, 16):
@@ -77,24 +78,21 @@ def test_knots_satisfy_the_limits(ramp: float) -> None:
     assert np.max(np.abs(np.diff(knots, axis=0))) <= 100.0 * 0.25 / ramp + 1e-9
 
 
-def test_both_backends_find_the_same_meetings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_find_the_same_meetings() -> None:
     forth, back = both_sides(3, np.zeros(2))
-    found = []
-    for name in ("compiled", "numpy"):
-        monkeypatch.setattr(module, "resolve_backend", lambda _, name=name: name)
-        found.append(
-            meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
-        )
-    compiled, on_numpy = found
-    assert compiled.pairs == on_numpy.pairs > 1000
-    np.testing.assert_allclose(compiled.scores, on_numpy.scores, atol=1e-3)
-    some = np.isfinite(compiled.scores)
+    found, plain = (
+        each(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
+        for each in (meet, plain_meet)
+    )
+    assert found.pairs == plain.pairs > 1000
+    np.testing.assert_allclose(found.scores, plain.scores, atol=1e-3)
+    some = np.isfinite(found.scores)
     assert np.sum(some) >= 10
-    same = compiled.partners[some] == on_numpy.partners[some]
+    same = found.partners[some] == plain.partners[some]
     assert np.mean(same) > 0.98  # but for ties within rounding
 
 
-def test_pair_that_meets_is_a_motion_to_the_goal(backend: str) -> None:
+def test_pair_that_meets_is_a_motion_to_the_goal() -> None:
     forth, back = both_sides(4, np.zeros(2))
     found = meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
     knots = knots_of(signals(4), LEVELS, np.zeros(2), DRIVES)

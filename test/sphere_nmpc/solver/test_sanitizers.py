@@ -13,52 +13,46 @@ import pytest
 import sanitized_runs
 from patience import PATIENCE
 
-from sphere_nmpc.cache import CACHE_VARIABLE
-
 pytestmark = pytest.mark.slow
 
 RUNS = Path(sanitized_runs.__file__)
-SANITIZE = "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O1"
+OPTIONS = (
+    "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O1 -std=gnu11 "
+    "-march=native -ffp-contract=fast -fno-math-errno -Wno-psabi -shared -fPIC"
+)
 RUNTIMES = {
-    "libasan.so": SANITIZE,
-    f"libclang_rt.asan-{platform.machine()}.so": f"{SANITIZE} -shared-libasan",
+    "libasan.so": OPTIONS,
+    f"libclang_rt.asan-{platform.machine()}.so": f"{OPTIONS} -shared-libasan",
 }
 """Runtime library of the address sanitiser of GCC and of Clang, and their options."""
 
 
 @pytest.fixture(scope="module")
 def sanitizers(tmp_path_factory):
-    """Return the variables of a process that uses the solver with the sanitisers."""
+    """Return a folder with the solver built with sanitisers, and the variables of a process."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("needs a C compiler")
     folder = tmp_path_factory.mktemp("sanitizers")
-    source = folder / "empty.c"
-    source.write_text("int main(void) { return 0; }\n")
+    sanitized_runs.write_sources(folder)
     for name, options in RUNTIMES.items():
         printed = subprocess.run(
             [compiler, f"-print-file-name={name}"], capture_output=True, text=True, check=True
         )
         runtime = printed.stdout.strip()
-        command = [compiler, *options.split(), str(source), "-o", str(folder / "empty")]
-        if Path(runtime).is_absolute() and subprocess.run(command, check=False).returncode == 0:
-            # After the options of the solver: less optimised, in two thirds of the time.
-            wrapper = folder / "cc"
-            wrapper.write_text(f'#!/bin/sh\nexec {compiler} "$@" {options}\n')
-            wrapper.chmod(0o755)
-            return {
-                "CC": str(wrapper), "LD_PRELOAD": runtime,
-                CACHE_VARIABLE: str(folder / "cache"), "TMPDIR": str(folder),
-                # The interpreter frees little of its memory at its end.
-                "ASAN_OPTIONS": "detect_leaks=0",
-            }
+        command = [compiler, *options.split(), "solver.c", "-o", "solver.so", "-lm"]
+        if Path(runtime).is_absolute():
+            subprocess.run(command, check=True, cwd=folder)
+            # The interpreter frees little of its memory at its end.
+            return folder, {"LD_PRELOAD": runtime, "ASAN_OPTIONS": "detect_leaks=0"}
     pytest.skip("the C compiler has no sanitisers")
 
 
 def run(sanitizers, *fault):
     """Use the solver with the sanitisers, and with a fault if one is given."""
+    folder, environment = sanitizers
     return subprocess.run(
-        [sys.executable, str(RUNS), *fault], env={**os.environ, **sanitizers},
+        [sys.executable, str(RUNS), str(folder), *fault], env={**os.environ, **environment},
         capture_output=True, text=True, timeout=PATIENCE, check=False,
     )
 

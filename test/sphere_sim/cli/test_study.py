@@ -10,9 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.perturbation import DisturbanceDraws
@@ -202,8 +200,7 @@ def searched(tmp_path, monkeypatch) -> list[RobotParameters]:
         robots.append(robot)
         return BestKnownTimes(duration=2.0, settling=1.5)
 
-    HoldSolver()  # loads the compiled one before its folder is taken away
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr("sphere_sim.study.best_known.best_known_time", search)
     return robots
 

@@ -17,8 +17,6 @@ import psutil
 import pytest
 from patience import PATIENCE
 
-from sphere_nmpc.cache import CACHE_VARIABLE
-
 COMMAND = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())", "study"]
 
 
@@ -77,9 +75,9 @@ def test_interrupted_search_for_best_known_times_leaves_all_other_results(tmp_pa
     process = start(
         "--draw", "60", "--duration", "0.5", "--out", str(out), "--jobs", "2",
         "--strategy", "paper",
-        env={**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")},
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
     )
-    kept = tmp_path / "cache" / "best_known_times.jsonl"
+    kept = tmp_path / "sphere_nmpc" / "best_known_times.jsonl"
     message = stop(process, lambda: lines(kept) > 0, signal.SIGINT, True)
     assert process.returncode == 130
     assert "all results but the best known times" in message and "Traceback" not in message

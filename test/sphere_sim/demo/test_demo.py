@@ -21,7 +21,7 @@ from mcap_ros2.decoder import DecoderFactory
 from patience import PATIENCE
 from rosbags.rosbag2 import Reader
 
-from sphere_nmpc.cache import cache_folder
+from sphere_nmpc.control.goal_memory import cache_folder
 from sphere_sim.cli.demo import parse
 from sphere_sim.demo.plan import NEIGHBOURHOOD, PROCESS_NOISE
 from sphere_sim.recording.run_reader import read_run

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_nmpc.model.drift import (
     NO_DRIFT,
     Drift,
@@ -24,7 +23,6 @@ from sphere_nmpc.model.drift import (
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import angle_error, make_state, position_error, state_error
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
@@ -61,13 +59,12 @@ def brief(monkeypatch) -> None:
     monkeypatch.setattr(best_known, "EFFORT", 30_000)
     monkeypatch.setattr(best_known, "SEARCHES", 1)
     monkeypatch.setattr(best_known, "GRIDS", best_known.GRIDS[:1])
-    HoldSolver()  # loads the compiled one before its folder is taken away
 
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch) -> Path:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    return tmp_path / "cache" / "best_known_times.jsonl"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "sphere_nmpc" / "best_known_times.jsonl"
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from contextlib import suppress
 import pytest
 from distributed import LocalCluster
 
-from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_sim.cli.main import main
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import cluster as cluster_module
@@ -65,11 +64,11 @@ def test_study_on_a_cluster_searches_best_known_times_there_too(
         raise AssertionError("a call on this machine")
 
     monkeypatch.setattr(Processes, "run", run)
-    monkeypatch.setattr(os, "environ", {**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")})
+    monkeypatch.setattr(os, "environ", {**os.environ, "XDG_CACHE_HOME": str(tmp_path)})
     options = ["--draw", "2", "--duration", "0.5", "--strategy", "paper"]
     where = ["--scheduler", cluster.scheduler_address, "--out", str(tmp_path / "out")]
     assert main(["study", *options, *where]) == 0
-    assert len((tmp_path / "cache" / "best_known_times.jsonl").read_text().splitlines()) == 2
+    assert len((tmp_path / "sphere_nmpc" / "best_known_times.jsonl").read_text().splitlines()) == 2
 
 
 def test_workers_with_other_code_are_refused(cluster, monkeypatch) -> None:

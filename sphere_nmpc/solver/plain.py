@@ -1,0 +1,315 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The solver in its readable form, which takes the place of the compiled one where there is none.
+
+Tests compare the compiled solver with it. The steps are the same but for rounding and take about
+300 times as long.
+"""
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sphere_nmpc.model.drift import MOMENTUM
+from sphere_nmpc.model.integrator import steps_for, tangent_drift_step_function
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+
+MIN_DAMPING = 1e-12
+MAX_DAMPING = 1e12
+BOUND_PASSES = 4
+"""Largest number of solves for one step, each with more components fixed at their bounds."""
+
+_CARRIED = 7
+"""Quaternion and momentum: the numbers at the start of an interval that affect its motion."""
+
+
+class Motion(NamedTuple):
+    """States along a first-order hold of N intervals.
+
+    Attributes
+    ----------
+    states : ndarray, shape (N + 1, 6)
+        At the knots.
+    momenta : ndarray, shape (N + 1, 3)
+        At the knots [rad/s; world frame].
+    derivatives : ndarray, shape (N + 1, 9, 2 N)
+        d [x_m, h_m] / d (u_1, ..., u_N), per rad/s; zero where they are not asked for.
+    """
+
+    states: Vector
+    momenta: Vector
+    derivatives: Vector
+
+
+def shoot(
+    state: Vector, drift: Vector, inputs: Vector, durations: Vector, constants: Vector,
+    max_step: float, left_out: Vector | None = None, derive: bool = False,
+) -> Motion:
+    """Predict the motion along a first-order hold.
+
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+        x_0.
+    drift : ndarray, shape (8,)
+        Drift at the start, `sphere_nmpc.model.drift.Drift.as_array`.
+    inputs : ndarray, shape (N + 1, 2)
+        Knots u_0 ... u_N [rad/s].
+    durations : ndarray, shape (N,)
+        Interval lengths [s].
+    constants : ndarray, shape (4,)
+        Lumped constants [Rs, c1, r1, r3].
+    max_step : float
+        Longest integration step [s].
+    left_out : ndarray, shape (N,), optional
+        Time in each interval that is not integrated, but adds to the way in proportion [s].
+    derive : bool, optional
+        Whether to differentiate by the knots.
+    """
+    n = durations.size
+    # Directions of an interval: quaternion and momentum at its start, and its two knots.
+    seeds = np.eye(_CARRIED + 4) if derive else np.zeros((_CARRIED + 4, 0))
+    first, second = seeds[_CARRIED : _CARRIED + 2], seeds[_CARRIED + 2 :]
+    step = _Step(seeds.shape[1])
+    ends, derivatives = np.empty((n + 1, 9)), np.zeros((n + 1, 9, 2 * n))
+    ends[0] = np.concatenate((state, drift[MOMENTUM]))
+    for m in range(n):
+        duration, scale = float(durations[m]), 1.0
+        if left_out is not None and left_out[m] != 0.0:
+            duration -= left_out[m]
+            scale = float(durations[m]) / duration
+        steps = steps_for(duration, max_step)
+        start, change = inputs[m], inputs[m + 1] - inputs[m]
+        y, dy = ends[m, 2:], seeds[:_CARRIED]
+        way: Vector = np.zeros(2)
+        dway: Vector = np.zeros((2, seeds.shape[1]))
+        for i in range(steps):
+            a, b = i / steps, (i + 1) / steps
+            moved, q, momentum, d_moved, dq, d_momentum = step(
+                y[:4], y[4:], start + a * change, start + b * change, duration / steps,
+                constants, drift[3:], dy[:4], dy[4:],
+                (1.0 - a) * first + a * second, (1.0 - b) * first + b * second,
+            )
+            way, dway = way + moved.ravel(), dway + d_moved
+            y, dy = np.concatenate((q, momentum)).ravel(), np.vstack((dq, d_momentum))
+        ends[m + 1] = np.concatenate((ends[m, :2] + scale * way, y))
+        if derive:
+            local, after = np.vstack((scale * dway, dy)), derivatives[m + 1]
+            after[:] = local[:, :_CARRIED] @ derivatives[m, 2:]
+            after[:2] += derivatives[m, :2]
+            if m > 0:
+                after[:, 2 * m - 2 : 2 * m] += local[:, _CARRIED : _CARRIED + 2]
+            after[:, 2 * m : 2 * m + 2] += local[:, _CARRIED + 2 :]
+    return Motion(ends[:, :6], ends[:, 6:], derivatives)
+
+
+class _Step:
+    """`tangent_drift_step_function` with arrays of its own for arguments and results.
+
+    Without a conversion of arguments, within which CasADi would lose an interrupt by Ctrl-C.
+    """
+
+    def __init__(self, directions: int) -> None:
+        function = tangent_drift_step_function(directions)
+        # CasADi stores matrices by columns: each array is the transpose of one.
+        self._given = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
+        self._found = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
+        self._buffer: Any
+        self._buffer, self._run = function.buffer()
+        for i, array in enumerate(self._given):
+            self._buffer.set_arg(i, array.data)
+        for i, array in enumerate(self._found):
+            self._buffer.set_res(i, array.data)
+
+    def __call__(self, *arguments: Vector | float) -> list[Vector]:
+        for array, value in zip(self._given, arguments, strict=True):
+            array[:] = np.transpose(value)
+        self._run()
+        return [array.T.copy() for array in self._found]
+
+
+class Expansion(NamedTuple):
+    """Cost of a `HoldProblem` and its Gauss-Newton model at scaled knots v = u / U.
+
+    Attributes
+    ----------
+    v : ndarray, shape (2 N,)
+        The point.
+    cost : float
+        Value of the objective.
+    gradient : ndarray, shape (2 N,)
+        Its gradient by v.
+    hessian : ndarray, shape (2 N, 2 N)
+        Its Hessian without the second derivatives of the states.
+    inputs : ndarray, shape (N + 1, 2)
+        u_0 ... u_N [rad/s].
+    motion : Motion
+        The motion along them.
+    """
+
+    v: Vector
+    cost: float
+    gradient: Vector
+    hessian: Vector
+    inputs: Vector
+    motion: Motion
+
+
+def expand(problem: HoldProblem, v: Vector) -> Expansion:
+    """Return the cost, a sum of weighted squares, and its model at scaled knots v, (2 N,)."""
+    inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, INPUT_SIZE)))
+    left_out = np.zeros(problem.intervals)
+    left_out[problem.steady_interval] = problem.whole_turns
+    motion = shoot(
+        problem.state, problem.drift, inputs, problem.durations, problem.constants,
+        problem.max_step, left_out, derive=True,
+    )
+    cost, gradient, hessian = 0.0, np.zeros(v.size), np.zeros((v.size, v.size))
+    for weight, residual, jacobian in _residuals(problem, v, inputs, motion):
+        if weight > 0.0:
+            cost += weight * float(residual @ residual)
+            gradient += 2.0 * weight * residual @ jacobian
+            hessian += 2.0 * weight * jacobian.T @ jacobian
+    return Expansion(v, cost, gradient, hessian, inputs, motion)
+
+
+def _residuals(
+    problem: HoldProblem, v: Vector, inputs: Vector, motion: Motion
+) -> list[tuple[float, Vector, Vector]]:
+    """Return weight, residual and Jacobian by v of each term of the cost."""
+    states, by_v = motion.states, problem.input_scale * motion.derivatives
+    scale = np.array([problem.position_scale] * 2 + [1.0] * 4)
+    weights = np.full(problem.intervals, problem.stage_weight)
+    weights[-1] = problem.terminal_weight
+    terms = [
+        (weight, scale * (states[m] - problem.goal), scale[:, None] * by_v[m, :6])
+        for m, weight in enumerate(weights, start=1)
+    ]
+    if not problem.stage_weight > 0.0:
+        row = problem.momentum_row[None]
+        terms.append((problem.terminal_weight, row @ motion.momenta[-1], row @ by_v[-1, 6:]))
+        if problem.steady_interval > 0 and not problem.drift.any():
+            m = problem.steady_interval
+            tilt, by_quaternion = _tilt(problem.steady_axis, states[m, QUATERNION])
+            terms.append((problem.terminal_weight, tilt, by_quaternion @ by_v[m, QUATERNION]))
+    unit = np.eye(v.size)
+    reference = np.tile(problem.input_reference / problem.input_scale, problem.intervals)
+    terms.append((problem.input_weight, v - reference, unit))
+    if problem.slew_weight > 0.0:
+        change = np.diff(inputs, axis=0)
+        limit = problem.max_acceleration * problem.durations[:, None]
+        excess = (change - np.clip(change, -limit, limit)).ravel() / problem.input_scale
+        difference = (unit - np.eye(v.size, k=-INPUT_SIZE)) * (excess != 0.0)[:, None]
+        terms.append((problem.slew_weight, excess, difference))
+    return terms
+
+
+def _tilt(axis: Vector, quaternion: Vector) -> tuple[Vector, Vector]:
+    """Return the tilt of the axis, shape (1,), and its derivative by the quaternion, (1, 4)."""
+    (a, b), (w, x, y, z) = axis, quaternion
+    value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))
+    by_quaternion = (b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y)
+    return np.array([value]), 2.0 * np.array([by_quaternion])
+
+
+def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
+    """Solve a problem by a projected Levenberg-Marquardt iteration.
+
+    Each trial step minimises the damped Gauss-Newton model within the bounds. The damping follows
+    the gain ratio (Nielsen's rule). Second derivatives of the states are left out: near a singular
+    configuration of the robot they make the Hessian indefinite and a line search stall, while the
+    damped model always has a descent direction.
+
+    Parameters
+    ----------
+    problem : HoldProblem
+        The problem.
+    start : ndarray, shape (N, 2)
+        Initial guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
+    settings : SolverSettings
+        When to stop.
+    """
+    began = time.perf_counter()
+    lower, upper, v = (
+        knots.ravel() / problem.input_scale for knots in (problem.lower, problem.upper, start)
+    )
+    here = expand(problem, np.clip(v, lower, upper))
+    residual = _kkt_residual(here, lower, upper) if math.isfinite(here.cost) else math.inf
+    damping, growth, small, iterations = settings.initial_damping, 2.0, False, 0
+    status = None
+    while True:
+        if not math.isfinite(residual):
+            status = SolveStatus.NOT_FINITE
+        elif small or residual <= settings.gradient_tolerance or here.cost <= settings.target_cost:
+            status = SolveStatus.CONVERGED
+        elif damping > MAX_DAMPING:
+            status = SolveStatus.STALLED
+        elif iterations >= settings.max_iterations:
+            status = SolveStatus.CAPPED
+        elif time.perf_counter() - began > settings.time_budget:
+            status = SolveStatus.BUDGET
+        if status is not None:
+            break
+        iterations += 1
+        step = _bounded_step(here, damping, lower - here.v, upper - here.v)
+        # Without a step, as the matrix is singular to working precision, the cost is the same.
+        trial = here if step is None else expand(problem, np.clip(here.v + step, lower, upper))
+        decrease = here.cost - trial.cost
+        if step is not None and math.isfinite(trial.cost) and decrease > 0.0:
+            predicted = -float(here.gradient @ step + 0.5 * step @ here.hessian @ step)
+            gain = min(decrease / max(predicted, 1e-300), 1.0)
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+            damping, growth = max(damping, MIN_DAMPING), 2.0
+            small = decrease <= max(
+                settings.decrease_tolerance * here.cost, settings.decrease_floor
+            )
+            here, residual = trial, _kkt_residual(trial, lower, upper)
+        else:
+            damping *= growth
+            growth *= 2.0
+    inputs = here.inputs.copy()
+    # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
+    inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
+    elapsed = time.perf_counter() - began
+    states, momenta, _ = here.motion
+    return HoldSolution(inputs, states, momenta, here.cost, status, iterations, residual, elapsed)
+
+
+def _bounded_step(here: Expansion, damping: float, down: Vector, up: Vector) -> Vector | None:
+    """Minimise the damped model over steps between `down` (<= 0) and `up` (>= 0), shape (2 N,).
+
+    Active set: components at a bound whose gradient points outward are fixed there. Components
+    that the step would move across a bound are then fixed at it, and the step is solved again.
+    None where the matrix is singular to working precision.
+    """
+    gradient = here.gradient
+    free = (down < up) & ((down < 0.0) | (gradient < 0.0)) & ((up > 0.0) | (gradient > 0.0))
+    step: Vector = np.zeros(gradient.size)
+    for _ in range(BOUND_PASSES):
+        if not free.any():
+            break
+        step[free] = 0.0
+        right = -(gradient + here.hessian @ step)[free]
+        matrix = here.hessian[np.ix_(free, free)] + damping * np.eye(right.size)
+        try:
+            np.linalg.cholesky(matrix)  # fails unless it is positive definite
+            step[free] = np.linalg.solve(matrix, right)
+        except np.linalg.LinAlgError:
+            return None
+        found, step = step, np.clip(step, down, up)
+        crossed = free & (found != step)
+        if not crossed.any():
+            break
+        free &= ~crossed
+    return step if np.isfinite(step).all() else None
+
+
+def _kkt_residual(here: Expansion, lower: Vector, upper: Vector) -> float:
+    """Return the largest component of P(v - g) - v; NaN where one of g is not finite."""
+    # The projection onto the bounds could hide it.
+    if not np.isfinite(here.gradient).all():
+        return math.nan
+    return float(np.abs(np.clip(here.v - here.gradient, lower, upper) - here.v).max())

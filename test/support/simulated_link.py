@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.control.clock_watch import ClockWatch
-from sphere_nmpc.control.clocked_schedule import ClockedSchedule
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.schedule import Actions, PlanRequest, TimedPose
+from sphere_nmpc.control.schedule import Actions, ClockedSchedule, PlanRequest, TimedPose
+from sphere_nmpc.control.timing import ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
@@ -22,6 +21,12 @@ from sphere_sim.world.simulator import NANOSECONDS, Simulator
 
 STEP = 0.002
 """Spacing of the instants at which something happens [s]."""
+POSE_RATE = 50.0
+"""Rate of pose, joint states and clock [Hz]."""
+_COPIES, _SPACING = 3, 0.02
+"""How often a command is sent while commands may be late or lost, and how far apart [s]."""
+_PLANNING = 0.01
+"""Duration of a plan [s]."""
 _REPEAT = 0.5
 """Time after which a goal that is not in force is sent again [s]."""
 _HOLD = 1.0
@@ -39,65 +44,38 @@ class LinkSettings:
     loss : float
         Share of messages that are lost in either direction.
     bursts : tuple of float
-        Times at which everything is lost for `burst` seconds [s].
-    burst : float
-        Length of a burst [s].
-    heartbeat : float
-        Time after which a lost command is sent again, before which no later one is delivered, as
-        by a reliable subscription [s]; 0 is best effort.
+        Times at which everything is lost for 2 s [s].
     simulated : bool
         Whether the controller's clock is a topic and so delayed, too; otherwise the clocks of
         both ends agree.
     joint_states : bool
         Whether the controller hears the rotor speeds.
-    pose_rate : float
-        Rate of pose, joint states and clock [Hz].
-    copies : int
-        How often a command is sent while commands may be late or lost.
-    spacing : float
-        Time between two copies [s].
-    planning : float
-        Duration of a plan [s].
     """
 
     delay: float = 0.02
     jitter: float = 0.01
     loss: float = 0.0
     bursts: tuple[float, ...] = ()
-    burst: float = 2.0
-    heartbeat: float = 0.0
     simulated: bool = True
     joint_states: bool = True
-    pose_rate: float = 50.0
-    copies: int = 3
-    spacing: float = 0.02
-    planning: float = 0.01
 
 
 class _Channel:
-    """One topic over the link; without retransmission what was overtaken is dropped."""
+    """One topic over the link; what was overtaken is dropped."""
 
-    def __init__(self, link: LinkSettings, seed: int, heartbeat: float = 0.0) -> None:
+    def __init__(self, link: LinkSettings, seed: int) -> None:
         self._link = link
         self._random = np.random.default_rng(seed)
-        self._heartbeat = heartbeat
         self._numbers = itertools.count()
         self._pending: list[tuple[float, int, object]] = []
         self._newest = -1
-        self._blocked_until = 0.0
 
     def send(self, now: float, message: object) -> None:
         link, number = self._link, next(self._numbers)
         due = now + link.delay + link.jitter * self._random.uniform(-1.0, 1.0)
         lost = self._random.random() < link.loss
-        lost |= any(start <= now < start + link.burst for start in link.bursts)
-        if lost and not self._heartbeat:
-            return
-        if lost:
-            self._blocked_until = due + self._heartbeat * self._random.uniform(0.0, 1.0)
-        if self._heartbeat:
-            due = max(due, self._blocked_until)
-        heapq.heappush(self._pending, (due, number, message))
+        if not lost and not any(start <= now < start + 2.0 for start in link.bursts):
+            heapq.heappush(self._pending, (due, number, message))
 
     def receive(self, now: float) -> list[object]:
         received = []
@@ -112,23 +90,15 @@ class _Channel:
 class LinkedLoop:
     """Simulator and controller with a link in between, as their nodes call them."""
 
-    def __init__(
-        self, link: LinkSettings, settings: ControllerSettings | None = None, seed: int = 0,
-        robot: RobotParameters | None = None,
-    ) -> None:
-        settings = ControllerSettings() if settings is None else settings
-        self.link = link
-        start = SimulatorSettings(pose_rate=link.pose_rate, seed=seed)
-        nominal = RobotParameters()
-        self.simulator = Simulator(start, nominal if robot is None else robot)
-        self.controller = Controller(settings, nominal)
+    def __init__(self, link: LinkSettings) -> None:
+        self.link, settings, robot = link, ControllerSettings(), RobotParameters()
+        self.simulator = Simulator(SimulatorSettings(pose_rate=POSE_RATE), robot)
+        self.controller = Controller(settings, robot)
         self._watch = ClockWatch(link.simulated)
         self.schedule = ClockedSchedule(settings, self._watch)
-        seeds = itertools.count(10 * seed)
-        self._poses, self._joints, self._clock, self._goals = (
-            _Channel(link, next(seeds)) for _ in range(4)
+        self._poses, self._joints, self._clock, self._goals, self._commands = (
+            _Channel(link, seed) for seed in range(5)
         )
-        self._commands = _Channel(link, next(seeds), link.heartbeat)
         self._instants = itertools.count(1)
         self._now: float | None = None
         self._accepted: Vector | None = None
@@ -158,10 +128,10 @@ class LinkedLoop:
 
     def step(self) -> None:
         """Advance by one instant."""
-        simulator, link = self.simulator, self.link
+        simulator = self.simulator
         simulator.advance_to(round(next(self._instants) * STEP * NANOSECONDS))
         true = simulator.time
-        if simulator.now % round(NANOSECONDS / link.pose_rate) == 0:
+        if simulator.now % round(NANOSECONDS / POSE_RATE) == 0:
             for stamp, pose in simulator.poses():
                 self._poses.send(true, TimedPose(stamp, stamp / NANOSECONDS, pose))
             self._joints.send(true, (true, simulator.plant.rotor_speeds.copy()))
@@ -218,7 +188,7 @@ class LinkedLoop:
             self._plan(actions.plan, true)
 
     def _plan(self, request: PlanRequest, true: float) -> None:
-        elapsed = self.link.planning
+        elapsed = _PLANNING
         decision = self.controller.decide(request.instant)
         starts = self.schedule.command_time(request, elapsed)
         hold = self.schedule.command(request, self.controller.commit(decision, starts))
@@ -231,8 +201,7 @@ class LinkedLoop:
         self._commands.send(true, hold)
         self._copies = []
         if self.controller.rotor_feedback.shows_link:
-            spacing = self.link.spacing
-            self._copies = [(true + i * spacing, hold) for i in range(1, self.link.copies)]
+            self._copies = [(true + i * _SPACING, hold) for i in range(1, _COPIES)]
 
 
 def random_goals(number: int, seed: int, reach: float = 1.5) -> list[Vector]:

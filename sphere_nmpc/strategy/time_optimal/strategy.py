@@ -37,18 +37,16 @@ from sphere_nmpc.strategy.rest import (
     is_saturated,
     speeds_of_rest,
 )
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
-from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
+from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
-from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
-from sphere_nmpc.strategy.time_optimal.replanning import improved, replan
-from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, search_task
-from sphere_nmpc.strategy.time_optimal.searches_beside import (
-    Outcome,
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, KnotGrid
+from sphere_nmpc.strategy.time_optimal.searches import (
     Purpose,
     SearchesBeside,
+    SearchResult,
+    WorkerSearch,
     later,
+    search_task,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.states import (
@@ -57,6 +55,8 @@ from sphere_nmpc.strategy.time_optimal.states import (
     Saturated,
     Searching,
     State,
+    improved,
+    replan,
 )
 from sphere_nmpc.worker.contract import Worker
 
@@ -75,9 +75,7 @@ class TimeOptimalStrategy:
     """
 
     def __init__(
-        self,
-        settings: ControllerSettings,
-        robot: RobotParameters,
+        self, settings: ControllerSettings, robot: RobotParameters,
         tuning: TimeOptimalSettings | None = None,
     ) -> None:
         self._settings = settings
@@ -289,13 +287,8 @@ class TimeOptimalStrategy:
         return plan
 
     def _found_beside(
-        self,
-        state: Searching,
-        situation: Situation,
-        beside: SearchesBeside,
-        at_rest: bool,
-        dead_band: float,
-        deadline: float,
+        self, state: Searching, situation: Situation, beside: SearchesBeside, at_rest: bool,
+        dead_band: float, deadline: float,
     ) -> Searching | Following:
         """Return the plan that a search beside the loop has found, or go on searching."""
         settings, outcome = self._settings, None
@@ -324,7 +317,7 @@ class TimeOptimalStrategy:
             )
         return state
 
-    def _is_for(self, outcome: Outcome, goal: Vector) -> bool:
+    def _is_for(self, outcome: WorkerSearch, goal: Vector) -> bool:
         """Return whether a search was for this goal, but for what momentum changes of it."""
         aimed = outcome.situation.goal
         turned = angle_error(goal, aimed) < self._tuning.largest_change_of_goal

@@ -59,9 +59,7 @@ class Controller:
         self._searching: SearchingStrategy | None = None
         self._strategy = strategy or self._make_strategy()
         self._commands = Commands(robot)
-        self.rotor_feedback = RotorFeedback(
-            self._commands.sent, robot.max_rotor_acceleration
-        )
+        self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
         """What measured rotor speeds tell about the commands on their way."""
         self._estimator = self._make_estimator(None)
         self._goal: Vector | None = None
@@ -172,9 +170,7 @@ class Controller:
             # All commands have ended; a prediction over hours would take seconds.
             self._estimator.forget()
         elif newest is not None and time > newest[0]:
-            step = impossible_step(
-                newest[1], state, time - newest[0], self._robot, self._settings
-            )
+            step = impossible_step(newest[1], state, time - newest[0], self._robot, self._settings)
             if step:
                 self.pose_jumps += 1
                 self.last_jump = step
@@ -254,9 +250,7 @@ class Controller:
             self._record(error)
             return None
 
-    def _send(
-        self, decision: Decision, hold: FirstOrderHold, now: float
-    ) -> FirstOrderHold | None:
+    def _send(self, decision: Decision, hold: FirstOrderHold, now: float) -> FirstOrderHold | None:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)

@@ -128,22 +128,8 @@ class Progress:
     ) -> str:
         """Record a sampling instant; return what there is instead of progress, empty where it is.
 
-        Poses are compared once a sample period, whatever the control rate.
-
-        Parameters
-        ----------
-        time : float
-            Sampling instant [s].
-        pose : ndarray, shape (6,)
-            Newest measured state.
-        goal : ndarray, shape (6,)
-            Goal in force.
-        speeds : ndarray, shape (2,)
-            Rotor speeds in force [rad/s].
-        decision : Decision
-            Plan for this instant, with the drift.
-        settings : ControllerSettings
-            Sample period, tolerance of the goal, noise of the poses.
+        Poses are compared once a sample period, whatever the control rate. At the sampling instant
+        `time` [s] `pose` is the newest measured state, and `speeds` are in force [rad/s].
         """
         elapsed = time - self._time
         if 0.0 <= elapsed < 0.99 * settings.period:
@@ -264,17 +250,7 @@ def impossible_step(
 
 
 def rotor_reserve(drift: Drift, robot: RobotParameters, goal: Vector) -> dict[str, str]:
-    """Return the warning about the rotors that hold a momentum at rest, by its kind; or none.
-
-    Parameters
-    ----------
-    drift : Drift
-        Estimated momentum, slope and imbalance.
-    robot : RobotParameters
-        Limit of the rotor speeds, and the robot's inertia.
-    goal : ndarray, shape (6,)
-        Goal at which the sphere is to rest.
-    """
+    """Return the warning about rotors that hold a momentum at the goal, by its kind; or none."""
     quaternion, limit = goal[QUATERNION], robot.max_rotor_speed
     needed = float(np.max(np.abs(drift.rest_speeds(quaternion))))
     if needed < _NEAR * limit:

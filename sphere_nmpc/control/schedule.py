@@ -118,9 +118,7 @@ class Schedule:
         """Return what a tick of the timer at control time `now` leads to."""
         return NOTHING
 
-    def start(
-        self, now: float, awaits_start: Callable[[float], bool]
-    ) -> Actions | None:
+    def start(self, now: float, awaits_start: Callable[[float], bool]) -> Actions | None:
         """Return what to do to start towards a goal now; None if nothing is to be done yet.
 
         The timer has to be restarted when there is something to do. `awaits_start` returns
@@ -142,9 +140,7 @@ class Schedule:
         """
         return request.now
 
-    def command(
-        self, request: PlanRequest, hold: FirstOrderHold | None
-    ) -> FirstOrderHold | None:
+    def command(self, request: PlanRequest, hold: FirstOrderHold | None) -> FirstOrderHold | None:
         """Return what to send where the controller has committed `hold`, None being nothing."""
         return hold
 
@@ -242,9 +238,7 @@ class ClockedSchedule(Schedule):
         request = self._request(instant, now, self._planning.lead + self.window)
         return Actions(refused=refused, observe=pose, plan=request)
 
-    def start(
-        self, now: float, awaits_start: Callable[[float], bool]
-    ) -> Actions | None:
+    def start(self, now: float, awaits_start: Callable[[float], bool]) -> Actions | None:
         """Return the first tick of a new grid if the next plan starts towards a goal.
 
         The first plan takes longest, so it waits until the pace, and so its time budget, is known.
@@ -340,9 +334,7 @@ class LockstepSchedule(Schedule):
         self._answered = pose.stamp
         return Actions(observe=pose, plan=self.final_request(pose.time))
 
-    def command(
-        self, request: PlanRequest, hold: FirstOrderHold | None
-    ) -> FirstOrderHold | None:
+    def command(self, request: PlanRequest, hold: FirstOrderHold | None) -> FirstOrderHold | None:
         """Return the hold, or rest where there is none: the simulator waits for an answer."""
         return _AT_REST.delayed(request.instant) if hold is None else hold
 

@@ -115,9 +115,7 @@ class StabilityReport:
     not_nearer: int
 
 
-def neighbourhood_radius(
-    input_weight: float, terminal_weight: float, max_speed: float
-) -> float:
+def neighbourhood_radius(input_weight: float, terminal_weight: float, max_speed: float) -> float:
     """Return the radius of D [mixed units]: inside, no input satisfies Eq. (36)."""
     if terminal_weight <= 1.0:
         return math.inf

@@ -39,9 +39,7 @@ def speeds_of_rest(drift: Drift, quaternion: Vector, max_speed: float) -> Vector
     """Return the speeds that hold the momentum, clipped to the limit [rad/s], shape (2,)."""
     if drift.is_zero:
         return np.zeros(INPUT_SIZE)
-    held: Vector = np.minimum(
-        np.maximum(drift.rest_speeds(quaternion), -max_speed), max_speed
-    )
+    held: Vector = np.minimum(np.maximum(drift.rest_speeds(quaternion), -max_speed), max_speed)
     return held
 
 

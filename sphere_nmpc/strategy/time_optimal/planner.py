@@ -115,9 +115,7 @@ class ArrivalPlanner:
         )
         self._solver = ArrivalSolver(robot, period, accuracy, tuning)
 
-    def search(
-        self, situation: Situation, new_plan: bool, strict: bool = False
-    ) -> ArrivalSearch:
+    def search(self, situation: Situation, new_plan: bool, strict: bool = False) -> ArrivalSearch:
         """Return a new search; `new_plan` as for `solve`, `strict` as for `ArrivalSearch`."""
         first = self.grid.to_first_knot(situation.time, new_plan)
         return ArrivalSearch(

@@ -304,6 +304,4 @@ def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: flo
     drift = situation.drift
     if not drift.is_zero:
         drift = replace(drift, momentum=momenta[-1].copy())
-    return replace(
-        situation, time=time, state=states[-1], input_in_force=speeds[-1], drift=drift
-    )
+    return replace(situation, time=time, state=states[-1], input_in_force=speeds[-1], drift=drift)

@@ -147,9 +147,7 @@ def replan(
             changed = _after_change(plan, situation, rest, left, deadline)
             if changed is None:
                 return None
-            return replace(
-                plan, arrival=changed, planned_at=now, work=settings.planning_effort
-            )
+            return replace(plan, arrival=changed, planned_at=now, work=settings.planning_effort)
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:

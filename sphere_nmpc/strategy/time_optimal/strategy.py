@@ -130,9 +130,7 @@ class TimeOptimalStrategy:
     def _planner(self, acceleration: float) -> ArrivalPlanner:
         """Return a planner with this limit of the rotors' acceleration [rad/s^2]."""
         robot = dataclasses.replace(self._robot, max_rotor_acceleration=acceleration)
-        return ArrivalPlanner(
-            robot, self._settings.period, self._grid, self._seeds, self._tuning
-        )
+        return ArrivalPlanner(robot, self._settings.period, self._grid, self._seeds, self._tuning)
 
     def _use_attained(self, situation: Situation) -> None:
         """Plan with the acceleration that the drives attain, also what remains of a plan."""
@@ -207,9 +205,7 @@ class TimeOptimalStrategy:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
         if self._beside is not None and self._beside.available:
-            return self._found_beside(
-                state, situation, self._beside, at_rest, dead_band, deadline
-            )
+            return self._found_beside(state, situation, self._beside, at_rest, dead_band, deadline)
         planner, now = self._planner_for(situation), situation.time
         task = search_task(
             planner, situation, self._grid.origin(now),

@@ -15,7 +15,6 @@ from sphere_nmpc.control.monitors import ArrivalDetector
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate
 from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
-from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
@@ -146,19 +145,6 @@ def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit_until_a_fresh_one(
         assert controller.commit(controller.decide(late + 1.0), late + 1.0) is None
 
 
-def test_without_fresh_poses_the_known_drift_is_reported(
-    controller: Controller, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track(controller)
-    known = Drift(slope=np.array([2.0, -1.0]))
-    monkeypatch.setattr(type(controller.estimator), "drift", property(lambda _: known))
-    assert controller.decide(SETTINGS.pose_timeout + 0.01).drift is known
-    controller.forget()
-    decision = controller.decide(1.0)
-    assert decision.mode is Mode.NO_POSE
-    assert decision.drift is known
-
-
 BAD = [np.full(6, np.nan), np.array([np.inf, 0, 1, 0, 0, 0]), np.zeros(6), np.zeros(3)]
 
 
@@ -201,11 +187,11 @@ def test_strategy_that_fails_leaves_the_hold_in_force_which_ends_at_rest(
     controller: Controller, strategy: Scripted, kind: str
 ) -> None:
     track(controller)
-    times, resets = np.arange(PERIOD, 4.0, 0.05), strategy.resets
+    times, resets = np.arange(PERIOD, 4.0, 0.1), strategy.resets
     expected = [controller.speeds_at(t).copy() for t in times]
     for name, value in UNUSABLE[kind].items():
         setattr(strategy, name, value)
-    for k in range(1, 6):
+    for k in range(1, 4):
         time = k * PERIOD
         controller.observe(time, START)
         decision = controller.decide(time)
@@ -219,13 +205,13 @@ def test_strategy_that_fails_leaves_the_hold_in_force_which_ends_at_rest(
         ))
     found = [controller.speeds_at(t) for t in times]
     np.testing.assert_array_equal(found[-1], [0.0, 0.0])
-    # The rest of the hold in force was sent five times; rounding of 60 rad/s.
+    # The rest of the hold in force was sent again; rounding of 60 rad/s.
     np.testing.assert_allclose(found, expected, atol=1e-11)
-    assert controller.failures == 5
-    assert strategy.resets == resets + 5, "no invalid warm start is kept"
+    assert controller.failures == 3
+    assert strategy.resets == resets + 3, "no invalid warm start is kept"
     for name in UNUSABLE[kind]:
         setattr(strategy, name, None) if name != "plan" else delattr(strategy, name)
-    assert sample(controller, 6 * PERIOD - 0.1) is Mode.TRACKING
+    assert sample(controller, 4 * PERIOD - 0.1) is Mode.TRACKING
 
 
 def test_measured_rotor_speeds_that_cannot_be_used_are_an_error_that_is_counted(
@@ -305,15 +291,6 @@ def test_plan_that_ends_almost_at_rest_on_a_wall_clock_is_sent(
     assert np.max(np.abs(hold.at(hold.end))) <= speed
 
 
-def test_live_change_of_settings_is_used_at_the_next_sample() -> None:
-    controller = Controller(SETTINGS, ROBOT)
-    controller.set_goal(ORIGIN)
-    controller.observe(0.0, START)
-    heavy = controller.decide(0.0).plan.cost
-    controller.change(replace(SETTINGS, terminal_weight=1e6))
-    assert controller.decide(0.0).plan.cost < 0.1 * heavy
-
-
 @pytest.mark.parametrize(
     "change",
     [{"goal_tolerance": 0.1}, {"planning_effort": 1000}, {"learning": False}, {"drive_lag": 0.01},
@@ -389,17 +366,6 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
         controller.enabled = True
     controller.observe(hold.start + 0.1, START)
     assert sample(controller, hold.start + 0.1) is Mode.TRACKING
-
-
-def test_command_that_cannot_be_joined_leaves_the_hold_in_force(controller: Controller) -> None:
-    track(controller)
-    decision = controller.decide(PERIOD)
-    broken = replace(decision, plan=replace(decision.plan, hold=None))  # type: ignore[arg-type]
-    expected = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
-    assert controller.commit(broken, PERIOD) is not None
-    found = [controller.speeds_at(t) for t in np.arange(PERIOD, 4.0, 0.05)]
-    np.testing.assert_allclose(found, expected, atol=1e-11)  # rounding of 60 rad/s
-    assert controller.failures == 1 and "AttributeError" in controller.last_failure
 
 
 @pytest.mark.parametrize("part", ["in_force", "ramp_to_rest", "earliest", "joined"])

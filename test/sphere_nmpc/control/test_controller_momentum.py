@@ -150,9 +150,7 @@ def test_estimated_push_at_the_goal_is_held() -> None:
     impulse = (0.5, -0.3)
     simulator = Simulator(SimulatorSettings(initial_state=tuple(UPRIGHT)), ROBOT)
     controller = Controller(ControllerSettings(planning_effort=EFFORT), ROBOT)
-    found = run_closed_loop(
-        simulator, controller, UPRIGHT, 8.0, PERIOD, push=Push(2.1, impulse)
-    )
+    found = run_closed_loop(simulator, controller, UPRIGHT, 8.0, PERIOD, push=Push(2.1, impulse))
     expected = momentum_of_push(ROBOT, np.array(impulse))
     np.testing.assert_allclose(found.decisions[-1].drift.momentum, expected, atol=0.1)
     np.testing.assert_allclose(found.speeds[-1], expected[:2], atol=0.1)

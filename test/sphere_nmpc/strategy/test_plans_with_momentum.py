@@ -63,9 +63,7 @@ def arrival_at(goal_of: Situation) -> Arrival:
     found = one.search(goal_of, new_plan=True).improve(EFFORT)
     assert found is not None
     for delay in TUNING.delays:
-        arrival = one.solve(
-            goal_of, found.goal, delay * found.duration, found.hold, new_plan=True
-        )
+        arrival = one.solve(goal_of, found.goal, delay * found.duration, found.hold, new_plan=True)
         if arrival.error <= TUNING.arrival_error:
             break
     return arrival

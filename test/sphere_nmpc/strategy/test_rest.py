@@ -66,9 +66,7 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
     start = make_state(np.zeros(2), HEADING)
     plant = RollingPlant(ROBOT, start, world)
     slope = slope_torque(ROBOT, world.slope, world.slope_direction)
-    drift = Drift(
-        slope=slope, imbalance=imbalance_of_offset(ROBOT, np.array(world.mass_offset))
-    )
+    drift = Drift(slope=slope, imbalance=imbalance_of_offset(ROBOT, np.array(world.mass_offset)))
     at_rest = FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2)))
     hold = hold_momentum(at_rest, drift.after_rest(HEADING, 0.1), HEADING, LIMIT, 5.0)
     assert hold.end == pytest.approx(5.1)
@@ -82,9 +80,7 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
 
 def test_command_that_holds_momentum_ends_at_the_limit() -> None:
     drift = Drift(slope=slope_torque(ROBOT, np.radians(1.0), 0.0))
-    hold = hold_momentum(
-        FirstOrderHold.constant(3.0, np.zeros(2)), drift, HEADING, LIMIT, 8.0
-    )
+    hold = hold_momentum(FirstOrderHold.constant(3.0, np.zeros(2)), drift, HEADING, LIMIT, 8.0)
     assert np.max(np.abs(hold.speeds)) == LIMIT
     assert np.max(np.abs(drift.after_rest(HEADING, 8.0).rest_speeds(HEADING))) > LIMIT
 

@@ -38,9 +38,7 @@ FOR_GIANT = ControllerSettings(sample_period=0.25).of(GIANT)
 START: Vector = as_state(
     [0.84790488, 0.29017925, 0.19692412, -0.27732079, -0.44550596, -0.82815368]
 )
-GOAL: Vector = as_state(
-    [1.47793416, -2.61861649, 0.02288625, 0.35419605, 0.7080808, -0.61044489]
-)
+GOAL: Vector = as_state([1.47793416, -2.61861649, 0.02288625, 0.35419605, 0.7080808, -0.61044489])
 FIRST, SECOND = DRAWN[0], DRAWN[1]
 DURATION = 9.0
 SEARCH = 0.05
@@ -79,9 +77,7 @@ def run(
     simulator = Simulator(world, ROBOT)
     worker = None if delay is None else DelayedWorker(lambda: simulator.time, delay)
     controller = Redirected(goals or {}, settings, ROBOT, worker=worker)
-    found = run_closed_loop(
-        simulator, controller, FIRST.goal, duration, settings.control_period
-    )
+    found = run_closed_loop(simulator, controller, FIRST.goal, duration, settings.control_period)
     return found, worker
 
 

@@ -56,9 +56,7 @@ def run(
         robot,
     )
     controller = Controller(settings, ROBOT)
-    return run_closed_loop(
-        simulator, controller, scenario.goal, duration, settings.control_period
-    )
+    return run_closed_loop(simulator, controller, scenario.goal, duration, settings.control_period)
 
 
 def errors(found: Trajectory, goal: Vector) -> Vector:

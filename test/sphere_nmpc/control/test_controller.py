@@ -9,18 +9,26 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate
 from sphere_nmpc.estimation.exact_poses import ExactPoseEstimator
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.drift import Drift, slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import Vector, as_state, make_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import SATURATED
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 SETTINGS = ControllerSettings(strategy="paper")
@@ -85,6 +93,13 @@ def ramp_is_safe(hold: FirstOrderHold) -> None:
     slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
     assert np.all(slopes <= ROBOT.max_rotor_acceleration + 1e-6)
     np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
+
+
+def within_limits(hold: FirstOrderHold | None) -> FirstOrderHold:
+    assert hold is not None
+    assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed + 1e-9
+    ramp_is_safe(hold)
+    return hold
 
 
 def test_without_pose_or_goal_nothing_is_sent() -> None:
@@ -394,3 +409,110 @@ def test_command_that_fails_in_every_attempt_leaves_the_one_in_force_and_never_r
     strategy.error, controller.enabled = None, True
     controller.observe(time + PERIOD, START)
     assert sample(controller, time + PERIOD) is Mode.TRACKING
+
+
+EFFORT = 20_000
+GIVEN = ControllerSettings(learning=False, momentum=False, planning_effort=EFFORT)
+"""Settings with an estimator that does not estimate: the drift is given to it."""
+TILTED = make_state(np.zeros(2), rotation.exponential(np.array([0.15, 0.0, 0.0])))
+SLOPE = slope_torque(ROBOT, np.radians(0.5), 0.3)
+
+
+def give(monkeypatch: pytest.MonkeyPatch, drift: Drift) -> None:
+    """Let every estimate have the given drift."""
+    estimate = ExactPoseEstimator.estimate
+
+    def with_drift(estimator: ExactPoseEstimator, time: float) -> Estimate | None:
+        found = estimate(estimator, time)
+        return None if found is None else replace(found, drift=drift)
+
+    monkeypatch.setattr(ExactPoseEstimator, "estimate", with_drift)
+
+
+def decided(controller: Controller, time: float, state: Vector) -> Decision:
+    controller.observe(time, state)
+    return controller.decide(time)
+
+
+def test_decision_has_the_drift_and_what_is_given_up_of_the_goal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drift = Drift(np.array([0.0, 30.0, 0.0]), SLOPE)
+    give(monkeypatch, drift)
+    controller = Controller(GIVEN, ROBOT)
+    controller.set_goal(ORIGIN)
+    held = decided(controller, 0.0, ORIGIN)
+    assert held.drift is drift and held.plan.given_up == ""
+    controller.set_goal(TILTED)
+    turned = decided(controller, GIVEN.period, ORIGIN)
+    assert turned.mode is Mode.TRACKING
+    assert turned.plan.given_up.startswith("orientation by ")
+    # The error is that of the goal that was given, not of the nearest one.
+    assert turned.angle_error == pytest.approx(0.15, rel=1e-9)
+
+
+def test_momentum_that_cannot_be_held_is_a_mode_of_its_own(monkeypatch) -> None:
+    give(monkeypatch, Drift(np.array([40.0, -150.0, 0.0])))
+    controller = Controller(GIVEN, ROBOT)
+    controller.set_goal(ORIGIN)
+    decision = decided(controller, 0.0, ORIGIN)
+    assert decision.mode is Mode.SATURATED and decision.solved
+    assert decision.plan.status is PlanStatus.SATURATED
+    assert decision.plan.given_up == SATURATED
+    hold = within_limits(controller.commit(decision, 0.0))
+    # From 0 to 100 rad/s at 400 rad/s^2, and then for a second.
+    for time in (0.25, 1.25):
+        np.testing.assert_allclose(hold.at(time), [40.0, -ROBOT.max_rotor_speed], rtol=1e-12)
+
+
+def test_failed_plan_leaves_the_rotors_holding_the_momentum_for_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drift = Drift(np.array([20.0, 30.0, 0.0]), SLOPE)
+    give(monkeypatch, drift)
+    controller = Controller(GIVEN, ROBOT)
+    controller.set_goal(ORIGIN)
+    first = decided(controller, 0.0, ORIGIN)
+    assert first.plan.status in (PlanStatus.HOLDING, PlanStatus.SOLVED)
+    hold = within_limits(controller.commit(first, 0.0))
+    # Up to the ramp to zero, which takes at most a fifth of a second.
+    held = drift.after_slope(hold.end - 0.3)
+    speeds = float(np.linalg.norm(hold.at(hold.end - 0.3)))
+    assert speeds == pytest.approx(float(np.linalg.norm(held.momentum)), rel=0.02)
+
+    def fail(*arguments: object) -> None:
+        raise ArithmeticError("made to fail")
+
+    monkeypatch.setattr(
+        "sphere_nmpc.strategy.time_optimal.strategy.TimeOptimalStrategy.plan", fail
+    )
+    for late in (0.0, 0.07):
+        decision = decided(controller, GIVEN.period + late, ORIGIN)
+        assert decision.mode is Mode.FALLBACK and decision.drift is drift
+        kept = within_limits(controller.commit(decision, GIVEN.period + late))
+        for time in np.linspace(GIVEN.period + late, hold.end, 9):
+            # Rounding of speeds of up to 100 rad/s.
+            np.testing.assert_allclose(kept.at(time), hold.at(time), atol=1e-9)
+
+
+def test_estimated_slope_saturates_the_rotors_and_is_reported() -> None:
+    world = DisturbanceSettings(slope=float(np.radians(1.0)), slope_direction=0.5)
+    simulator = Simulator(
+        SimulatorSettings(initial_state=tuple(ORIGIN)), ROBOT, RollingPlant(ROBOT, ORIGIN, world)
+    )
+    controller = Controller(ControllerSettings(planning_effort=EFFORT), ROBOT)
+    found = run_closed_loop(simulator, controller, ORIGIN, 6.5, GIVEN.period)
+    assert controller.failures == 0
+    for hold in found.holds:
+        within_limits(hold)
+    expected = slope_torque(ROBOT, world.slope, world.slope_direction)
+    np.testing.assert_allclose(found.decisions[-1].drift.slope, expected, atol=0.3)
+    # One rotor takes cos 0.5 of 24.4 rad/s^2: it is full after 4.7 s.
+    modes = [decision.mode for decision in found.decisions]
+    first = modes.index(Mode.SATURATED) * GIVEN.period
+    assert 4.5 <= first <= 5.5
+    assert set(modes[modes.index(Mode.SATURATED) :]) == {Mode.SATURATED}
+    assert np.max(np.abs(found.speeds)) == ROBOT.max_rotor_speed
+    # At rest on the goal for the second before.
+    away = np.linalg.norm(found.states[360:460] - ORIGIN, axis=1)
+    assert np.max(away) < 1e-2

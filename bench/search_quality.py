@@ -20,8 +20,7 @@ from node_runs import machine, write_json
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.registry import make_strategy
+from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.best_known import best_known_times
 from sphere_sim.study.motion import Motion

@@ -7,12 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.control.arrival import Arrival
-from sphere_nmpc.control.commands import REACH, Commands
 from sphere_nmpc.control.decision import Decision, Mode
-from sphere_nmpc.control.pose_step import impossible_step
-from sphere_nmpc.control.progress import Progress
-from sphere_nmpc.control.rotor_feedback import RotorFeedback
+from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
+from sphere_nmpc.control.monitors import ArrivalDetector, Progress, impossible_step
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate, Estimator
 from sphere_nmpc.estimation.estimators import make_estimator
@@ -22,9 +19,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector, as_state
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy
+from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.registry import make_strategy
 from sphere_nmpc.worker.contract import Worker
 
 _OVERSPEED = 2.0
@@ -63,16 +59,11 @@ class Controller:
         self._searching: SearchingStrategy | None = None
         self._strategy = strategy or self._make_strategy()
         self._commands = Commands(robot)
-        self.rotor_feedback = RotorFeedback(
-            self._commands.sent, robot.max_rotor_acceleration
-        )
+        self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
         """What measured rotor speeds tell about the commands on their way."""
-        self._estimator = make_estimator(
-            settings, robot.lumped, self._commands.sent, worker,
-            acceleration=robot.max_rotor_acceleration,
-        )
+        self._estimator = self._make_estimator(None)
         self._goal: Vector | None = None
-        self._arrival = Arrival()
+        self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
         self._interrupted = False
         """Whether no pose was fresh enough at the last sampling instant with a pose."""
@@ -125,7 +116,7 @@ class Controller:
         if self._goal is not None and np.array_equal(wanted, self._goal):
             return False
         self._goal = wanted
-        self._arrival = Arrival()
+        self._arrival = ArrivalDetector()
         self._progress.reset()
         if self._searching is None:
             self._reset_strategy()
@@ -143,10 +134,7 @@ class Controller:
             self._strategy.change(settings)
         else:
             self._strategy = self._make_strategy()
-        self._estimator = make_estimator(
-            settings, self._robot.lumped, self._commands.sent, self._worker, self._estimator,
-            self._robot.max_rotor_acceleration,
-        )
+        self._estimator = self._make_estimator(self._estimator)
 
     def observe(self, time: float, state: Vector) -> bool:
         """Take a measured state, shape (6,), of control time `time` [s]; False if it is outdated.
@@ -182,16 +170,12 @@ class Controller:
             # All commands have ended; a prediction over hours would take seconds.
             self._estimator.forget()
         elif newest is not None and time > newest[0]:
-            step = impossible_step(
-                newest[1], state, time - newest[0], self._robot, self._settings
-            )
+            step = impossible_step(newest[1], state, time - newest[0], self._robot, self._settings)
             if step:
                 self.pose_jumps += 1
                 self.last_jump = step
                 self._is_carried = True
-                self._arrival.reset()
-                self._progress.reset()
-                self._reset_strategy()
+                self._begin_anew()
         if self._is_carried:
             self._estimator.forget()
 
@@ -212,11 +196,9 @@ class Controller:
     def forget(self) -> None:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""
         self._estimator.forget()
-        self._arrival.reset()
-        self._progress.reset()
         self._commands.sent.clear()
         self.rotor_feedback.reset()
-        self._reset_strategy()
+        self._begin_anew()
 
     def speeds_at(self, time: float) -> Vector:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
@@ -268,9 +250,7 @@ class Controller:
             self._record(error)
             return None
 
-    def _send(
-        self, decision: Decision, hold: FirstOrderHold, now: float
-    ) -> FirstOrderHold | None:
+    def _send(self, decision: Decision, hold: FirstOrderHold, now: float) -> FirstOrderHold | None:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
@@ -285,10 +265,7 @@ class Controller:
     def _decide(self, time: float, time_budget: float) -> Decision:
         newest = self._estimator.newest
         if newest is None:
-            mode = Mode.NO_POSE
-            return Decision(
-                mode, self._ramp_to_rest(time, mode), None, drift=self._estimator.drift
-            )
+            return self._without_pose(time, Mode.NO_POSE, float("inf"))
         stamp, state = newest
         age = time - stamp
         if abs(age) > self._settings.pose_timeout:
@@ -298,15 +275,9 @@ class Controller:
             if not self._interrupted:
                 # Once: a strategy may take as long to reset as to set up.
                 self._interrupted = True
-                self._reset_strategy()
-                self._arrival.reset()
-                self._progress.reset()
+                self._begin_anew()
                 self.rotor_feedback.resume()
-            mode = Mode.NO_FRESH_POSE
-            return Decision(
-                mode, self._ramp_to_rest(time, mode), None, pose_age=age,
-                drift=self._estimator.drift,
-            )
+            return self._without_pose(time, Mode.NO_FRESH_POSE, age)
         self._interrupted = False
         self._is_carried = self._is_carried and self._commands.sent.moves_after(time)
         if self._is_carried:
@@ -325,7 +296,7 @@ class Controller:
             mode, plan = self._plan(time, estimate, goal, time_budget)
         covariance = None if estimate is None else estimate.covariance
         drift = NO_DRIFT if estimate is None else estimate.drift
-        decision = Decision.with_error(mode, plan, state, goal, age, covariance, drift)
+        decision = Decision(mode, plan, state, goal, age, covariance, drift)
         settings = self._settings
         reached = self._arrival.update(
             time, decision.error, settings.goal_tolerance, settings.period
@@ -340,6 +311,10 @@ class Controller:
         if not missing:
             return decision
         return replace(decision, mode=Mode.NO_PROGRESS, no_progress=missing)
+
+    def _without_pose(self, time: float, mode: Mode, age: float) -> Decision:
+        ramp, drift = self._ramp_to_rest(time, mode), self._estimator.drift
+        return Decision(mode, ramp, None, pose_age=age, drift=drift)
 
     def _estimate(self, time: float) -> tuple[Estimate | None, Exception]:
         """Return the estimate for `time` [s]; where it fails None and the reason."""
@@ -401,6 +376,18 @@ class Controller:
             # Nothing that it kept is needed after a reset: a new one takes its place.
             self._record(error)
             self._strategy = self._make_strategy()
+
+    def _begin_anew(self) -> None:
+        """Forget the plan and where the sphere was, as the poses until now lead nowhere."""
+        self._arrival.reset()
+        self._progress.reset()
+        self._reset_strategy()
+
+    def _make_estimator(self, last: Estimator | None) -> Estimator:
+        return make_estimator(
+            self._settings, self._robot.lumped, self._commands.sent, self._worker, last,
+            self._robot.max_rotor_acceleration,
+        )
 
     def _make_strategy(self) -> Strategy:
         """Return a new strategy that searches beside the loop if it can, and there is a worker."""

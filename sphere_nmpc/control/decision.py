@@ -5,6 +5,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,7 @@ class Mode(Enum):
 
 _SOLVED = (Mode.TRACKING, Mode.AT_GOAL, Mode.NO_PROGRESS, Mode.SATURATED)
 
+
 @dataclass(frozen=True, eq=False)
 class Decision:
     """Result of a sampling instant.
@@ -47,8 +49,6 @@ class Decision:
         State estimated for the sampling instant; None without a fresh pose.
     goal : ndarray of shape (6,), or None
         Goal in force.
-    error : float
-        Distance of the state to the goal in R^6; nan if unknown.
     pose_age : float
         Age of the newest pose [s], negative for one from the future; inf without one.
     covariance : ndarray of shape (5, 5), or None
@@ -64,26 +64,15 @@ class Decision:
     plan: Plan
     state: Vector | None
     goal: Vector | None = None
-    error: float = float("nan")
     pose_age: float = float("inf")
     covariance: Vector | None = None
     drift: Drift = NO_DRIFT
     no_progress: str = ""
 
-    @classmethod
-    def with_error(
-        cls,
-        mode: Mode,
-        plan: Plan,
-        state: Vector,
-        goal: Vector | None,
-        pose_age: float,
-        covariance: Vector | None,
-        drift: Drift,
-    ) -> "Decision":
-        """Return the decision with the error of the state, nan where there is no goal."""
-        error = float("nan") if goal is None else state_error(state, goal)
-        return cls(mode, plan, state, goal, error, pose_age, covariance, drift)
+    @cached_property
+    def error(self) -> float:
+        """Distance of the state to the goal in R^6; nan if unknown."""
+        return self._distance(state_error)
 
     @property
     def position_error(self) -> float:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+from sphere_nmpc.model.state import Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +79,9 @@ class Sample:
 
     @property
     def is_usable(self) -> bool:
-        """Whether every number is finite and every array of its shape."""
-        shapes = (self.state.shape, self.goal.shape, self.next_input.shape)
-        numbers = (self.time, self.value, self.input_weight, self.terminal_weight, self.max_speed)
-        return shapes == ((STATE_SIZE,), (STATE_SIZE,), (INPUT_SIZE,)) and all(
-            bool(np.all(np.isfinite(n)))
-            for n in (*numbers, self.state, self.goal, self.next_input)
-        )
+        """Whether every number is finite."""
+        numbers = (self.time, self.value, *self.state, *self.goal, *self.next_input)
+        return all(math.isfinite(number) for number in numbers)
 
 
 @dataclass(frozen=True)
@@ -96,41 +92,30 @@ class StabilityReport:
     ----------
     time : float
         Control time of the newest sample [s].
-    value : float
-        V* there; nan where the solve failed.
     value_change : float
         V*(k+1) - V*(k); nan for the first sample at a goal.
     allowed_change : float
         -l(x(k), u(k+1)), the largest change that Eq. (42) allows; nan likewise.
-    delta : float
-        |x(k+1) - x_d|^2 - |x(k) - x_d|^2, for the input that was sent; nan likewise.
     inside : bool
         Whether the newest state is in the neighbourhood D of Remark 5.
-    decreases : bool or None
-        Whether Eq. (42) held; None if undefined.
     judged : int
         Transitions assessed since the start: those that began outside D.
     violations : int
         Number of these that violated Eq. (42).
     not_nearer : int
-        Number of these with Delta >= 0, which violates nothing.
+        Number of these with |x(k+1) - x_d| >= |x(k) - x_d|, which violates nothing.
     """
 
     time: float
-    value: float
     value_change: float
     allowed_change: float
-    delta: float
     inside: bool
-    decreases: bool | None
     judged: int
     violations: int
     not_nearer: int
 
 
-def neighbourhood_radius(
-    input_weight: float, terminal_weight: float, max_speed: float
-) -> float:
+def neighbourhood_radius(input_weight: float, terminal_weight: float, max_speed: float) -> float:
     """Return the radius of D [mixed units]: inside, no input satisfies Eq. (36)."""
     if terminal_weight <= 1.0:
         return math.inf
@@ -144,10 +129,6 @@ class StabilityMonitor:
     """
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Discard the last sample and all counts."""
         self._last: Sample | None = None
         self._judged = 0
         self._violations = 0
@@ -156,24 +137,18 @@ class StabilityMonitor:
     def update(self, sample: Sample) -> StabilityReport:
         """Take the newest sample and report on the transition that led to it."""
         last, self._last = self._last, sample if sample.is_usable else None
-        change = allowed = delta = float("nan")
-        decreases = None
+        change = allowed = float("nan")
         if last is not None and self._last is not None and _comparable(last, sample):
-            delta = sample.square_error - last.square_error
             change, allowed = sample.value - last.value, -last.stage_cost
-            decreases = change <= allowed
             if not last.inside:
                 self._judged += 1
-                self._violations += int(not decreases)
-                self._not_nearer += int(delta >= 0.0)
+                self._violations += int(change > allowed)
+                self._not_nearer += int(sample.square_error >= last.square_error)
         return StabilityReport(
             time=sample.time,
-            value=sample.value,
             value_change=change,
             allowed_change=allowed,
-            delta=delta,
             inside=sample.is_usable and sample.inside,
-            decreases=decreases,
             judged=self._judged,
             violations=self._violations,
             not_nearer=self._not_nearer,

@@ -1,14 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Contract between a strategy and the control loop."""
+"""Contract between a strategy and the control loop, and strategies by name."""
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
-from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.worker.contract import Worker
 
@@ -58,24 +59,16 @@ class Strategy(Protocol):
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan from `situation.time` on; if it raises, the loop uses its fall-back."""
-        ...
 
     def change(self, settings: ControllerSettings) -> None:
         """Use other settings from the next plan on; the plan and the warm starts are kept.
 
         Called between two plans when a parameter changes while the controller runs, never with
         another strategy name or sample period: for those a new strategy is made.
-
-        Parameters
-        ----------
-        settings : ControllerSettings
-            All settings, changed or not.
         """
-        ...
 
     def reset(self) -> None:
         """Forget warm starts and plans, as after a new goal: the strategy then acts like new."""
-        ...
 
 
 @runtime_checkable
@@ -84,13 +77,20 @@ class SearchingStrategy(Protocol):
 
     def search_beside(self, worker: Worker) -> None:
         """Search by a worker from now on; a new goal then needs no `Strategy.reset`."""
-        ...
 
     @property
     def searches(self) -> bool:
         """Whether the robot waits for a plan that is being searched for."""
-        ...
 
     def is_due(self, now: float) -> bool:
         """Return whether a search has ended whose plan begins at `now` [s] or before."""
-        ...
+
+
+def make_strategy(settings: ControllerSettings, robot: RobotParameters) -> Strategy:
+    """Return a new strategy of the kind that is named in `settings`, which has checked the name.
+
+    `robot` has the parameters of the robot and the limits of its drives.
+    """
+    module, _, name = STRATEGIES[settings.strategy].path.partition(":")
+    strategy: Strategy = getattr(import_module(module), name)(settings, robot)
+    return strategy

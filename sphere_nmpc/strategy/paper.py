@@ -4,14 +4,21 @@
 
 Stage cost ||x - x_d||^2 + alpha ||u||^2, terminal cost beta ||x - x_d||^2 (Eq. 34) on the raw
 difference of quaternions, warm start shifted by one knot with zero as its last knot (step 6).
+
 Step 1 leaves the initial guess open. It is rest, and where that leads to a stationary point short
-of the goal, loops of the rotor speeds (`sphere_nmpc.strategy.stationary_point`).
+of the goal, loops of the rotor speeds. From upright rest with the goal straight ahead, or with a
+wrong heading alone, the gradient has no component across the plane of symmetry: a descent from
+rest stays in that plane and converges to a saddle point of the cost. So where the horizon has
+moved on by a sample period and its end is no nearer to the goal, the problem is solved from
+guesses without that symmetry, too.
 
 Between two knots the same problem is solved with its first interval shortened, so that a higher
 control rate corrects a disturbance earlier. At the paper's rate this never happens.
 
 The model is the paper's, without momentum.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,19 +27,105 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
-from sphere_nmpc.strategy.both_signs import SignedSolutions
+from sphere_nmpc.solver.problem import (
+    HoldProblem,
+    HoldSolution,
+    SolverSettings,
+    SolveStatus,
+)
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.stationary_point import (
-    NO_PROGRESS,
-    SETTLED_COST,
-    Descent,
-    loops,
-)
 
+SETTLED_COST = 1e-4
+"""Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled."""
+_LEAST_DECREASE = 1e-3
+"""Relative decrease of the cost in a sample period below which the point counts as stationary. A
+goal straight ahead exceeds it up to 700 m away; a wrong value only costs or saves a few solves."""
+_AMPLITUDE = 0.3
+"""Amplitude of the guesses [of the speed limit]. From stationary points of all kinds, guesses of
+0.3 and 0.7 and random ones led to the same least costs."""
+NO_PROGRESS = "stationary point: no initial guess leads nearer to the goal"
+"""What a plan says that none of the guesses has improved."""
 _SHORTEST_INTERVAL = 1e-6
 """Time to a knot [s] below which it counts as passed."""
+
+
+@dataclass(frozen=True, eq=False)
+class SignedSolutions:
+    """Solutions for one or both signs of the goal's quaternion.
+
+    Attributes
+    ----------
+    solution : HoldSolution
+        The one to follow.
+    other : HoldSolution or None
+        That for the other sign; None where it was not solved for.
+    followed : int
+        Sign that is followed: 0 for the quaternion as given, 1 for its negative.
+    """
+
+    solution: HoldSolution
+    other: HoldSolution | None
+    followed: int
+
+    @property
+    def solve_time(self) -> float:
+        """Wall time of all solves [s]."""
+        return self.solution.solve_time + (self.other.solve_time if self.other else 0.0)
+
+    def inputs_for(self, sign: int) -> Vector:
+        """Return the knots for the warm start of a sign, shape (N + 1, 2) [rad/s]."""
+        found = self.solution if sign == self.followed else self.other
+        return (found or self.solution).inputs
+
+
+def loops(problem: HoldProblem) -> list[Vector]:
+    """Return initial guesses in which the rotor speeds run through a loop, a quarter a knot.
+
+    The loops have both directions and start along either rotor's axis, in either sense: none is
+    its own mirror image, and the bracket of the two inputs turns the sphere about its third axis.
+
+    Returns
+    -------
+    list of ndarray, shape (N, 2) [rad/s]
+    """
+    quarters = 0.5 * np.pi * np.arange(1, problem.intervals + 1)
+    guesses = []
+    for begin in (0.25 * np.pi, 1.25 * np.pi):
+        for direction in (1.0, -1.0):
+            angles = begin + direction * quarters
+            loop = np.column_stack((np.cos(angles), np.sin(angles)))
+            guesses.append(problem.input_reference + _AMPLITUDE * problem.input_scale * loop)
+    return guesses
+
+
+class Descent:
+    """Decrease of the cost from one sample period to the next.
+
+    Up to `settled_cost` [squared error] a plan counts as reaching the goal.
+    """
+
+    def __init__(self, settled_cost: float) -> None:
+        self._settled_cost = settled_cost
+        self._horizon_end = -np.inf
+        self._last_cost = np.inf
+
+    def has_ended(self, horizon_end: float, solution: HoldSolution) -> bool:
+        """Record a solution and return whether it is a stationary point short of the goal.
+
+        Parameters
+        ----------
+        horizon_end : float
+            End of the horizon [s]; between two knots it stays, and so does the cost.
+        solution : HoldSolution
+            Solution from the warm start, which is itself stationary where it took no iteration.
+        """
+        if horizon_end <= self._horizon_end:
+            return False
+        last, cost = self._last_cost, solution.cost
+        self._horizon_end, self._last_cost = horizon_end, cost
+        stationary = solution.iterations == 0 or not cost < (1.0 - _LEAST_DECREASE) * last
+        return stationary and cost > self._settled_cost
 
 
 class PaperStrategy:
@@ -128,7 +221,7 @@ class PaperStrategy:
         time_budget: float,
     ) -> SignedSolutions:
         """Solve for the goal's quaternion as it is given."""
-        return SignedSolutions((self._solver.solve(problem, starts[0], time_budget), None), 0)
+        return SignedSolutions(self._solver.solve(problem, starts[0], time_budget), None, 0)
 
     def _knot_times(self, now: float) -> Vector:
         period = self._settings.period

@@ -2,10 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's problem, solved so that its plans are carried out.
 
-Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`. The differences are in
-`sphere_nmpc.strategy.both_signs`: both quaternion signs of the goal, and a minimisation that does
-not change a plan which is about to reach the goal. A sample takes tens of microseconds: this is
-the strategy for high control rates and small processors.
+Horizon, weights and cost are those of `sphere_nmpc.strategy.paper`. The differences are both
+quaternion signs of the goal, and a minimisation that does not change a plan which is about to
+reach the goal. A sample takes tens of microseconds: this is the strategy for high control rates
+and small processors.
+
+Aiming at the nearer one of q and -q may switch between them with each new state and make no
+progress. Here each sign has a warm start of its own, and the sign whose solution costs less is
+followed. While the followed plan is about to reach the goal the other sign is not solved for: it
+can be better by no more than the cost that is left.
 
 With momentum the model and the end are those of a sphere that has it: the goal is the nearest one
 that the rotors can hold, and inputs are weighed by their difference from the speeds of rest there.
@@ -14,19 +19,34 @@ that the rotors can hold, and inputs are weighed by their difference from the sp
 from dataclasses import replace
 
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, flipped_sign
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.problem import HoldProblem
-from sphere_nmpc.strategy.both_signs import (
-    SignedSolutions,
-    plan_keeping_solvers,
-    solve_both_signs,
-)
+from sphere_nmpc.solver.hold_solver import HoldSolver
+from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.holdable_goal import given_up_angle, holdable_goal
-from sphere_nmpc.strategy.paper import PaperStrategy
+from sphere_nmpc.strategy.paper import SETTLED_COST, PaperStrategy, SignedSolutions
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import SATURATED, is_saturated, speeds_of_rest
+from sphere_nmpc.strategy.rest import (
+    SATURATED,
+    given_up_angle,
+    holdable_goal,
+    is_saturated,
+    speeds_of_rest,
+)
+
+PLAN_KEEPING = SolverSettings(max_iterations=30, decrease_floor=5e-6, initial_damping=0.02)
+"""Settings for a receding horizon that carries out its plans.
+
+Where only the terminal cost of a short horizon counts, exact minimisation finds another plan at
+every sample: one with smaller inputs that reaches the goal later. An initial damping above the
+curvature of the input cost (twice its weight) and below that of the terminal cost changes the warm
+start only where this reduces the terminal error, and `decrease_floor` stops the iteration once the
+error is small. Over 300 drawn scenarios the median settling time is 7.5 s, with exact minimisation
+13 s, in a sixth of the iterations; measurement noise has less effect, too. The local minimum that
+is found is sensitive: a disturbance of 1e-5 changes the settling time of a case by up to 1.5 s.
+"""
+OTHER_SIGN_ITERATIONS = 10
+"""Cap on the iterations for the sign that is not followed; it converges over several samples."""
 
 
 class PlanKeepingStrategy(PaperStrategy):
@@ -65,3 +85,57 @@ class PlanKeepingStrategy(PaperStrategy):
     ) -> SignedSolutions:
         """Solve for both signs of the goal's quaternion."""
         return solve_both_signs(self._solvers, problem, starts, followed, time_budget)
+
+
+def plan_keeping_solvers(
+    max_iterations: int = PLAN_KEEPING.max_iterations,
+) -> tuple[HoldSolver, HoldSolver]:
+    """Return the solvers for the followed sign and for the other one.
+
+    Parameters
+    ----------
+    max_iterations : int, optional
+        Further cap on the iterations of both.
+    """
+    caps = (PLAN_KEEPING.max_iterations, OTHER_SIGN_ITERATIONS)
+    followed, other = (
+        HoldSolver(replace(PLAN_KEEPING, max_iterations=min(max_iterations, cap))) for cap in caps
+    )
+    return followed, other
+
+
+def solve_both_signs(
+    solvers: tuple[HoldSolver, HoldSolver],
+    problem: HoldProblem,
+    starts: tuple[Vector, Vector],
+    followed: int,
+    time_budget: float = float("inf"),
+) -> SignedSolutions:
+    """Solve for the followed sign and, unless that plan reaches the goal, for the other one.
+
+    Parameters
+    ----------
+    solvers : tuple of HoldSolver
+        For the followed sign and for the other; see `plan_keeping_solvers`.
+    problem : HoldProblem
+        With the goal's quaternion as given.
+    starts : tuple of ndarray, shape (N, 2) each
+        Warm start for the goal as given and for its negative [rad/s].
+    followed : int
+        Sign that was followed until now, 0 or 1.
+    time_budget : float, optional
+        Wall time of each of the two solves [s].
+    """
+    solution = solvers[0].solve(_signed(problem, followed), starts[followed], time_budget)
+    if solution.cost <= SETTLED_COST:
+        return SignedSolutions(solution, None, followed)
+    other = 1 - followed
+    second = solvers[1].solve(_signed(problem, other), starts[other], time_budget)
+    # Written so that a cost that is not a number is never followed.
+    if second.cost < solution.cost or not solution.cost < float("inf"):
+        return SignedSolutions(second, solution, other)
+    return SignedSolutions(solution, second, followed)
+
+
+def _signed(problem: HoldProblem, sign: int) -> HoldProblem:
+    return problem.aimed_at(flipped_sign(problem.goal)) if sign else problem

@@ -1,27 +1,45 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that stop the rotors, or keep the sphere at rest with momentum."""
+"""Rest with momentum: commands that hold it, and the nearest goal at which they can.
+
+The rotors hold what is perpendicular to the body's z axis. Momentum that comes from pushes, slopes
+and imbalance is horizontal, so every upright goal can be held; at another one the component along
+that axis would turn the sphere. At rest on a slope or out of balance the momentum grows, so that
+its rate must be perpendicular to the axis, too.
+"""
 
 import numpy as np
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
 _SPACING = 0.25
 """Spacing of the knots along which a command follows the momentum [s]; on a slope the speeds of
 rest change linearly, and an imbalance turns with the sphere, which rests."""
+MOMENTUM_TOLERANCE = 0.05
+"""Component along the body's z axis [rad/s] that is left: it turns the sphere by 1e-2 in some
+seconds."""
+TORQUE_TOLERANCE = 0.05
+"""The same of the momentum's rate [rad/s^2]."""
+_LEAST_TOLD = 1e-2
+"""Change of the orientation [rad] that is told; one below it is half the error at which a goal
+counts as reached."""
+_ITERATIONS = 20
+_STEP = 1e-6
+"""Step of the difference quotients [rad]."""
+_LARGEST_TURN = 0.5
+"""Largest change of an iteration [rad]."""
 
 
 def speeds_of_rest(drift: Drift, quaternion: Vector, max_speed: float) -> Vector:
     """Return the speeds that hold the momentum, clipped to the limit [rad/s], shape (2,)."""
     if drift.is_zero:
         return np.zeros(INPUT_SIZE)
-    held: Vector = np.minimum(
-        np.maximum(drift.rest_speeds(quaternion), -max_speed), max_speed
-    )
+    held: Vector = np.minimum(np.maximum(drift.rest_speeds(quaternion), -max_speed), max_speed)
     return held
 
 
@@ -61,16 +79,80 @@ def hold_momentum(
 def ramp_to(
     time: float, speeds: Vector, target: Vector, max_acceleration: float
 ) -> FirstOrderHold:
-    """Return the ramp between two rotor speeds, which both rotors end at the same time.
+    """Return the ramp from rotor `speeds` at `time` to `target`, both of shape (2,) [rad/s].
 
-    Parameters
-    ----------
-    time : float
-        Start of the ramp [s].
-    speeds, target : ndarray, shape (2,)
-        Rotor speeds at its start and end [rad/s].
-    max_acceleration : float
-        Largest rotor acceleration [rad/s^2].
+    Both rotors end it at the same time.
     """
     ramp = FirstOrderHold.ramp_to_rest(time, speeds - target, max_acceleration)
     return FirstOrderHold(ramp.times, ramp.speeds + target)
+
+
+def holdable_goal(goal: Vector, drift: Drift, margin: float = 0.0) -> Vector:
+    """Return the goal, shape (6,), with the nearest orientation that can be held.
+
+    Parameters
+    ----------
+    goal : ndarray, shape (6,)
+        Goal; its position can always be held.
+    drift : Drift
+        Drift at the arrival.
+    margin : float, optional
+        What is added to both tolerances [rad/s, rad/s^2], for the error of an estimated drift.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        The goal itself where it can be held, else a new array.
+    """
+    q = goal[QUATERNION]
+    found = _excess(q, drift, margin)
+    if not found.any():
+        return goal
+    violated = found != 0.0
+    for _ in range(_ITERATIONS):
+        # A condition that has been violated once is kept from then on: corrected one at a time,
+        # in turn, two that are nearly parallel would take hundreds of iterations.
+        violated |= found != 0.0
+        here = _components(q, drift)
+        jacobian = violated[:, None] * np.column_stack(
+            [(_components(_turned(q, step), drift) - here) / _STEP for step in _STEP * np.eye(3)]
+        )
+        turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
+        angle = float(np.linalg.norm(turn))
+        q = _turned(q, turn * min(1.0, _LARGEST_TURN / max(angle, _STEP)))
+        found = _excess(q, drift, margin)
+        if not found.any():
+            break
+    held: Vector = goal.copy()
+    held[QUATERNION] = q
+    return held
+
+
+def given_up_angle(angle: float) -> str:
+    """Return what is given up by a change of the goal's orientation [rad], empty if little."""
+    if angle < _LEAST_TOLD:
+        return ""
+    return f"orientation by {np.degrees(angle):.1f} deg: the rotors cannot hold the momentum there"
+
+
+def _components(q: Vector, drift: Drift) -> Vector:
+    """Return the shares of h and dh/dt along the body's z axis, shape (2,)."""
+    axis = rotation.matrix(q)[:, 2]
+    vectors = (drift.momentum, drift.torque_at_rest(q))
+    return np.array([float(axis @ v) / max(float(np.linalg.norm(v)), 1e-12) for v in vectors])
+
+
+def _excess(q: Vector, drift: Drift, margin: float) -> Vector:
+    """Return what the shares of h and dh/dt exceed their tolerances by, shape (2,)."""
+    lengths = [float(np.linalg.norm(v)) for v in (drift.momentum, drift.torque_at_rest(q))]
+    tolerances = margin + np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
+    allowed = tolerances / np.maximum(lengths, 1e-12)
+    along = _components(q, drift)
+    excess: Vector = np.copysign(np.maximum(0.0, np.abs(along) - allowed), along)
+    return excess
+
+
+def _turned(q: Vector, turn: Vector) -> Vector:
+    turned = rotation.product(q, rotation.exponential(turn))
+    normalised: Vector = turned / np.linalg.norm(turned)
+    return normalised

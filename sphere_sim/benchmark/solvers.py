@@ -7,7 +7,7 @@ import numpy as np
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
-from sphere_nmpc.strategy.both_signs import plan_keeping_solvers, solve_both_signs
+from sphere_nmpc.strategy.plan_keeping import plan_keeping_solvers, solve_both_signs
 from sphere_sim.benchmark.nlp_solvers import DoMpc, GeneratedSqp, Slsqp, ipopt, ipopt_compiled
 from sphere_sim.benchmark.numpy_slsqp import NumpySlsqp
 from sphere_sim.benchmark.problem import HORIZON, Answer, Maker, paper_problem, shifted

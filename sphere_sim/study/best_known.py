@@ -24,9 +24,7 @@ from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, DistantSearch, KnotGrid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index, state_errors

@@ -11,7 +11,7 @@ from ablation import DEFAULT, Run, Variant, main, measured, variants
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.registry import make_strategy
+from sphere_nmpc.strategy.contract import make_strategy
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 

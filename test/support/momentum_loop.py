@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sphere_nmpc.control.commands import Commands
+from sphere_nmpc.control.link import Commands
 from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.strategy.contract import Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.registry import make_strategy
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -25,16 +24,7 @@ _STEPS = 10
 
 @dataclass
 class MomentumLoop:
-    """A strategy and a plant; the commands are joined as those of the controller.
-
-    Attributes
-    ----------
-    goal, start : ndarray, shape (6,)
-    world : DisturbanceSettings
-        Slope and offset of the plant.
-    name : str
-        Name of the strategy.
-    """
+    """A strategy and a plant in a `world`; commands are joined as those of the controller."""
 
     start: Vector
     goal: Vector

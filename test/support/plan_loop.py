@@ -8,8 +8,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.registry import make_strategy
+from sphere_nmpc.strategy.contract import Situation, make_strategy
 
 _PIECES = 8
 """Instants of a sample period at which the error is evaluated."""

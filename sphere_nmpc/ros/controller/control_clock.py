@@ -9,7 +9,7 @@ from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.control.clock_watch import ClockWatch
+from sphere_nmpc.control.timing import ClockWatch
 from sphere_nmpc.ros.conversions import seconds
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.serialised import clock_stamp

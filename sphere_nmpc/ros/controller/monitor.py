@@ -7,8 +7,8 @@ import time
 
 from rclpy.node import Node
 
-from sphere_nmpc.control.missed_samples import MissedSamples
-from sphere_nmpc.control.pose_link import PoseLink
+from sphere_nmpc.control.link import PoseLink
+from sphere_nmpc.control.timing import MissedSamples
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.graph_faults import (
     NO_POSE,

@@ -22,10 +22,15 @@ from rclpy.timer import Timer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from sphere_nmpc.control.clocked_schedule import ClockedSchedule
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.lockstep_schedule import LockstepSchedule
-from sphere_nmpc.control.schedule import Actions, PlanRequest, Schedule, TimedPose
+from sphere_nmpc.control.schedule import (
+    Actions,
+    ClockedSchedule,
+    LockstepSchedule,
+    PlanRequest,
+    Schedule,
+    TimedPose,
+)
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters

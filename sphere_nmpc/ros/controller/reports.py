@@ -18,7 +18,7 @@ from std_msgs.msg import Bool
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision, Mode
-from sphere_nmpc.control.rotor_reserve import rotor_reserve
+from sphere_nmpc.control.monitors import rotor_reserve
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters

@@ -22,19 +22,15 @@ from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
 from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import speeds_of_rest
-from sphere_nmpc.strategy.time_optimal.grid import knot_durations
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
 
 _REGULARISATION = 1e-12
 """Input weight that only keeps the normal equations regular."""
-
 _LEAST_DECREASE = 1e-6
 """Decrease of the cost by an iteration [of the cost] below which a solve stops."""
-
 _CALL_WORK = 60
 """Work of a call apart from its iterations."""
-
 _SOLVES = 3
 """Solves at most until the speeds of rest agree with the momentum at the end."""
 
@@ -123,10 +119,7 @@ class ArrivalSolver:
     """
 
     def __init__(
-        self,
-        robot: RobotParameters,
-        period: float,
-        accuracy: Accuracy,
+        self, robot: RobotParameters, period: float, accuracy: Accuracy,
         settings: TimeOptimalSettings,
     ) -> None:
         self._max_speed = robot.max_rotor_speed
@@ -145,15 +138,10 @@ class ArrivalSolver:
         )
 
     def solve(
-        self,
-        situation: Situation,
-        goal: Vector,
-        duration: float,
-        guess: FirstOrderHold,
-        to_first_knot: float,
-        unaware: bool = False,
+        self, situation: Situation, goal: Vector, duration: float, guess: FirstOrderHold,
+        to_first_knot: float, unaware: bool = False,
     ) -> Arrival:
-        """Find rotor speeds that end at `goal` after `duration`.
+        """Find rotor speeds that end at `goal` after `duration`, or as near as possible.
 
         Parameters
         ----------
@@ -171,11 +159,6 @@ class ArrivalSolver:
             Whether the guess is for a sphere without momentum: what holds the momentum along its
             motion is then added, so that the same motion results but for a turn about the body's
             z axis.
-
-        Returns
-        -------
-        Arrival
-            The best found; its `error` shows whether it reaches the goal.
         """
         durations = knot_durations(
             duration, self._period, to_first_knot, self._settings,
@@ -308,3 +291,35 @@ class ArrivalSolver:
             drift=situation.drift.as_array(),
             momentum_row=self._momentum_row(situation, goal),
         )
+
+
+def knot_durations(
+    duration: float, period: float, to_first_knot: float, settings: TimeOptimalSettings,
+    everywhere: bool = False,
+) -> Vector:
+    """Return interval lengths [s] with knots at the sampling instants and at `duration`.
+
+    The first interval reaches to the next sampling instant; the last is as short as the time of
+    the arrival makes it. A long plan is a manoeuvre, one long interval of steady rolling and
+    another manoeuvre, so that the size of the problem does not grow with the distance.
+
+    Parameters
+    ----------
+    duration : float
+        Time to the arrival [s], positive.
+    period : float
+        Sample period [s].
+    to_first_knot : float
+        Time to the first knot [s].
+    settings : TimeOptimalSettings
+        Shortest interval, length of a manoeuvre.
+    everywhere : bool, optional
+        Whether a long plan has knots during steady rolling, too: with momentum the rotor speeds
+        change there with each turn of the shell.
+    """
+    last = duration - settings.shortest_interval * period
+    instants: Vector = np.arange(to_first_knot, last, period, dtype=np.float64)
+    manoeuvre = settings.manoeuvre_time
+    if duration > 2.0 * manoeuvre + 2.0 * period and not everywhere:
+        instants = instants[(instants <= manoeuvre) | (instants >= duration - manoeuvre)]
+    return np.diff(np.concatenate(([0.0], instants, [duration])))

@@ -115,10 +115,7 @@ class RestAtGoal:
 
 
 def come_to_rest(
-    situation: Situation,
-    robot: RobotParameters,
-    rest_time: float,
-    message: str,
+    situation: Situation, robot: RobotParameters, rest_time: float, message: str,
     status: PlanStatus = PlanStatus.HOLDING,
 ) -> Plan:
     """Return a plan that brings the rotors to the speeds of rest and holds for `rest_time` [s]."""

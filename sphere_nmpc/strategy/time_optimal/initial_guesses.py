@@ -51,12 +51,8 @@ class Guess(NamedTuple):
 
 
 def meeting_guesses(
-    rng: np.random.Generator,
-    situation: Situation,
-    drives: Drives,
-    durations: tuple[float, float],
-    numbers: tuple[int, int],
-    delay: float,
+    rng: np.random.Generator, situation: Situation, drives: Drives,
+    durations: tuple[float, float], numbers: tuple[int, int], delay: float,
     settings: TimeOptimalSettings,
 ) -> tuple[list[Guess], int]:
     """Draw half motions and return pairs that nearly meet, the most promising first.
@@ -154,20 +150,9 @@ def perturbed(
 ) -> FirstOrderHold:
     """Return `hold` with a piecewise linear random perturbation of its speeds.
 
-    Parameters
-    ----------
-    rng : Generator
-        Source of random numbers.
-    hold : FirstOrderHold
-        Rotor speeds from time 0 on [rad/s].
-    amount : float
-        Largest change [of the speed limit].
-    max_speed : float
-        Limit of the rotor speeds [rad/s].
+    The largest change is `amount` of the speed limit `max_speed` [rad/s].
     """
-    intervals = int(rng.integers(*_INTERVALS))
-    times = np.linspace(0.0, hold.end, intervals + 1)
-    change = amount * rng.uniform(-max_speed, max_speed, (intervals + 1, INPUT_SIZE))
-    change[0] = change[-1] = 0.0
-    added = np.column_stack([np.interp(hold.times, times, column) for column in change.T])
+    change = random_hold(rng, hold.end, max_speed)
+    rows = amount * change.speeds.T
+    added = np.column_stack([np.interp(hold.times, change.times, row) for row in rows])
     return FirstOrderHold(hold.times, hold.speeds + added)

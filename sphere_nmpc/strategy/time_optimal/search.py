@@ -68,14 +68,8 @@ class ArrivalSearch:
     """
 
     def __init__(
-        self,
-        robot: RobotParameters,
-        period: float,
-        situation: Situation,
-        to_first_knot: float,
-        seed: int,
-        settings: TimeOptimalSettings,
-        strict: bool = False,
+        self, robot: RobotParameters, period: float, situation: Situation, to_first_knot: float,
+        seed: int, settings: TimeOptimalSettings, strict: bool = False,
     ) -> None:
         def solver(max_iterations: int) -> ArrivalSolver:
             accuracy = Accuracy(max_iterations, settings.coarse_step, settings.coarse_target)

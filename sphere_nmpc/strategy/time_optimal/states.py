@@ -1,16 +1,24 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""States of the strategy `time_optimal`; `strategy.py` has the transitions between them."""
+"""States of the strategy `time_optimal`, and the plan that is followed, solved again.
 
+`strategy.py` has the transitions between the states.
+"""
+
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, STATE_SIZE, Vector
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.searches import earlier_arrival
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +115,109 @@ class Saturated:
 
 
 State = Searching | Following | Holding | Saturated
+
+
+def replan(
+    plan: Following, situation: Situation, dead_band: float, deadline: float,
+    settings: ControllerSettings,
+) -> Following | None:
+    """Solve the rest of the plan again, for the same arrival time or a later one.
+
+    Parameters
+    ----------
+    dead_band : float
+        Error [norm in R^6] within which the sphere rests at the goal.
+    deadline : float
+        Steady clock reading at which to stop [s].
+
+    Returns
+    -------
+    Following or None
+        The rest of the plan, with the effort that an earlier arrival is worth now. None if the
+        plan has ended, or no delay that is tried makes it reach the goal.
+    """
+    tuning, now = plan.planner.tuning, situation.time
+    left = plan.time_left(now)
+    if left < tuning.ended_time:
+        return None
+    rest, plan = plan.rest(now), replace(plan, work=0)
+    if not situation.drift.is_zero:
+        change = situation.drift.momentum - plan.prediction(now)[1].momentum
+        if np.max(np.abs(change)) > tuning.large_change_of_momentum:
+            changed = _after_change(plan, situation, rest, left, deadline)
+            if changed is None:
+                return None
+            return replace(plan, arrival=changed, planned_at=now, work=settings.planning_effort)
+    accepted = tuning.accepted_error(left / settings.period) * dead_band
+    best: Arrival | None = None
+    for delay in tuning.delays:
+        if best is not None and time.perf_counter() > deadline:
+            return replace(plan, arrival=best, planned_at=now)
+        arrival = plan.planner.solve(
+            situation, plan.arrival.goal, tuning.stretched(left, delay), rest, new_plan=False
+        )
+        found = replace(plan, arrival=arrival, planned_at=now)
+        if found.reaches:
+            # After a large delay the robot does not behave as the plan assumed: plan as at first.
+            is_large = delay > tuning.large_delay
+            fruitless = 0 if is_large else plan.fruitless
+            work = settings.planning_effort // (1 if is_large else tuning.improvement_divisor)
+            return replace(found, fruitless=fruitless, work=work)
+        if best is None or arrival.error < 0.5 * best.error:
+            best = arrival
+        if best.error < accepted:
+            # Too few knots are left to correct what noise has done since: a delay gains nothing.
+            return replace(plan, arrival=best, planned_at=now)
+    near_end = left < tuning.last_periods[0] * settings.period
+    if best is None or not near_end or best.error > min(dead_band, tuning.leaving_error):
+        return None
+    # It ends where the sphere rests; a new plan from here would take a second or more.
+    return replace(plan, arrival=best, planned_at=now)
+
+
+def _after_change(
+    plan: Following, situation: Situation, rest: FirstOrderHold, left: float, deadline: float
+) -> Arrival | None:
+    """Return an arrival with a momentum that is not the predicted one; None where none is found.
+
+    Continuation: from the state and the drift that the plan has predicted for now those that are
+    estimated are approached in steps, each solved from the arrival of the one before.
+    """
+    planner, tuning = plan.planner, plan.planner.tuning
+    state, drift = plan.prediction(situation.time)
+    away = error_between(state, situation.state)
+    known, change = drift.as_array(), situation.drift.as_array() - drift.as_array()
+    arrival: Arrival | None = None
+    goal, hold, duration = plan.arrival.goal, rest, left
+    for share in np.linspace(0.0, 1.0, tuning.momentum_steps + 1)[1:]:
+        between = replace(
+            situation, state=apply_error(state, float(share) * away),
+            drift=Drift.from_array(known + float(share) * change),
+        )
+        for delay in tuning.momentum_delays:
+            if time.perf_counter() > deadline:
+                return None
+            arrival = planner.solve(between, goal, delay * duration, hold, new_plan=False)
+            if arrival.error <= tuning.rolling_back_error:
+                break
+        else:
+            return None
+        hold, duration = arrival.hold, arrival.duration
+    return arrival
+
+
+def improved(
+    plan: Following, situation: Situation, deadline: float, settings: ControllerSettings
+) -> Following:
+    """Use the rest of the sample to search for an earlier arrival than that of `replan`."""
+    tuning, tick, period = plan.planner.tuning, settings.control_period, settings.period
+    # At a high control rate it is searched once a sample period, just after a knot.
+    to_knot = plan.planner.grid.to_first_knot(situation.time, new_plan=False)
+    between_knots = tick < period and to_knot < period - 0.5 * tick
+    short = deadline - time.perf_counter() < tuning.least_search_time
+    over = plan.fruitless >= tuning.fruitless_searches or plan.arrival.duration < tuning.fixed_time
+    if over or plan.work == 0 or between_knots or short:
+        return plan
+    found = earlier_arrival(plan.planner, situation, plan.arrival, plan.work, deadline)
+    fruitless = plan.fruitless + 1 if found.found_none else 0
+    return replace(plan, arrival=found.arrival or plan.arrival, fruitless=fruitless)

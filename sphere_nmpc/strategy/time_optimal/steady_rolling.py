@@ -59,19 +59,7 @@ class SteadyRolling:
 def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int]:
     """Return the index of the interval of steady rolling and the whole turns left out of it.
 
-    Parameters
-    ----------
-    durations : ndarray, shape (N,)
-        Interval lengths [s].
-    rolling : SteadyRolling
-        That of the robot.
-
-    Returns
-    -------
-    interval : int
-        Index of the interval, 0 without one.
-    turns : int
-        Whole turns, 0 without one.
+    Both are 0 without one. `durations` are the lengths of all intervals [s].
     """
     longest = int(np.argmax(durations))
     turns = rolling.turns_left_out(float(durations[longest]))
@@ -81,14 +69,7 @@ def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int
 def with_turns(hold: FirstOrderHold, added: float, max_speed: float) -> FirstOrderHold:
     """Return rotor speeds that roll steadily for a time `added` [s] in their longest such part.
 
-    Parameters
-    ----------
-    hold : FirstOrderHold
-        Rotor speeds from time 0 on [rad/s].
-    added : float
-        Time of whole turns [s].
-    max_speed : float
-        Limit of the rotor speeds [rad/s].
+    They begin at time 0 and keep the limit `max_speed` [rad/s].
     """
     times, speeds = hold.times, hold.speeds
     at_limit = np.where(np.abs(speeds) > _NEARLY * max_speed, np.sign(speeds), 0.0)

@@ -37,18 +37,16 @@ from sphere_nmpc.strategy.rest import (
     is_saturated,
     speeds_of_rest,
 )
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
-from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
+from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
-from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
-from sphere_nmpc.strategy.time_optimal.replanning import improved, replan
-from sphere_nmpc.strategy.time_optimal.search_task import SearchResult, search_task
-from sphere_nmpc.strategy.time_optimal.searches_beside import (
-    Outcome,
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, KnotGrid
+from sphere_nmpc.strategy.time_optimal.searches import (
     Purpose,
     SearchesBeside,
+    SearchResult,
+    WorkerSearch,
     later,
+    search_task,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.states import (
@@ -57,6 +55,8 @@ from sphere_nmpc.strategy.time_optimal.states import (
     Saturated,
     Searching,
     State,
+    improved,
+    replan,
 )
 from sphere_nmpc.worker.contract import Worker
 
@@ -75,9 +75,7 @@ class TimeOptimalStrategy:
     """
 
     def __init__(
-        self,
-        settings: ControllerSettings,
-        robot: RobotParameters,
+        self, settings: ControllerSettings, robot: RobotParameters,
         tuning: TimeOptimalSettings | None = None,
     ) -> None:
         self._settings = settings
@@ -132,9 +130,7 @@ class TimeOptimalStrategy:
     def _planner(self, acceleration: float) -> ArrivalPlanner:
         """Return a planner with this limit of the rotors' acceleration [rad/s^2]."""
         robot = dataclasses.replace(self._robot, max_rotor_acceleration=acceleration)
-        return ArrivalPlanner(
-            robot, self._settings.period, self._grid, self._seeds, self._tuning
-        )
+        return ArrivalPlanner(robot, self._settings.period, self._grid, self._seeds, self._tuning)
 
     def _use_attained(self, situation: Situation) -> None:
         """Plan with the acceleration that the drives attain, also what remains of a plan."""
@@ -209,9 +205,7 @@ class TimeOptimalStrategy:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
         if self._beside is not None and self._beside.available:
-            return self._found_beside(
-                state, situation, self._beside, at_rest, dead_band, deadline
-            )
+            return self._found_beside(state, situation, self._beside, at_rest, dead_band, deadline)
         planner, now = self._planner_for(situation), situation.time
         task = search_task(
             planner, situation, self._grid.origin(now),
@@ -289,13 +283,8 @@ class TimeOptimalStrategy:
         return plan
 
     def _found_beside(
-        self,
-        state: Searching,
-        situation: Situation,
-        beside: SearchesBeside,
-        at_rest: bool,
-        dead_band: float,
-        deadline: float,
+        self, state: Searching, situation: Situation, beside: SearchesBeside, at_rest: bool,
+        dead_band: float, deadline: float,
     ) -> Searching | Following:
         """Return the plan that a search beside the loop has found, or go on searching."""
         settings, outcome = self._settings, None
@@ -324,7 +313,7 @@ class TimeOptimalStrategy:
             )
         return state
 
-    def _is_for(self, outcome: Outcome, goal: Vector) -> bool:
+    def _is_for(self, outcome: WorkerSearch, goal: Vector) -> bool:
         """Return whether a search was for this goal, but for what momentum changes of it."""
         aimed = outcome.situation.goal
         turned = angle_error(goal, aimed) < self._tuning.largest_change_of_goal

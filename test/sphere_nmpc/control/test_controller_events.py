@@ -138,4 +138,4 @@ class Events(RuleBasedStateMachine):
 
 
 TestEvents = Events.TestCase
-TestEvents.settings = settings(max_examples=60, stateful_step_count=25)
+TestEvents.settings = settings(max_examples=25, stateful_step_count=25)

@@ -3,77 +3,146 @@
 """The controller over a link that delays and loses messages, in simulated time."""
 
 import statistics
+from typing import Any
 
 import numpy as np
 import pytest
-from simulated_link import LinkedLoop, LinkSettings, random_goals
 
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import make_state, state_error
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
-NO_LINK = LinkSettings(delay=0.0, jitter=0.0)
-GOALS = 6
+ROBOT = RobotParameters()
+STEP, SPACING, PERIOD = 10_000_000, 0.02, 0.25
+"""Spacing of the instants [ns], of poses and copies of commands, and of plans [s]."""
 LARGEST_NOISE = 1e-3
 """Residual of predictions [m, -]: up to 5e-4 with measured rotor speeds, up to 1.5e-2 without."""
 
 
-def times_to(goals: list[np.ndarray], loop: LinkedLoop) -> list[float]:
-    times = [loop.go(goal) for goal in goals]
-    reached = [time for time in times if time is not None]
-    assert len(reached) == len(goals)
-    return reached
+class Wire:
+    """One topic over the link; what was overtaken is dropped."""
+
+    def __init__(self, seed: int, delay: float, loss: float, bursts: tuple[float, ...]) -> None:
+        self._random = np.random.default_rng(seed)
+        self._delay, self._loss, self._bursts = delay, loss, bursts
+        self._pending: list[tuple[float, Any]] = []
+
+    def send(self, now: float, message: Any) -> None:
+        """Lose a message, or deliver it after the delay of half as much or half as much again."""
+        lost = self._random.random() < self._loss
+        if not lost and not any(start <= now < start + 2.0 for start in self._bursts):
+            due = now + self._delay * self._random.uniform(0.5, 1.5)
+            self._pending.append((due, message))
+
+    def receive(self, now: float) -> list[Any]:
+        """Return the newest message that is due, if there is one."""
+        due = [i for i, (time, _) in enumerate(self._pending) if time <= now]
+        if not due:
+            return []
+        message = self._pending[due[-1]][1]
+        del self._pending[: due[-1] + 1]
+        return [message]
+
+
+class LinkedLoop:
+    """Simulator and controller with a link in between, whose clock may be late, too [s]."""
+
+    def __init__(
+        self, delay: float = 0.02, loss: float = 0.0, bursts: tuple[float, ...] = (),
+        clock_delay: float = 0.0, joint_states: bool = True,
+    ) -> None:
+        self.simulator = Simulator(SimulatorSettings(pose_rate=1.0 / SPACING), ROBOT)
+        self.controller = Controller(ControllerSettings(), ROBOT)
+        self.clock_delay, self.joint_states = clock_delay, joint_states
+        self.poses, self.joints, self.commands = (
+            Wire(seed, delay, loss, bursts) for seed in range(3)
+        )
+        self._copies: list[tuple[float, FirstOrderHold]] = []
+
+    def go(self, goal: np.ndarray) -> float:
+        """Return the time to a goal, shape (6,), at which the sphere stays for a second [s]."""
+        began = inside = self.simulator.time
+        self.controller.set_goal(goal)
+        while self.simulator.time < inside + 1.0:
+            self.step()
+            if state_error(self.simulator.plant.state, goal) >= 1e-2:
+                inside = self.simulator.time
+            assert self.simulator.time < began + 60.0, "not reached"
+        return inside - began
+
+    def step(self) -> None:
+        """Advance by one instant."""
+        simulator, controller = self.simulator, self.controller
+        simulator.advance_to(simulator.now + STEP)
+        true, count = simulator.time, simulator.now // STEP
+        now = true - self.clock_delay
+        if count % round(SPACING * 1e9 / STEP) == 0:
+            self.poses.send(true, (true, simulator.plant.state.copy()))
+            self.joints.send(true, (true, simulator.plant.rotor_speeds.copy()))
+        for hold in self.commands.receive(true):
+            simulator.follower.follow_trajectory(hold)
+        for time, speeds in self.joints.receive(true) if self.joint_states else ():
+            controller.observe_rotors(time, speeds)
+        for time, state in self.poses.receive(true):
+            controller.observe(time, state)
+        while self._copies and self._copies[0][0] <= true:
+            self.commands.send(true, self._copies.pop(0)[1])
+        if count % round(PERIOD * 1e9 / STEP) == 0:
+            decision = controller.decide(now + controller.rotor_feedback.window)
+            sent = controller.commit(decision, now)
+            if sent is not None:
+                self.commands.send(true, sent)
+                again = (1, 2) if controller.rotor_feedback.shows_link else ()
+                self._copies = [(true + i * SPACING, sent) for i in again]
+
+
+def times_to(number: int, loop: LinkedLoop) -> list[float]:
+    """Return the times to goals within 1.5 m of the origin."""
+    rng = np.random.default_rng(1)
+    return [
+        loop.go(make_state(rng.uniform(-1.5, 1.5, size=2), random_quaternion(rng)))
+        for _ in range(number)
+    ]
 
 
 def assert_plant_is_as_built(loop: LinkedLoop) -> None:
     estimator = loop.controller.estimator
-    built = RobotParameters().lumped.as_array()
+    built = ROBOT.lumped.as_array()
     np.testing.assert_allclose(estimator.plant.constants.as_array(), built, rtol=1e-3)
     assert estimator.plant.noise < LARGEST_NOISE
     assert estimator.drift.is_zero
 
 
-def test_nothing_is_committed_ahead_without_a_link() -> None:
-    loop = LinkedLoop(NO_LINK)
-    times_to(random_goals(3, seed=1), loop)
-    assert loop.schedule.window == 0.0
-    assert loop.controller.rotor_feedback.loss == 0.0
-    times_to(random_goals(7, seed=2), loop)
-    assert not loop.controller.rotor_feedback.is_needed
-
-
-@pytest.mark.parametrize("simulated", [True, False])
-def test_lost_commands_are_no_other_plant(simulated: bool) -> None:
-    loop = LinkedLoop(LinkSettings(loss=0.2, simulated=simulated))
-    times_to(random_goals(3, seed=1), loop)
-    assert_plant_is_as_built(loop)
-    assert 0.02 < loop.schedule.window < 0.3
-
-
 @pytest.fixture(scope="module")
 def alone() -> float:
-    """Return the median of the times without a link [s]."""
-    return statistics.median(times_to(random_goals(GOALS, seed=1), LinkedLoop(NO_LINK)))
+    """Return the median of the times without a link [s]; nothing is then committed ahead."""
+    loop = LinkedLoop(delay=0.0)
+    times = times_to(3, loop)
+    feedback = loop.controller.rotor_feedback
+    assert feedback.window == feedback.loss == 0.0 and not feedback.shows_link
+    return statistics.median(times)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("loss", "ratio"), [(0.0, 1.05), (0.05, 1.15), (0.2, 1.4)])
-def test_goals_are_reached_about_as_early_as_without_a_link(
-    loss: float, ratio: float, alone: float
+@pytest.mark.parametrize("clock_delay", [0.0, 0.02])
+def test_lost_commands_are_no_other_plant_and_cost_little_time(
+    clock_delay: float, alone: float
 ) -> None:
-    """The ratios are what a link may cost at these losses."""
-    times = times_to(random_goals(GOALS, seed=1), LinkedLoop(LinkSettings(loss=loss)))
-    assert statistics.median(times) < ratio * alone
-
-
-@pytest.mark.slow
-def test_goals_are_reached_through_bursts_of_loss() -> None:
-    bursts = tuple(np.arange(2.0, 200.0, 8.0))
-    loop = LinkedLoop(LinkSettings(loss=0.05, bursts=bursts, burst=2.0))
-    times_to(random_goals(GOALS, seed=1), loop)
+    loop = LinkedLoop(loss=0.2, clock_delay=clock_delay)
+    times = times_to(3, loop)
     assert_plant_is_as_built(loop)
+    assert 0.02 < loop.controller.rotor_feedback.window < 0.3
+    assert statistics.median(times) < 1.4 * alone
 
 
-@pytest.mark.slow
-def test_goals_are_reached_without_joint_states() -> None:
-    loop = LinkedLoop(LinkSettings(loss=0.05, joint_states=False))
-    times_to(random_goals(3, seed=1), loop)
-    assert loop.schedule.window == 0.0
+def test_goals_are_reached_through_bursts_of_loss_and_without_joint_states() -> None:
+    loop = LinkedLoop(loss=0.05, bursts=tuple(np.arange(2.0, 200.0, 8.0)))
+    times_to(2, loop)
+    assert_plant_is_as_built(loop)
+    loop = LinkedLoop(loss=0.05, joint_states=False)
+    times_to(1, loop)
+    assert loop.controller.rotor_feedback.window == 0.0

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A goal is resumed after a short time and on the same clock only."""
 
-import os
-import time
 from pathlib import Path
 
 import numpy as np
@@ -22,51 +20,28 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "goals" / "0.controller.json"
 
 
-def test_goal_is_resumed_unchanged_with_its_age(
+def test_goal_is_resumed_for_some_time_and_on_the_same_clock_only(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    GoalMemory(path, 30.0).save(GOAL, STAMP, True)
+    memory = GoalMemory(path, 30.0)
+    for simulated in (False, True):
+        memory.save(GOAL, STAMP, simulated)
+        assert memory.recall(STAMP, simulated) is not None
+        assert memory.recall(STAMP, not simulated) is None
+        assert memory.recall(STAMP - 1, simulated) is None, "the clock was set back"
     written = path.stat().st_mtime
-    monkeypatch.setattr(goal_memory.time, "time", lambda: written + 7.0)
+    monkeypatch.setattr(goal_memory.time, "time", lambda: written + 30.0)
     found = GoalMemory(path, 30.0).recall(STAMP, True)
-    assert found is not None
+    assert found is not None and found[1] == 30.0
     np.testing.assert_array_equal(found[0], GOAL)
-    assert found[1] == 7.0
-
-
-def test_goal_is_not_resumed_after_its_time(path: Path) -> None:
-    memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP, True)
-    old = time.time() - 31.0
-    os.utime(path, (old, old))
-    assert memory.recall(STAMP, True) is None
-
-
-def test_goal_is_not_resumed_on_a_clock_that_was_set_back(path: Path) -> None:
-    memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP, True)
-    assert memory.recall(STAMP - 1, True) is None
-    assert memory.recall(STAMP + 1, True) is not None
-
-
-def test_goal_is_not_resumed_on_a_clock_of_the_other_kind(path: Path) -> None:
-    memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP, True)
-    assert memory.recall(time.time_ns(), False) is None
-    memory.save(GOAL, STAMP, False)
-    assert memory.recall(STAMP, True) is None and memory.recall(STAMP, False) is not None
+    assert GoalMemory(path, 29.0).recall(STAMP, True) is None
+    memory.save(None, STAMP, True)
+    assert memory.recall(STAMP, True) is None and not list(path.parent.iterdir())
 
 
 def test_no_file_is_written_where_goals_are_not_kept(path: Path) -> None:
     GoalMemory(path, 0.0).save(GOAL, STAMP, True)
     assert not path.exists()
-
-
-def test_saving_no_goal_deletes_the_last_one(path: Path) -> None:
-    memory = GoalMemory(path, 30.0)
-    memory.save(GOAL, STAMP, True)
-    memory.save(None, STAMP, True)
-    assert memory.recall(STAMP, True) is None and not list(path.parent.iterdir())
 
 
 @pytest.mark.parametrize(

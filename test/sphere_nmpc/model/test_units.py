@@ -13,8 +13,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.registry import make_strategy
+from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 TABLE_1 = RobotParameters()

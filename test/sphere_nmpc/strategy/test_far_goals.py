@@ -2,24 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Far goals: the work of a sample is independent of the distance, and the path is straight."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state, state_error
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.distant_search import DistantSearch
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
-from sphere_nmpc.strategy.time_optimal.intermediate_goals import IntermediateGoals
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, DistantSearch, KnotGrid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     SteadyRolling,
@@ -28,18 +23,15 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     without_turns,
 )
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import settling_index, state_errors
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 TUNING = TimeOptimalSettings()
-REACH = TUNING.reach_with_momentum
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 ROLLING = SteadyRolling.of(ROBOT.lumped, ROBOT.max_rotor_speed)
 DIRECTION = np.array([0.8, 0.6])
-MOMENTUM = Drift(momentum=np.array([10.0, -5.0, 0.0]))
 
 
 def goal_at(distance: float) -> Vector:
@@ -58,18 +50,19 @@ def run(strategy: str, distance: float, duration: float) -> Trajectory:
     return trajectory
 
 
-def situation(place: Vector, goal: Vector) -> Situation:
-    return Situation(0.0, make_state(place, START[2:]), goal, np.zeros(2), ROBOT.lumped)
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-@pytest.mark.parametrize("distance", [1e2, 1e5, 0.999 * FARTHEST])
+@pytest.mark.parametrize(
+    ("strategy", "distance"),
+    [
+        ("time_optimal", 1e2), ("time_optimal", 0.999 * FARTHEST), ("plan_keeping", 1e5),
+        ("paper", 0.999 * FARTHEST),
+    ],
+)
 def test_path_is_straight_from_the_start_at_every_distance(strategy, distance) -> None:
-    duration = 8.0
+    duration = 5.0
     trajectory = run(strategy, distance, duration)
     along = float(trajectory.states[-1][POSITION] @ DIRECTION)
     aside = np.abs(trajectory.states[:, POSITION] @ np.array([-0.6, 0.8]))
-    assert along > 0.5 * duration * ROLLING.speed
+    assert along > 0.4 * duration * ROLLING.speed
     assert np.max(aside) < 1.0
     # Work of each sample: knots of a manoeuvre at either end, whatever lies between.
     most = max(d.plan.hold.times.size for d in trajectory.decisions)
@@ -85,7 +78,7 @@ def planned(distance: float, seed: int) -> tuple[Situation, DistantSearch]:
     return beginning, DistantSearch(planner, beginning, new_plan=True)
 
 
-@pytest.mark.parametrize("distance", [8.0, 25.0, 100.0])
+@pytest.mark.parametrize("distance", [8.0, 100.0])
 def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(distance) -> None:
     beginning, search = planned(distance, seed=int(distance))
     found = search.improve(50_000)
@@ -114,76 +107,22 @@ def test_turns_are_added_to_the_longest_steady_rolling_and_can_be_taken_out_agai
         np.testing.assert_allclose(again.at(time), found.hold.at(time), atol=1e-6)
 
 
-def test_known_arrival_is_kept_until_an_earlier_one_is_found() -> None:
-    beginning, search = planned(25.0, seed=2)
-    found = search.improve(20_000)
-    assert found is not None
-    again = DistantSearch(search._planner, beginning, new_plan=True, start=found)
-    better = again.improve(100_000)
-    assert better is not None and better.duration <= found.duration
-
-
-@pytest.mark.slow
-def test_far_goal_is_reached_at_top_speed() -> None:
-    distance = 90.0
-    trajectory = run("time_optimal", distance, distance / ROLLING.speed + 15.0)
-    errors = state_errors(trajectory.states, goal_at(distance))
-    index = settling_index(errors, 1e-2)
-    assert index is not None
-    assert trajectory.times[index] < distance / ROLLING.speed + 2.2
-    cruise = (trajectory.times > 5.0) & (trajectory.times < distance / ROLLING.speed - 5.0)
-    fastest = np.max(np.abs(trajectory.speeds[cruise]), axis=1)
-    assert np.mean(fastest > 0.9 * ROBOT.max_rotor_speed) > 0.95
-
-
-def with_momentum(place: Vector, goal: Vector) -> Situation:
-    return replace(situation(place, goal), drift=MOMENTUM)
-
-
-def test_goal_is_aimed_at_itself_without_momentum_or_near() -> None:
-    far = situation(np.zeros(2), goal_at(0.99 * TUNING.farthest))
-    near = goal_at(0.99 * TUNING.far_distance)
-    assert IntermediateGoals(TUNING).aim(far, 0.0) == (far, False)
-    pushed = with_momentum(np.zeros(2), near)
-    assert IntermediateGoals(TUNING).aim(pushed, 0.0) == (pushed, False)
-
-
-def test_intermediate_goal_is_on_the_straight_line_until_it_is_reached() -> None:
-    goals, far = IntermediateGoals(TUNING), with_momentum(np.zeros(2), goal_at(500.0))
-    first, is_new = goals.aim(far, 0.0)
-    assert is_new
-    np.testing.assert_allclose(first.goal[POSITION], REACH * DIRECTION)
-    np.testing.assert_array_equal(first.goal[2:], far.goal[2:])
-    same, is_new = goals.aim(far, 10.0)
-    assert not is_new
-    np.testing.assert_array_equal(same.goal, first.goal)
-    second, is_new = goals.aim(with_momentum(REACH * DIRECTION, far.goal), 0.0)
-    assert is_new
-    np.testing.assert_allclose(second.goal[POSITION], 2.0 * REACH * DIRECTION)
-
-
-def test_intermediate_goal_of_steady_rolling_is_renewed_half_way_to_it() -> None:
-    goals, far = IntermediateGoals(TUNING), goal_at(3.0 * TUNING.reach)
-    first, is_new = goals.aim(situation(np.zeros(2), far), 0.0)
-    assert is_new
-    np.testing.assert_allclose(first.goal[POSITION], TUNING.reach * DIRECTION)
-    for share, expected in ((0.49, False), (0.51, True)):
-        here = share * TUNING.reach * DIRECTION
-        aimed, is_new = goals.aim(situation(here, far), 100.0)
-        assert is_new == expected
-    np.testing.assert_allclose(aimed.goal[POSITION], here + TUNING.reach * DIRECTION)
-
-
-def test_goal_is_aimed_at_itself_again_once_it_is_near() -> None:
-    goals, goal = IntermediateGoals(TUNING), goal_at(500.0)
-    goals.aim(with_momentum(np.zeros(2), goal), 0.0)
-    last = with_momentum(goal[POSITION] - 0.9 * REACH * DIRECTION, goal)
-    assert goals.aim(last, 10.0) == (last, True)
-    assert goals.aim(last, 10.0) == (last, False)
-
-
 def test_turns_are_added_where_a_knot_is_in_the_middle_but_for_rounding() -> None:
     speeds = np.tile([100.0, 100.0], (3, 1))
     times = np.array([0.0, np.nextafter(0.5, 1.0), 1.0])
     rolling = with_turns(FirstOrderHold(times, speeds), 4.0, 100.0)
     np.testing.assert_array_equal(rolling.times, [0.0, 0.5, 4.5, 5.0])
+
+
+def test_known_arrival_is_improved_and_the_goal_is_reached_at_top_speed() -> None:
+    beginning, search = planned(25.0, seed=2)
+    found = search.improve(20_000)
+    assert found is not None
+    again = DistantSearch(search._planner, beginning, new_plan=True, start=found)
+    better = again.improve(40_000)
+    assert better is not None and better.duration <= found.duration
+    trajectory = run("time_optimal", 30.0, 30.0 / ROLLING.speed + 3.0)
+    assert state_error(trajectory.states[-1], goal_at(30.0)) < 1e-3
+    cruise = (trajectory.times > 3.0) & (trajectory.times < 30.0 / ROLLING.speed - 3.0)
+    fastest = np.max(np.abs(trajectory.speeds[cruise]), axis=1)
+    assert np.mean(fastest > 0.9 * ROBOT.max_rotor_speed) > 0.95

@@ -1,18 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1 of the paper: problem, cost and warm start as printed."""
+"""Algorithm 1 of the paper: problem, cost and warm start as printed, and stationary points."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from compiled_solver import expand_compiled
+from plan_loop import settling_time
 
 from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
-from sphere_nmpc.model.state import Vector, flipped_sign
+from sphere_nmpc.model.state import Vector, make_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.paper import PaperStrategy
+from sphere_nmpc.strategy.paper import NO_PROGRESS, SETTLED_COST, Descent, PaperStrategy, loops
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -52,39 +56,12 @@ def strategy() -> PaperStrategy:
     return PaperStrategy(SETTINGS, ROBOT)
 
 
-def test_settings_default_to_the_numbers_of_section_4() -> None:
-    numbers = (SETTINGS.horizon, SETTINGS.period, SETTINGS.terminal_weight)
-    assert numbers == (4, 0.5, 1e8)
-    assert SETTINGS.alpha == 0.5
-    assert SETTINGS.control_period == 0.5
-
-
-def test_plan_starts_at_the_input_in_force_and_has_a_knot_every_period(
-    strategy: PaperStrategy,
-) -> None:
-    in_force = np.array([10.0, -20.0])
-    plan = strategy.plan(situation(3.0, in_force=in_force))
-    assert plan.status is PlanStatus.SOLVED
-    np.testing.assert_allclose(plan.hold.times, 3.0 + T * np.arange(N + 1))
-    np.testing.assert_array_equal(plan.hold.speeds[0], in_force)
-    assert np.max(np.abs(plan.hold.speeds)) <= ROBOT.max_rotor_speed
-
-
-def test_states_of_the_plan_are_those_its_speeds_lead_to(strategy: PaperStrategy) -> None:
-    plan = strategy.plan(situation())
-    state, p = PAPER_CASES[1].start, ROBOT.lumped.as_array()
-    for m in range(N):
-        np.testing.assert_allclose(plan.states[m], state, atol=1e-12)
-        state = integrate(state, plan.hold.speeds[m], plan.hold.speeds[m + 1], T, p)
-    np.testing.assert_allclose(plan.states[N], state, atol=1e-12)
-
-
-@pytest.mark.parametrize("case", [1, 2, 3, 4])
-@pytest.mark.parametrize("weights", [(0.5, 1e8), (3.0, 1e5)])
+@pytest.mark.parametrize(
+    ("case", "alpha", "beta"), [(1, 0.5, 1e8), (2, 3.0, 1e5), (3, 3.0, 1e5), (4, 0.5, 1e8)]
+)
 def test_cost_agrees_with_eq_24_worked_out_from_the_plan(
-    case: int, weights: tuple[float, float]
+    case: int, alpha: float, beta: float
 ) -> None:
-    alpha, beta = weights
     settings = ControllerSettings(strategy="paper", input_weight=alpha, terminal_weight=beta)
     plan = PaperStrategy(settings, ROBOT).plan(situation(case=case))
     misses = plan.states - PAPER_CASES[case].goal
@@ -118,34 +95,6 @@ def test_plan_is_a_local_minimum_of_eq_24(case: int) -> None:
         assert cost(np.clip(nearby, -100.0, 100.0)) > best * (1.0 - 1e-5)
 
 
-def test_initial_guess_is_zero_at_first_and_then_the_shifted_plan_with_a_zero(
-    strategy: PaperStrategy,
-) -> None:
-    recorded = RecordingSolver(strategy)
-    first = strategy.plan(situation())
-    np.testing.assert_array_equal(recorded.starts[0], np.zeros((N, 2)))
-    strategy.plan(situation(T, first.states[1], first.hold.speeds[1]))
-    expected = np.vstack((first.hold.speeds[2:], REST))
-    np.testing.assert_allclose(recorded.starts[1], expected, atol=1e-12)
-
-
-def test_missed_sample_shifts_the_initial_guess_by_two(strategy: PaperStrategy) -> None:
-    recorded = RecordingSolver(strategy)
-    first = strategy.plan(situation())
-    strategy.plan(situation(2 * T, first.states[2], first.hold.speeds[2]))
-    expected = np.vstack((first.hold.speeds[3:], REST, REST))
-    np.testing.assert_allclose(recorded.starts[1], expected, atol=1e-12)
-
-
-def test_reset_forgets_the_plan_and_the_grid_of_knots(strategy: PaperStrategy) -> None:
-    recorded = RecordingSolver(strategy)
-    strategy.plan(situation())
-    strategy.reset()
-    plan = strategy.plan(situation(0.2))
-    np.testing.assert_array_equal(recorded.starts[1], np.zeros((N, 2)))
-    np.testing.assert_allclose(plan.hold.times, 0.2 + T * np.arange(N + 1))
-
-
 def test_solve_between_two_knots_shortens_the_first_interval_alone(
     strategy: PaperStrategy,
 ) -> None:
@@ -158,7 +107,7 @@ def test_solve_between_two_knots_shortens_the_first_interval_alone(
     np.testing.assert_allclose(later.hold.times[1:], [1.0, 1.5, 2.0, 2.5])
 
 
-@pytest.mark.parametrize("left", [1e-5, 0.01, 0.1, 0.25])
+@pytest.mark.parametrize("left", [1e-5, 0.1])
 def test_short_first_interval_keeps_the_limit_of_acceleration(
     strategy: PaperStrategy, left: float
 ) -> None:
@@ -170,43 +119,10 @@ def test_short_first_interval_keeps_the_limit_of_acceleration(
     assert np.max(np.abs(plan.hold.speeds)) <= ROBOT.max_rotor_speed
 
 
-def test_goal_is_aimed_at_with_the_sign_that_was_given(strategy: PaperStrategy) -> None:
-    recorded = RecordingSolver(strategy)
-    given = situation()
-    flipped = Situation(0.0, given.state, flipped_sign(given.goal), REST, ROBOT.lumped)
-    strategy.plan(flipped)
-    np.testing.assert_array_equal(recorded.problems[0].goal, flipped.goal)
-
-
 def test_state_at_the_goal_leads_to_no_motion(strategy: PaperStrategy) -> None:
     plan = strategy.plan(situation(state=PAPER_CASES[1].goal))
     np.testing.assert_allclose(plan.hold.speeds, 0.0, atol=1e-9)
     assert plan.cost == pytest.approx(0.0, abs=1e-12)
-
-
-def test_plan_at_the_cap_of_iterations_is_the_best_so_far() -> None:
-    settings = ControllerSettings(strategy="paper", max_iterations=2)
-    plan = PaperStrategy(settings, ROBOT).plan(situation())
-    assert plan.status is PlanStatus.BEST_SO_FAR
-    assert plan.iterations <= 2
-
-
-def test_plan_that_ran_out_of_time_is_the_best_so_far(strategy: PaperStrategy) -> None:
-    given = situation()
-    hurried = Situation(0.0, given.state, given.goal, REST, ROBOT.lumped, time_budget=1e-9)
-    plan = strategy.plan(hurried)
-    assert plan.status is PlanStatus.BEST_SO_FAR
-    assert np.all(np.isfinite(plan.hold.speeds))
-    assert strategy.plan(given).status is PlanStatus.SOLVED
-
-
-def test_plan_of_a_solve_that_has_stalled_is_the_best_so_far(strategy: PaperStrategy) -> None:
-    # Neither tolerance can be met, so that the solve ends where no step lowers the cost.
-    never = SolverSettings(10_000, gradient_tolerance=0.0, decrease_tolerance=0.0)
-    strategy._solver = HoldSolver(never)
-    plan = strategy.plan(situation())
-    assert plan.status is PlanStatus.BEST_SO_FAR
-    assert plan.message == "no step lowers the cost"
 
 
 def test_model_without_numbers_is_an_error_that_the_loop_catches(
@@ -216,3 +132,127 @@ def test_model_without_numbers_is_an_error_that_the_loop_catches(
     given = situation()
     with pytest.raises(ArithmeticError, match="finite"):
         strategy.plan(Situation(0.0, given.state, given.goal, REST, nothing))
+
+
+def test_initial_guess_is_zero_at_first_and_then_the_shifted_plan_with_zeros(
+    strategy: PaperStrategy,
+) -> None:
+    numbers = (SETTINGS.horizon, SETTINGS.period, SETTINGS.alpha, SETTINGS.terminal_weight)
+    assert numbers == (N, T, 0.5, 1e8), "of section 4"
+    recorded = RecordingSolver(strategy)
+    plan = strategy.plan(situation())
+    assert plan.status is PlanStatus.SOLVED
+    np.testing.assert_allclose(plan.hold.times, T * np.arange(N + 1))
+    state, p = PAPER_CASES[1].start, ROBOT.lumped.as_array()
+    for m in range(N):
+        np.testing.assert_allclose(plan.states[m], state, atol=1e-12)
+        state = integrate(state, plan.hold.speeds[m], plan.hold.speeds[m + 1], T, p)
+    np.testing.assert_allclose(plan.states[N], state, atol=1e-12)
+    second = strategy.plan(situation(T, plan.states[1], plan.hold.speeds[1]))
+    strategy.plan(situation(3 * T, second.states[2], second.hold.speeds[2]))  # one is missed
+    strategy.reset()
+    after = strategy.plan(situation(0.2))
+    np.testing.assert_allclose(after.hold.times, 0.2 + T * np.arange(N + 1))
+    expected = (
+        np.zeros((N, 2)), np.vstack((plan.hold.speeds[2:], REST)),
+        np.vstack((second.hold.speeds[3:], REST, REST)), np.zeros((N, 2)),
+    )
+    for start, wanted in zip(recorded.starts, expected, strict=True):
+        np.testing.assert_allclose(start, wanted, atol=1e-12)
+    np.testing.assert_array_equal(recorded.problems[0].goal, PAPER_CASES[1].goal)
+
+
+def test_plan_of_a_solve_that_was_stopped_is_the_best_so_far(strategy: PaperStrategy) -> None:
+    capped = PaperStrategy(ControllerSettings(strategy="paper", max_iterations=2), ROBOT)
+    plan = capped.plan(situation())
+    assert plan.status is PlanStatus.BEST_SO_FAR and plan.iterations <= 2
+    hurried = strategy.plan(replace(situation(), time_budget=1e-9))
+    assert hurried.status is PlanStatus.BEST_SO_FAR
+    assert np.all(np.isfinite(hurried.hold.speeds))
+    assert strategy.plan(situation()).status is PlanStatus.SOLVED
+    strategy.reset()
+    # Neither tolerance can be met, so that the solve ends where no step lowers the cost.
+    never = SolverSettings(10_000, gradient_tolerance=0.0, decrease_tolerance=0.0)
+    strategy._solver = HoldSolver(never)
+    plan = strategy.plan(situation())
+    assert plan.status is PlanStatus.BEST_SO_FAR
+    assert plan.message == "no step lowers the cost"
+
+
+STARTS = {
+    "upright": (1.0, 0.0, 0.0, 0.0),
+    "upside down": (0.0, 1.0, 0.0, 0.0),
+    "on its side": (0.5**0.5, 0.0, 0.5**0.5, 0.0),
+    "on the circle": (0.5, 0.5, 0.5, 0.5),
+}
+
+
+def turned(degrees: float) -> Vector:
+    half = 0.5 * np.radians(degrees)
+    return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+
+
+def typed(position: tuple[float, float], heading: float) -> Situation:
+    """Return the situation of an upright start and a goal with round numbers."""
+    start, goal = make_state((0.0, 0.0), STARTS["upright"]), make_state(position, turned(heading))
+    return Situation(0.0, start, goal, np.zeros(2), ROBOT.lumped)
+
+
+# With rest as the only initial guess, most of these stopped up to 1.7 away from the goal.
+@pytest.mark.parametrize(
+    ("name", "start", "position", "heading"),
+    [
+        ("paper", "upright", (1.0, 0.0), 0.0),
+        ("plan_keeping", "upright", (0.1, 0.1), 0.0),
+        ("plan_keeping", "upright", (-2.0, 0.0), 0.0),
+        ("paper", "upright", (0.0, 0.0), 15.0),
+        ("plan_keeping", "upright", (0.0, 0.0), 90.0),
+        ("paper", "upright", (0.0, 0.0), 180.0),
+        ("plan_keeping", "upside down", (0.0, 0.0), 0.0),
+        ("paper", "upside down", (-1.0, 1.0), 90.0),
+        ("plan_keeping", "on its side", (1.0, 0.0), 0.0),
+        ("paper", "on the circle", (0.0, -5.0), -90.0),
+    ],
+)
+def test_goal_with_round_numbers_is_reached_within_a_minute(name, start, position, heading):
+    begin = make_state((0.0, 0.0), STARTS[start])
+    assert settling_time(name, begin, make_state(position, turned(heading)), 62.0) < 60.0
+
+
+def test_rest_is_a_stationary_point_of_a_turn_on_the_spot_but_no_minimum(strategy) -> None:
+    problem = strategy._problem(typed((0.0, 0.0), 90.0), T * np.arange(N + 1))
+    at_rest = expand_compiled(problem, np.zeros((N, 2)))
+    # The gradient is zero but for rounding of the states, of order one.
+    assert np.max(np.abs(at_rest["gradient"])) < 1e-12
+    for guess in loops(problem):
+        assert HoldSolver().solve(problem, guess).cost < 0.1 * at_rest["cost"]
+    assert all(np.all(np.abs(guess) <= problem.input_scale) for guess in loops(problem))
+    late = replace(typed((0.0, 0.0), 90.0), time_budget=0.0)
+    assert not strategy.plan(late).hold.speeds.any(), "no time for further guesses"
+
+
+def test_no_other_guess_is_tried_where_the_plan_makes_progress(strategy) -> None:
+    begin = make_state((0.0, 0.0), np.array([0.8, 0.36, 0.48, 0.0]))
+    away = replace(typed((2.0, 1.0), 70.0), state=begin)
+    problem = strategy._problem(away, T * np.arange(N + 1))
+    from_rest = HoldSolver().solve(problem, np.zeros((N, 2)))
+    np.testing.assert_array_equal(strategy.plan(away).hold.speeds, from_rest.inputs)
+
+
+def test_stationary_point_that_no_guess_improves_says_so(strategy, monkeypatch) -> None:
+    monkeypatch.setattr("sphere_nmpc.strategy.paper.loops", lambda problem: [])
+    assert strategy.plan(typed((0.0, 0.0), 90.0)).message == NO_PROGRESS
+    strategy.reset()
+    assert strategy.plan(typed((0.5, 0.2), 40.0)).message == "converged"
+
+
+def test_progress_ends_where_the_cost_stays_from_one_period_to_the_next(make_problem) -> None:
+    solution = HoldSolver().solve(make_problem("paper"), np.zeros((4, 2)))
+    progress, near = Descent(SETTLED_COST), Descent(settled_cost=solution.cost)
+    found = [progress.has_ended(end, solution) for end in (2.0, 2.0, 2.5)]
+    assert found == [False, False, True], "solved again before the next knot, and at it"
+    assert not near.has_ended(2.0, solution) and not near.has_ended(2.5, solution)
+    solution.cost *= 0.99
+    assert not progress.has_ended(3.0, solution)
+    solution.iterations = 0
+    assert progress.has_ended(3.5, solution)

@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid, knot_durations
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.arrival import knot_durations
+from sphere_nmpc.strategy.time_optimal.planner import KnotGrid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
+from sphere_nmpc.strategy.time_optimal.states import Following, replan
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.scenario.perturbation import perturbed
@@ -33,6 +36,7 @@ SETTINGS = ControllerSettings(strategy="time_optimal")
 HIGH_RATE = ControllerSettings(strategy="time_optimal", control_rate=100.0)
 PERIOD = SETTINGS.period
 TUNING = TimeOptimalSettings()
+LIMIT = ROBOT.max_rotor_acceleration
 AT_ORIGIN = np.array([0, 0, 1.0, 0, 0, 0])
 
 
@@ -52,9 +56,7 @@ def run(
         robot,
     )
     controller = Controller(settings, ROBOT)
-    return run_closed_loop(
-        simulator, controller, scenario.goal, duration, settings.control_period
-    )
+    return run_closed_loop(simulator, controller, scenario.goal, duration, settings.control_period)
 
 
 def errors(found: Trajectory, goal: Vector) -> Vector:
@@ -66,8 +68,8 @@ def settling_time(found: Trajectory, goal: Vector, within: float = 1e-2) -> floa
     return float(found.times[outside[-1] + 1]) if outside.size else 0.0
 
 
-@pytest.mark.parametrize("duration", [0.3, 1.0, 4.99, 12.0, 80.0])
-@pytest.mark.parametrize("to_next_instant", [0.25, 0.13, 0.01])
+@pytest.mark.parametrize("duration", [0.3, 4.99, 80.0])
+@pytest.mark.parametrize("to_next_instant", [0.25, 0.01])
 def test_knots_lie_at_sampling_instants_and_end_at_the_arrival(
     duration: float, to_next_instant: float
 ) -> None:
@@ -90,73 +92,6 @@ def test_first_knot_is_that_of_the_grid_unless_it_is_too_near_for_a_new_plan() -
         assert new >= 0.3 * PERIOD and np.isclose(new - followed, [0.0, PERIOD], atol=1e-9).any()
 
 
-@pytest.mark.parametrize("case", [1, 3])
-@pytest.mark.parametrize("rate", [30.0, 100.0, 500.0])
-def test_plan_that_is_solved_again_between_its_knots_is_not_delayed(
-    case: int, rate: float
-) -> None:
-    """The plan changes its slope at a near knot; without that knot it would not be feasible."""
-    scenario = PAPER_CASES[case]
-    at_knots = settling_time(run(scenario, 9.0), scenario.goal)
-    settings = ControllerSettings(strategy="time_optimal", control_rate=rate)
-    found = run(scenario, 9.0, settings=settings, pose_rate=rate)
-    assert settling_time(found, scenario.goal) <= at_knots + 0.5
-    assert errors(found, scenario.goal)[-1] < 1e-4
-
-
-def test_speed_of_steady_rolling_is_that_of_the_plant() -> None:
-    # The contact axis e3 and both rotors at the limit: steady rolling in a straight line.
-    plant = RollingPlant(ROBOT, AT_ORIGIN)
-    plant.advance(np.array([100.0, 100.0]), 1e-6)
-    plant.displace(AT_ORIGIN)
-    plant.advance(np.array([100.0, 100.0]), 2.0)
-    distance = float(np.linalg.norm(plant.state[:2]))
-    assert distance == pytest.approx(2.0 * SteadyRolling.of(ROBOT.lumped, 100.0).speed, rel=1e-6)
-
-
-def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> None:
-    scenario = PAPER_CASES[2]
-    search = ArrivalSearch(ROBOT, PERIOD, situation(scenario), PERIOD, 0, TUNING)
-    found = search.improve(60_000)
-    assert found is not None and found.error <= TUNING.coarse_error
-    hold = found.hold
-    np.testing.assert_array_equal(hold.speeds[[0, -1]], np.zeros((2, 2)))
-    assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
-    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
-    assert np.max(np.abs(slopes)) <= ROBOT.max_rotor_acceleration
-    plant = RollingPlant(ROBOT, scenario.start)
-    for speeds, duration in zip(hold.speeds[1:], np.diff(hold.times), strict=True):
-        plant.advance(speeds, float(duration))
-    # The search integrates coarsely: steps of 0.25 s err by some 1e-2 each at full speed ...
-    assert state_error(plant.state, scenario.goal) < 1.0
-    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
-    plan = strategy.plan(situation(scenario))
-    plant.reset(scenario.start)
-    for speeds, duration in zip(plan.hold.speeds[1:], np.diff(plan.hold.times), strict=True):
-        plant.advance(speeds, float(duration))
-    # ... and the strategy solves it again in steps of 0.05 s: 3e-6 each, amplified on the way.
-    assert state_error(plant.state, scenario.goal) < 1e-3
-
-
-def test_search_continues_where_it_stopped_and_never_gets_worse() -> None:
-    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, 3, TUNING)
-    durations = []
-    for _ in range(6):
-        found = search.improve(20_000)
-        durations.append(np.inf if found is None else found.duration)
-    assert durations == sorted(durations, reverse=True)
-    assert durations[-1] < 7.5
-
-
-def test_search_with_the_same_seed_repeats_itself() -> None:
-    first, second = (
-        ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[4]), PERIOD, 5, TUNING).improve(20_000)
-        for _ in range(2)
-    )
-    assert first is not None and second is not None
-    np.testing.assert_array_equal(first.hold.speeds, second.hold.speeds)
-
-
 def test_search_stops_at_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     readings = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: next(readings))
@@ -169,44 +104,43 @@ def test_search_stops_at_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     assert search.work == done
 
 
-@pytest.mark.parametrize(("case", "limit"), [(1, 6.5), (2, 4.5), (3, 1.75), (4, 2.0)])
-def test_case_of_the_paper_settles_near_the_time_limit(case: int, limit: float) -> None:
-    scenario = PAPER_CASES[case]
-    found = run(scenario, limit + 3.0)
-    assert settling_time(found, scenario.goal) <= limit
-    assert errors(found, scenario.goal)[-1] < 1e-4
-    assert np.max(np.abs(found.speeds)) <= ROBOT.max_rotor_speed + 1e-9
-    slopes = np.diff(found.speeds, axis=0) / np.diff(found.times)[:, None]
+def check_limits(speeds: Vector, times: Vector) -> None:
+    assert np.max(np.abs(speeds)) <= ROBOT.max_rotor_speed + 1e-9
+    slopes = np.diff(speeds, axis=0) / np.diff(times)[:, None]
     assert np.max(np.abs(slopes)) <= ROBOT.max_rotor_acceleration + 1e-6
 
 
-@pytest.mark.parametrize("percent", [3, 10])
-def test_wrong_parameters_are_estimated_on_the_way(percent: int) -> None:
+def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> None:
     scenario = PAPER_CASES[2]
-    robot = perturbed(ROBOT, percent / 100.0, np.random.default_rng(percent))
-    found = run(scenario, 9.0, robot)
-    assert settling_time(found, scenario.goal) < 6.0
-    assert errors(found, scenario.goal)[-1] < 1e-4
+    search = ArrivalSearch(ROBOT, PERIOD, situation(scenario), PERIOD, 0, TUNING)
+    found = search.improve(40_000)
+    assert found is not None and found.error <= TUNING.coarse_error
+    check_limits(found.hold.speeds, found.hold.times)
+    np.testing.assert_array_equal(found.hold.speeds[[0, -1]], np.zeros((2, 2)))
+    plan = TimeOptimalStrategy(SETTINGS, ROBOT).plan(situation(scenario))
+    plant = RollingPlant(ROBOT, scenario.start)
+    # The search integrates coarsely: steps of 0.25 s err by some 1e-2 each at full speed. The
+    # strategy solves it again in steps of 0.05 s: 3e-6 each, amplified on the way.
+    for hold, error in ((found.hold, 1.0), (plan.hold, 1e-3)):
+        plant.reset(scenario.start)
+        for speeds, duration in zip(hold.speeds[1:], np.diff(hold.times), strict=True):
+            plant.advance(speeds, float(duration))
+        assert state_error(plant.state, scenario.goal) < error
 
 
-def test_noise_needs_no_new_manoeuvre() -> None:
-    scenario = PAPER_CASES[3]
-    found = run(scenario, 15.0, process_noise=1e-3, seed=4)
-    assert settling_time(found, scenario.goal, within=5e-2) < 2.5
-
-
-def test_predicted_arrival_is_never_delayed_without_disturbance() -> None:
-    found = run(PAPER_CASES[1], 6.0)
-    arrivals = np.array([d.plan.arrival for d in found.decisions])
-    arrivals = arrivals[np.isfinite(arrivals)]
-    assert arrivals.size > 15 and np.all(np.diff(arrivals) <= 1e-9)
-
-
-def test_goal_far_away_is_reached_with_a_problem_of_bounded_size() -> None:
-    goal = np.array([14.0, -9.0, *PAPER_CASES[1].start[2:]])
-    found = run(Scenario(AT_ORIGIN, goal), 32.0)
-    assert errors(found, goal)[-1] < 1e-4
-    assert max(d.plan.states.shape[0] for d in found.decisions) < 50
+def test_search_continues_where_it_stopped_repeats_itself_and_never_gets_worse() -> None:
+    first, second = (
+        ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, 3, TUNING)
+        for _ in range(2)
+    )
+    durations = []
+    for _ in range(4):
+        found, again = first.improve(20_000), second.improve(20_000)
+        durations.append(np.inf if found is None else found.duration)
+    assert durations == sorted(durations, reverse=True)
+    assert durations[-1] < 7.5
+    assert found is not None and again is not None
+    np.testing.assert_array_equal(found.hold.speeds, again.hold.speeds)
 
 
 def test_present_state_as_goal_needs_no_motion_with_either_sign() -> None:
@@ -215,46 +149,6 @@ def test_present_state_as_goal_needs_no_motion_with_either_sign() -> None:
         found = run(Scenario(state, goal), 2.0)
         np.testing.assert_array_equal(found.speeds, 0.0)
         assert found.decisions[-1].plan.status is PlanStatus.HOLDING
-
-
-def test_goal_that_changes_every_second_violates_no_limit() -> None:
-    rng = np.random.default_rng(8)
-    simulator = Simulator(SimulatorSettings(initial_state=tuple(AT_ORIGIN)), ROBOT)
-    light = dataclasses.replace(SETTINGS, planning_effort=20_000)
-    controller = Controller(light, ROBOT)
-    before = np.zeros(2)
-    for k in range(24):
-        if k % 4 == 0:
-            turn = rng.normal(size=4)
-            turn /= np.linalg.norm(turn)
-            goal = np.concatenate((rng.uniform(-1.0, 1.0, 2), turn))
-            controller.set_goal(goal)
-        controller.observe(simulator.time, simulator.measured_state())
-        hold = controller.commit(controller.decide(simulator.time), simulator.time)
-        if hold is not None:
-            simulator.follower.follow_trajectory(hold)
-        for _ in range(25):
-            simulator.advance_to(simulator.now + 10_000_000)
-            after = simulator.plant.rotor_speeds
-            assert np.max(np.abs(after)) <= ROBOT.max_rotor_speed + 1e-9
-            assert np.max(np.abs(after - before)) <= 0.01 * ROBOT.max_rotor_acceleration + 1e-9
-            before = after
-    assert controller.failures == 0
-
-
-def test_without_time_to_find_an_arrival_the_rotors_stay_at_rest() -> None:
-    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
-    plan = strategy.plan(dataclasses.replace(situation(PAPER_CASES[1]), time_budget=0.0))
-    assert plan.status is PlanStatus.RAMP_TO_REST
-    assert isinstance(plan.hold, FirstOrderHold) and not np.any(plan.hold.speeds)
-
-
-def test_tuning_that_is_given_is_used() -> None:
-    tuning = dataclasses.replace(TUNING, acceleration_share=0.5)
-    plan = TimeOptimalStrategy(SETTINGS, ROBOT, tuning).plan(situation(PAPER_CASES[3]))
-    assert plan.status is PlanStatus.SOLVED
-    slopes = np.diff(plan.hold.speeds, axis=0) / np.diff(plan.hold.times)[:, None]
-    assert np.max(np.abs(slopes)) <= 0.501 * ROBOT.max_rotor_acceleration
 
 
 def test_sphere_at_rest_at_the_goal_leaves_only_beyond_the_leaving_error() -> None:
@@ -303,6 +197,136 @@ def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettin
     expected = plans(TimeOptimalStrategy(settings, ROBOT), 1)
     for found, wanted in zip(plans(used, 1), expected, strict=True):
         np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize(
+    ("case", "limit", "rate"),
+    [(1, 6.5, 0.0), (2, 4.5, 0.0), (3, 1.75, 0.0), (4, 2.0, 0.0), (3, 2.25, 30.0), (3, 2.25, 1e2)],
+)
+def test_case_of_the_paper_settles_near_the_time_limit(
+    case: int, limit: float, rate: float
+) -> None:
+    """Between two knots a plan changes its slope at a near one, without which it is no plan."""
+    scenario, settings = PAPER_CASES[case], ControllerSettings(control_rate=rate)
+    found = run(scenario, limit + 1.0, settings=settings, **({"pose_rate": rate} if rate else {}))
+    assert settling_time(found, scenario.goal) <= limit
+    assert errors(found, scenario.goal)[-1] < 1e-4
+    check_limits(found.speeds, found.times)
+    arrivals = np.array([d.plan.arrival for d in found.decisions])
+    arrivals = arrivals[np.isfinite(arrivals)]
+    assert rate or np.all(np.diff(arrivals) <= 1e-9), "never delayed without disturbance"
+
+
+def test_wrong_parameters_are_estimated_on_the_way_and_noise_needs_no_new_manoeuvre() -> None:
+    scenario = PAPER_CASES[2]
+    robot = perturbed(ROBOT, 0.1, np.random.default_rng(10))
+    found = run(scenario, 7.5, robot)
+    assert settling_time(found, scenario.goal) < 6.0
+    assert errors(found, scenario.goal)[-1] < 1e-4
+    found = run(PAPER_CASES[3], 6.0, process_noise=1e-3, seed=4)
+    assert settling_time(found, PAPER_CASES[3].goal, within=5e-2) < 2.5
+
+
+def test_goal_that_changes_every_second_violates_no_limit() -> None:
+    rng, before = np.random.default_rng(8), np.zeros(2)
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(AT_ORIGIN)), ROBOT)
+    controller = Controller(dataclasses.replace(SETTINGS, planning_effort=20_000), ROBOT)
+    for k in range(16):
+        if k % 4 == 0:
+            turn = rng.normal(size=4)
+            place = rng.uniform(-1.0, 1.0, 2)
+            controller.set_goal(np.concatenate((place, turn / np.linalg.norm(turn))))
+        controller.observe(simulator.time, simulator.measured_state())
+        hold = controller.commit(controller.decide(simulator.time), simulator.time)
+        assert hold is not None
+        simulator.follower.follow_trajectory(hold)
+        for _ in range(25):
+            simulator.advance_to(simulator.now + 10_000_000)
+            after = simulator.plant.rotor_speeds
+            check_limits(np.vstack((before, after)), np.array([0.0, 0.01]))
+            before = after
+    assert controller.failures == 0
+
+
+def test_tuning_and_attained_acceleration_are_used_and_no_time_leads_to_no_plan() -> None:
+    now = situation(PAPER_CASES[3])
+    given = dataclasses.replace(TUNING, acceleration_share=0.5)
+    assert steepest(TimeOptimalStrategy(SETTINGS, ROBOT, given).plan(now)) <= 0.501 * LIMIT
+    plan = TimeOptimalStrategy(SETTINGS, ROBOT).plan(now)
+    assert plan.status is PlanStatus.SOLVED
+    beyond = dataclasses.replace(now, acceleration=1.1 * LIMIT)
+    same = TimeOptimalStrategy(SETTINGS, ROBOT).plan(beyond)
+    np.testing.assert_array_equal(same.hold.speeds, plan.hold.speeds)
+    late = TimeOptimalStrategy(SETTINGS, ROBOT).plan(dataclasses.replace(now, time_budget=0.0))
+    assert late.status is PlanStatus.RAMP_TO_REST and not np.any(late.hold.speeds)
+
+
+def steepest(plan: Plan) -> float:
+    slopes = np.diff(plan.hold.speeds, axis=0) / np.diff(plan.hold.times)[:, None]
+    return float(np.max(np.abs(slopes)))
+
+
+def advanced(now: Situation, hold: FirstOrderHold) -> Situation:
+    """Return the situation a sample period later, with `hold` as planned."""
+    ends = np.array([now.time, now.time + PERIOD])
+    inputs = np.array([hold.at(end) for end in ends])
+    state = roll_out(now.state, inputs, np.diff(ends), ROBOT.lumped.as_array(), 0.05)[-1]
+    return dataclasses.replace(now, time=float(ends[1]), state=state, input_in_force=inputs[1])
+
+
+def test_plan_that_is_followed_keeps_to_an_acceleration_learnt_meanwhile() -> None:
+    attained, now = 300.0, situation(PAPER_CASES[1])
+    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
+    plan = strategy.plan(now)
+    assert steepest(plan) > 1.2 * attained
+    moving = dataclasses.replace(advanced(now, plan.hold), acceleration=attained)
+    slower = strategy.plan(moving)
+    assert slower.status is PlanStatus.SOLVED
+    # The penalty between inner knots leaves up to a per cent beyond the limit.
+    assert steepest(slower) < 1.01 * TUNING.attained_share * attained
+
+
+@pytest.mark.parametrize(("intervals", "component"), [(1, 0), (1, 4), (2, 1), (2, 3), (3, 2)])
+def test_plan_is_kept_where_it_ends_within_the_dead_band(intervals: int, component: int) -> None:
+    """Too few knots are left to correct a disturbance of 1.2e-3 m or rad in full."""
+    strategy, now = TimeOptimalStrategy(SETTINGS, ROBOT), situation(PAPER_CASES[3])
+    plan = strategy.plan(now)
+    while plan.arrival - now.time > (intervals + 0.5) * PERIOD:
+        now = advanced(now, plan.hold)
+        plan = strategy.plan(now)
+    arrival, now = plan.arrival, advanced(now, plan.hold)
+    state = apply_error(now.state, 1.2e-3 * np.eye(5)[component])
+    kept = strategy.plan(dataclasses.replace(now, state=state))
+    # A delay by up to a third of the time left may remove the error; a new plan takes a second.
+    assert kept.arrival < now.time + 1.35 * (arrival - now.time)
+
+
+def test_rest_of_a_plan_without_a_finite_cost_is_no_plan() -> None:
+    strategy, now = TimeOptimalStrategy(SETTINGS, ROBOT), situation(PAPER_CASES[3])
+    plan = strategy.plan(now)
+    followed = strategy._state
+    assert isinstance(followed, Following)
+    near = dataclasses.replace(now, time=plan.arrival - PERIOD, state=np.full(6, np.nan))
+    assert replan(followed, near, 2e-3, np.inf, SETTINGS) is None
+
+
+@pytest.mark.parametrize(
+    ("away", "error"),
+    [
+        ([4e-3, 0.0, 0.0, 0.0, 0.0], 2e-4),
+        ([0.0, 0.0, 0.0, 0.0, 5e-3], 2e-4),
+        ([2e-3, -1e-3, 2e-3, 1e-3, -4e-3], 2e-4),
+        ([1.5e-3, 0.0, 0.0, 0.0, 0.0], 1.5e-3),
+    ],
+    ids=["4 mm ahead", "heading 5e-3", "all", "within the dead band"],
+)
+def test_near_goal_is_reached_exactly_unless_it_is_within_the_dead_band(
+    away: list[float], error: float
+) -> None:
+    """A manoeuvre that corrects a millimetre leads through large errors."""
+    goal = apply_error(AT_ORIGIN, np.array(away))
+    found = errors(run(Scenario(AT_ORIGIN, goal), 5.0), goal)[-1]
+    assert found < error if error < 1e-3 else found == pytest.approx(error, rel=1e-12)
 
 
 def test_coarse_arrival_that_cannot_be_solved_precisely_is_found_only_once() -> None:

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc import fault_log
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.planning_time import PLANNING_SHARE
+from sphere_nmpc.control.timing import PLANNING_SHARE
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.controller import node as controller_node

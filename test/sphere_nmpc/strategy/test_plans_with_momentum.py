@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of the strategy `time_optimal` with momentum: they end at rest, within all limits."""
+"""Plans of the strategy `time_optimal` with momentum: at rest at their end, and after a push."""
 
 import itertools
 from dataclasses import replace
@@ -9,22 +9,31 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, momentum_of_push, slope_torque
+from sphere_nmpc.model.drift import (
+    NO_DRIFT,
+    Drift,
+    imbalance_of_offset,
+    momentum_of_push,
+    slope_torque,
+)
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
+from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
-from sphere_nmpc.strategy.time_optimal.grid import KnotGrid
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner
+from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, KnotGrid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.states import Following
+from sphere_nmpc.strategy.time_optimal.states import Following, replan
 
 ROBOT = RobotParameters()
 TUNING = TimeOptimalSettings()
 PERIOD = 0.25
-EFFORT = 40_000
+EFFORT = 20_000
+PUSHED_AT = 0.75
+SETTINGS = ControllerSettings(planning_effort=1000)
+"""Hardly any search for an earlier arrival, so that the rest of the plan itself is judged."""
 START = make_state(np.array([0.7, -0.4]), rotation.exponential(np.array([0.4, -0.5, 0.6])))
 GOAL = make_state(np.zeros(2), rotation.exponential(np.array([0.0, 0.0, -0.5])))
 PUSH = momentum_of_push(ROBOT, np.array([0.6, 0.4]))
@@ -54,17 +63,15 @@ def arrival_at(goal_of: Situation) -> Arrival:
     found = one.search(goal_of, new_plan=True).improve(EFFORT)
     assert found is not None
     for delay in TUNING.delays:
-        arrival = one.solve(
-            goal_of, found.goal, delay * found.duration, found.hold, new_plan=True
-        )
+        arrival = one.solve(goal_of, found.goal, delay * found.duration, found.hold, new_plan=True)
         if arrival.error <= TUNING.arrival_error:
             break
     return arrival
 
 
-def integrated(hold: FirstOrderHold, drift: Drift) -> tuple[Vector, Drift]:
-    """Return state and drift at the end of a hold from `START`, in steps of 10 ms."""
-    state, constants = START, ROBOT.lumped.as_array()
+def integrated(now: Situation, hold: FirstOrderHold) -> tuple[Vector, Drift]:
+    """Return state and drift at the end of a hold, in steps of 10 ms."""
+    state, drift, constants = now.state, now.drift, ROBOT.lumped.as_array()
     for k, duration in enumerate(np.diff(hold.times)):
         state, momentum = integrate_with_drift(
             state, drift, hold.speeds[k], hold.speeds[k + 1], float(duration), constants, 0.01
@@ -74,10 +81,11 @@ def integrated(hold: FirstOrderHold, drift: Drift) -> tuple[Vector, Drift]:
 
 
 @pytest.mark.parametrize("kind", DRIFTS)
-def test_plan_ends_at_rest_at_the_goal_and_keeps_every_limit(kind: str) -> None:
+def test_plan_ends_at_rest_at_the_goal_as_predicted_and_keeps_every_limit(kind: str) -> None:
     now = situation(DRIFTS[kind])
     arrival = arrival_at(now)
-    state, drift = integrated(arrival.hold, now.drift)
+    hold = arrival.hold
+    state, drift = integrated(now, hold)
     # What the plan may leave, 1e-4, and the integration error of its steps of 50 ms.
     assert state_error(state, GOAL) < 2e-4
     rest = drift.rest_speeds(GOAL[QUATERNION])
@@ -85,43 +93,21 @@ def test_plan_ends_at_rest_at_the_goal_and_keeps_every_limit(kind: str) -> None:
     # Out of balance the speeds of rest may differ by `precise_rest_speed` from those of the
     # solution, whose turn of up to 1e-4 and steps of 50 ms hardly change the momentum.
     allowed = 2.0 * TUNING.precise_rest_speed if now.drift.imbalance.any() else 1e-9
-    np.testing.assert_allclose(arrival.hold.speeds[-1], rest, atol=allowed)
+    np.testing.assert_allclose(hold.speeds[-1], rest, atol=allowed)
     np.testing.assert_allclose(arrival.drift.momentum, drift.momentum, atol=allowed)
     np.testing.assert_allclose(arrival.momenta[-1], drift.momentum, atol=allowed)
-    np.testing.assert_array_equal(arrival.hold.speeds[0], now.input_in_force)
-    assert np.max(np.abs(arrival.hold.speeds)) <= ROBOT.max_rotor_speed
-    slopes = np.abs(np.diff(arrival.hold.speeds, axis=0)) / np.diff(arrival.hold.times)[:, None]
+    np.testing.assert_array_equal(hold.speeds[0], now.input_in_force)
+    assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
+    slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
     assert np.max(slopes) <= ROBOT.max_rotor_acceleration
-
-
-@pytest.mark.parametrize("kind", DRIFTS)
-def test_prediction_on_the_way_is_that_of_the_model(kind: str) -> None:
-    now = situation(DRIFTS[kind])
-    arrival = arrival_at(now)
-    following = Following(arrival, 0.0, planner())
-    knots = len(arrival.hold.times) // 2 + 1
-    time = float(arrival.hold.times[knots - 1])
-    part = FirstOrderHold(arrival.hold.times[:knots], arrival.hold.speeds[:knots])
-    state, drift = integrated(part, now.drift)
-    predicted, predicted_drift = following.prediction(time)
+    knots = len(hold.times) // 2 + 1
+    state, drift = integrated(now, FirstOrderHold(hold.times[:knots], hold.speeds[:knots]))
+    on_the_way = float(hold.times[knots - 1])
+    predicted, predicted_drift = Following(arrival, 0.0, planner()).prediction(on_the_way)
     # Integration error of the plan's steps of 50 ms.
     assert state_error(predicted, state) < 1e-4
     np.testing.assert_allclose(predicted_drift.momentum, drift.momentum, atol=1e-2)
     np.testing.assert_array_equal(predicted_drift.slope, now.drift.slope)
-    np.testing.assert_array_equal(predicted_drift.imbalance, now.drift.imbalance)
-
-
-def test_solve_without_drift_is_the_same_to_the_bit() -> None:
-    guess = FirstOrderHold(np.array([0.0, 2.0]), np.array([[8.0, -4.0], [30.0, -40.0]]))
-    without = Situation(0.0, START, GOAL, np.array([8.0, -4.0]), ROBOT.lumped)
-    expected, found = (
-        planner().solve(now, GOAL, 2.6, guess, new_plan=True)
-        for now in (without, situation(Drift.from_array(np.zeros(8))))
-    )
-    np.testing.assert_array_equal(found.hold.times, expected.hold.times)
-    np.testing.assert_array_equal(found.hold.speeds, expected.hold.speeds)
-    np.testing.assert_array_equal(found.states, expected.states)
-    np.testing.assert_array_equal(found.hold.speeds[-1], [0.0, 0.0])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -143,3 +129,42 @@ def test_first_and_last_ramp_keep_the_limit_of_any_solution(sign: float) -> None
     # Rounding of 100 rad/s in a tenth of a second.
     assert np.max(slopes[[0, -1]]) <= allowed + 1e-9
     np.testing.assert_allclose(arrival.hold.speeds[-1], drift.rest_speeds(GOAL[QUATERNION]))
+
+
+@pytest.fixture(scope="module")
+def followed() -> Following:
+    """Return a plan without momentum."""
+    return Following(arrival_at(situation(NO_DRIFT)), 0.0, planner())
+
+
+def pushed(plan: Following, size: float, direction: float) -> Situation:
+    """Return the situation on the way after a push of `size` [N s] in a direction [rad]."""
+    state, _ = plan.prediction(PUSHED_AT)
+    impulse = size * np.array([np.cos(direction), np.sin(direction)])
+    return replace(
+        situation(Drift(momentum_of_push(ROBOT, impulse))), time=PUSHED_AT, state=state,
+        input_in_force=plan.arrival.hold.at(PUSHED_AT),
+    )
+
+
+@pytest.mark.parametrize("direction", [-2.5, -1.0, 0.0, 1.5, 3.0])
+def test_plan_is_continued_to_the_momentum_of_a_push(
+    followed: Following, direction: float
+) -> None:
+    now = pushed(followed, 0.9, direction)
+    found = replan(followed, now, TUNING.least_dead_band, np.inf, SETTINGS)
+    assert found is not None
+    hold = found.arrival.hold
+    np.testing.assert_array_equal(hold.speeds[0], now.input_in_force)
+    state, drift = integrated(now, hold)
+    # What the plan may leave, and the integration error of its steps of 50 ms.
+    assert state_error(state, GOAL) < TUNING.rolling_back_error + 1e-4
+    np.testing.assert_allclose(hold.speeds[-1], drift.rest_speeds(GOAL[QUATERNION]), atol=1e-9)
+    assert replan(followed, now, TUNING.least_dead_band, -np.inf, SETTINGS) is None, "too late"
+
+
+def test_plan_that_is_not_disturbed_is_kept(followed: Following) -> None:
+    now = pushed(followed, 0.0, 0.0)
+    found = replan(followed, now, TUNING.least_dead_band, np.inf, SETTINGS)
+    assert found is not None
+    assert found.arrival.duration == pytest.approx(followed.time_left(PUSHED_AT), rel=0.011)

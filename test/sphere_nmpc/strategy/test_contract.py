@@ -1,25 +1,27 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that change between two samples: the plan is kept, the new values are used."""
+"""Strategies by name, and parameters that change between two samples, with the plan kept."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from delayed_worker import DelayedWorker
 
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
+from sphere_nmpc.strategy.contract import Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.registry import make_strategy
-from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
-from sphere_nmpc.strategy.time_optimal.search_task import SearchTask
-from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
+from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
+SPEEDS = np.array([30.0, -20.0])
 CASE = PAPER_CASES[1]
 FIRST = Situation(0.0, CASE.start, CASE.goal, np.zeros(2), ROBOT.lumped)
 
@@ -42,6 +44,7 @@ def make(settings: ControllerSettings) -> tuple[Strategy, Situation]:
 def test_plan_that_is_followed_survives_a_change(name: str) -> None:
     settings = ControllerSettings(strategy=name)
     strategy, second = make(settings)
+    assert f"{type(strategy).__module__}:{type(strategy).__name__}" == STRATEGIES[name].path
     strategy.change(replace(settings, goal_tolerance=0.02))
     unchanged, _ = make(settings)
     found, expected = strategy.plan(second), unchanged.plan(second)
@@ -62,41 +65,6 @@ def test_changed_cap_on_iterations_and_weight_hold_from_the_next_plan_on(name: s
     assert np.max(np.abs(strategy.plan(second).hold.speeds[1:])) < 1.0
 
 
-def test_changed_planning_effort_is_spent_from_the_next_sample_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    settings = ControllerSettings(planning_effort=40_000)
-    strategy, second = make(settings)
-    spent = []
-    improve = ArrivalSearch.improve
-
-    def recorded(search: ArrivalSearch, work: int, deadline: float = np.inf) -> object:
-        spent.append(work)
-        return improve(search, work, deadline)
-
-    monkeypatch.setattr(ArrivalSearch, "improve", recorded)
-    unchanged = strategy.plan(second)
-    strategy.change(replace(settings, planning_effort=200_000))
-    strategy.plan(situation_after(unchanged, 2.0 * settings.period))
-    assert spent[1] == 5 * spent[0]
-
-
-def test_search_in_progress_goes_on_after_a_change() -> None:
-    settings = ControllerSettings(control_rate=100.0)
-    strategy = make_strategy(settings, ROBOT)
-    assert isinstance(strategy, TimeOptimalStrategy)
-    worker = DelayedWorker(lambda: now, 0.01)
-    strategy.search_beside(worker)
-    now = 0.0
-    assert strategy.plan(FIRST).status is PlanStatus.RAMP_TO_REST
-    strategy.change(replace(settings, planning_effort=100_000))
-    now = 0.01
-    assert strategy.plan(replace(FIRST, time=now)).status is PlanStatus.SOLVED
-    searches = [task for task in worker.tasks if isinstance(task, SearchTask)]
-    assert [task.known for task in searches[:1]] == [None]
-    assert all(task.known is not None for task in searches[1:]), "for an earlier arrival"
-
-
 def test_changed_input_weight_holds_for_corrections_at_the_goal() -> None:
     settings = ControllerSettings()
     state = CASE.goal.copy()
@@ -110,7 +78,37 @@ def test_changed_input_weight_holds_for_corrections_at_the_goal() -> None:
     assert np.max(np.abs(after.hold.speeds)) < 0.1 * np.max(np.abs(before.hold.speeds))
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
-def test_every_input_weight_in_range_makes_a_strategy(name: str) -> None:
-    settings = ControllerSettings(strategy=name, input_weight=1e6)
-    assert np.isfinite(make_strategy(settings, ROBOT).plan(FIRST).hold.speeds).all()
+class ConstantSpeeds:
+    """Bring the rotors to constant speeds within a sample period, whatever the goal."""
+
+    def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
+        self._period = settings.period
+
+    def plan(self, situation: Situation) -> Plan:
+        times = situation.time + self._period * np.arange(4)
+        hold = FirstOrderHold(times, np.vstack((situation.input_in_force, *[SPEEDS] * 3)))
+        return Plan(PlanStatus.SOLVED, hold, np.tile(situation.state, (4, 1)))
+
+    def change(self, settings: ControllerSettings) -> None:
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        pass
+
+
+def test_one_line_in_the_table_adds_a_strategy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(STRATEGIES, "constant", StrategyEntry(0.4, f"{__name__}:ConstantSpeeds"))
+    settings = ControllerSettings(strategy="constant")
+    assert settings.period == settings.control_period == 0.4
+    scenario = PAPER_CASES[1]
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(scenario.start)), ROBOT)
+    controller = Controller(settings, ROBOT)
+    found = run_closed_loop(simulator, controller, scenario.goal, 2.0, settings.control_period)
+    assert controller.failures == 0
+    settled = found.speeds[found.times >= 0.4]
+    np.testing.assert_allclose(settled, np.tile(SPEEDS, (len(settled), 1)), atol=1e-9)
+
+
+def test_name_that_is_not_in_the_table_is_refused_with_those_that_are() -> None:
+    with pytest.raises(InvalidParameterError, match=" or ".join(STRATEGIES)):
+        ControllerSettings(strategy="constant")

@@ -1,15 +1,24 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured rotor speeds: which of the commands the rotors follow, and since when."""
+"""Commands on their way to the rotors, and poses on their way back.
 
+Each command joins the one in force, within the limits of the drives, and ends at rest. Measured
+rotor speeds show which of them are followed, and since when.
+"""
+
+import math
 from collections import deque
 
 import numpy as np
 
+from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
+REACH = 3.0
+"""Time after which a command that is not renewed ramps the rotors to rest [s]."""
 _DISTINCT = 0.5
 """Difference of two commands above which measured speeds tell which one is followed [rad/s]."""
 _CLEAR = 0.5
@@ -39,6 +48,53 @@ _IN_TIME = 10
 """Commands in time, one after another, after which measured speeds tell nothing more."""
 _LOSSY = 0.01
 """Share of lost commands up to which the link counts as without losses."""
+_POSES = 256
+"""Newest poses that delay and loss are taken of."""
+
+
+class Commands:
+    """Holds that were sent, and those that can follow.
+
+    Times are control times [s].
+
+    Parameters
+    ----------
+    robot : RobotParameters
+        Limits of the drives.
+    """
+
+    def __init__(self, robot: RobotParameters) -> None:
+        self._max_speed = robot.max_rotor_speed
+        self._max_acceleration = robot.max_rotor_acceleration
+        self.sent = SentInputs()
+        """History of the holds sent."""
+
+    def in_force(self, time: float) -> FirstOrderHold:
+        """Return the hold in force from `time` on; before the first one rest."""
+        newest = self.sent.newest
+        hold = FirstOrderHold.constant(time, np.zeros(INPUT_SIZE)) if newest is None else newest
+        return hold.starting_at(time, self.sent.at(time))
+
+    def ramp_to_rest(self, time: float) -> FirstOrderHold:
+        """Return the ramp from the speeds in force at `time` to zero."""
+        return FirstOrderHold.ramp_to_rest(time, self.sent.at(time), self._max_acceleration)
+
+    def earliest(self, now: float) -> float:
+        """Return the time at which a command can start: the clock may be slightly late."""
+        newest = self.sent.newest
+        is_near = newest is not None and now <= newest.start <= now + MOST_AHEAD
+        return newest.start if newest is not None and is_near else now
+
+    def joined(self, hold: FirstOrderHold, start: float, period: float) -> FirstOrderHold:
+        """Return the hold from the speeds in force at `start` on, within all limits, to rest.
+
+        It ends `REACH` or two control periods `period` [s] later: a robot that gets no further
+        command must not roll on.
+        """
+        reach = max(REACH, 2.0 * period)
+        led = self.sent.leading_to(hold, start).until(start + reach).in_nanoseconds()
+        limited = led.limited(self._max_speed, self._max_acceleration)
+        return limited.ending_at_rest(self._max_acceleration)
 
 
 class RotorFeedback:
@@ -200,3 +256,42 @@ class RotorFeedback:
 
 def _distance(one: Vector, other: Vector) -> float:
     return float(np.max(np.abs(one - other)))
+
+
+class PoseLink:
+    """Delay and loss of the newest poses, as far as their stamps show them.
+
+    Times are control times [s].
+    """
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=_POSES)
+        self._ages: deque[float] = deque(maxlen=_POSES)
+
+    def received(self, time: float, age: float) -> None:
+        """Record a pose measured at `time` [s], which is `age` old; nan if that is unknown."""
+        if self._times and time <= self._times[-1]:
+            if time > self._times[0]:
+                return  # Overtaken by a newer one.
+            self._times.clear()
+            self._ages.clear()
+        self._times.append(time)
+        self._ages.append(age)
+
+    @property
+    def delay(self) -> float:
+        """Mean age of the poses when they were received [s]; nan if unknown.
+
+        Where the clock is a topic, it is delayed as well, so that the age shows the difference.
+        """
+        known = [age for age in self._ages if not math.isnan(age)]
+        return sum(known) / len(known) if known else math.nan
+
+    @property
+    def loss(self) -> float:
+        """Share of poses that were not received, from the gaps between stamps; nan if unknown."""
+        if len(self._times) < 3:
+            return math.nan
+        gaps = np.diff(self._times)
+        missing = float(np.sum(np.maximum(0.0, np.round(gaps / np.median(gaps)) - 1.0)))
+        return missing / (missing + gaps.size)

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals aimed at with momentum: as given, the nearest that can be held, or to unload rotors."""
+"""Goals aimed at: as given, the nearest that can be held, to unload rotors, on the way to far."""
 
 from dataclasses import replace
 
@@ -10,10 +10,10 @@ import pytest
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error, make_state
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.holdable_goal import holdable_goal
-from sphere_nmpc.strategy.time_optimal.held_goal import HeldGoal
+from sphere_nmpc.strategy.rest import holdable_goal
+from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -23,6 +23,8 @@ TUNING = TimeOptimalSettings()
 UPRIGHT = make_state(np.array([1.0, -2.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 TILTED = make_state(np.zeros(2), rotation.exponential(np.array([0.4, 0.0, 0.0])))
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
+DIRECTION, PUSHED = np.array([0.8, 0.6]), np.array([10.0, -5.0, 0.0])
+REACH = TUNING.reach_with_momentum
 LOADING = np.array([0.0, 1.0, 0.0])
 """Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
 
@@ -125,35 +127,62 @@ def test_rotors_are_unloaded_at_the_orientation_that_does_so_fastest(held: HeldG
 def test_unloading_goes_on_until_the_rotors_are_half_loaded_on_the_other_side(
     held: HeldGoal,
 ) -> None:
-    first = held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
+    def aim(drift: Drift, holding: bool = True) -> Vector:
+        return held.goal(situation(UPRIGHT, drift), None, holding)
+
+    first = aim(out_of_balance(92.0))
     for momentum in (60.0, 5.0, -5.0, -49.0):
         # The direction stays as it is where the momentum passes zero.
-        aimed = held.goal(
-            situation(UPRIGHT, out_of_balance(momentum)), None, holding=momentum < 0.0
-        )
-        assert angle_error(aimed, first) < 1e-6
-    assert held.goal(situation(UPRIGHT, out_of_balance(-51.0)), None, True) is UPRIGHT
-    assert held.given_up == ""
-
-
-def test_unloading_ends_where_the_imbalance_was_none(held: HeldGoal) -> None:
-    held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
-    assert "unloads" in held.given_up
-    assert held.goal(situation(UPRIGHT, Drift(60.0 * LOADING)), None, False) is UPRIGHT
-    assert held.given_up == ""
-
-
-def test_unloading_follows_the_direction_of_the_momentum(held: HeldGoal) -> None:
-    held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
+        assert angle_error(aim(out_of_balance(momentum), momentum < 0.0), first) < 1e-6
+    assert aim(out_of_balance(-51.0)) is UPRIGHT and held.given_up == ""
+    # Where the imbalance was none, or after a reset, it ends as well.
+    for end in (held.reset, lambda: aim(Drift(60.0 * LOADING), False)):
+        assert aim(out_of_balance(92.0)) is not UPRIGHT and "unloads" in held.given_up
+        end()
+        assert held.given_up == "" and aim(out_of_balance(60.0)) is UPRIGHT
+    # It follows the direction of the momentum.
+    aim(out_of_balance(92.0))
     turned = np.array([np.sin(0.3), np.cos(0.3), 0.0])
     drift = Drift(70.0 * turned, imbalance=OFFSET)
-    aimed = held.goal(situation(UPRIGHT, drift), None, holding=True)
-    torque = drift.torque_at_rest(aimed[QUATERNION])
+    torque = drift.torque_at_rest(aim(drift)[QUATERNION])
     assert torque @ turned == pytest.approx(-np.linalg.norm(OFFSET), rel=1e-9)
 
 
-def test_reset_forgets_to_unload(held: HeldGoal) -> None:
-    held.goal(situation(UPRIGHT, out_of_balance(92.0)), None, holding=True)
-    held.reset()
-    assert held.given_up == ""
-    assert held.goal(situation(UPRIGHT, out_of_balance(60.0)), None, holding=True) is UPRIGHT
+def on_the_way(place: Vector, distance: float, momentum: Vector | None = None) -> Situation:
+    """Return the situation at a place with a goal at a distance in `DIRECTION`."""
+    goal = make_state(distance * DIRECTION, (np.cos(0.3), 0.0, 0.0, np.sin(0.3)))
+    drift = NO_DRIFT if momentum is None else Drift(momentum=momentum)
+    return situation(goal, drift, make_state(place, UPRIGHT[QUATERNION]))
+
+
+def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:
+    near = on_the_way(np.zeros(2), 0.99 * TUNING.farthest)
+    assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False)
+    pushed = on_the_way(np.zeros(2), 0.99 * TUNING.far_distance, PUSHED)
+    assert IntermediateGoals(TUNING).aim(pushed, 0.0) == (pushed, False)
+    goals, far = IntermediateGoals(TUNING), on_the_way(np.zeros(2), 500.0, PUSHED)
+    first, is_new = goals.aim(far, 0.0)
+    assert is_new
+    np.testing.assert_allclose(first.goal[POSITION], REACH * DIRECTION)
+    np.testing.assert_array_equal(first.goal[2:], far.goal[2:])
+    same, is_new = goals.aim(far, 10.0)
+    assert not is_new
+    np.testing.assert_array_equal(same.goal, first.goal)
+    second, is_new = goals.aim(on_the_way(REACH * DIRECTION, 500.0, PUSHED), 0.0)
+    assert is_new
+    np.testing.assert_allclose(second.goal[POSITION], 2.0 * REACH * DIRECTION)
+    last = on_the_way((500.0 - 0.9 * REACH) * DIRECTION, 500.0, PUSHED)
+    assert goals.aim(last, 10.0) == (last, True)
+    assert goals.aim(last, 10.0) == (last, False)
+
+
+def test_intermediate_goal_of_steady_rolling_is_renewed_half_way_to_it() -> None:
+    goals, distance = IntermediateGoals(TUNING), 3.0 * TUNING.reach
+    first, is_new = goals.aim(on_the_way(np.zeros(2), distance), 0.0)
+    assert is_new
+    np.testing.assert_allclose(first.goal[POSITION], TUNING.reach * DIRECTION)
+    for share, expected in ((0.49, False), (0.51, True)):
+        here = share * TUNING.reach * DIRECTION
+        aimed, is_new = goals.aim(on_the_way(here, distance), 100.0)
+        assert is_new == expected
+    np.testing.assert_allclose(aimed.goal[POSITION], here + TUNING.reach * DIRECTION)

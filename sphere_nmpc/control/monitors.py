@@ -1,18 +1,21 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of missing progress: plans are made, and the sphere stands away from its goal."""
+"""Monitors of the loop: arrival, missing progress, steps of the pose, reserve of the rotors."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.model.drift import Drift, push_against, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, position_error, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 
+_LEAVING = 2.0
+"""Ratio of error and tolerance above which the goal counts as left: hysteresis against noise."""
 _PERIODS = 6.0
 """Time without progress after which it is missing [sample periods] ..."""
 _SHORTEST = 5.0
@@ -21,26 +24,71 @@ _STANDING = 2e-3
 """Share of the largest speed [-] up to which a sphere stands, in the mean over that time."""
 _FALLEN = 0.95
 """Share of an error [-] below which it has fallen."""
-_NOISE_FACTOR = 5.0
+_SAME_POSE = 5.0
 """Standard deviations of a measured pose [-] within which two poses do not differ."""
 _IGNORED = 4.0
 """Rolling that the rotor speeds sent should have caused, over what counts as standing [-], above
 which they have had no effect."""
+_FASTEST = 10.0
+"""Rate of the shell that a push may cause, over the largest that the rotors cause [-]."""
+_SMALLEST = 0.1
+"""Turn of the shell [rad], and displacement in radii, that noise may be without being told."""
+_NO_STEP = 8.0
+"""Standard deviations of a measured pose [-] within which a step may be noise."""
+_NEAR = 0.7
+"""Share of the limit of the rotor speeds from which on it is near [-]."""
+_SOON = 60.0
+"""Longest time to the limit that is told [s]; slower changes are within the estimate's error."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Stand:
-    """Where and since when the sphere stands.
+class ArrivalDetector:
+    """Detector of the arrival at the goal: the error has stayed below the tolerance for a time."""
 
-    Attributes
-    ----------
-    since : float
-        Control time of the first pose [s].
-    pose : ndarray, shape (6,)
-        That pose.
-    error : float
-        Its distance to the goal in R^6.
-    """
+    def __init__(self) -> None:
+        self._away_since: float | None = None
+        self._inside_since: float | None = None
+        self.reached = False
+        """Whether the sphere is at the goal."""
+        self.took = float("nan")
+        """Time [s] of the newest arrival: from the first sample, or from when the goal was left,
+        until the error was within the tolerance."""
+
+    def reset(self) -> None:
+        """Discard past errors, as after an interruption."""
+        if self.reached:
+            self._away_since = None
+        self._inside_since = None
+        self.reached = False
+
+    def update(self, time: float, error: float, tolerance: float, dwell: float) -> bool:
+        """Record the error at a sampling instant and return whether the goal is reached.
+
+        Parameters
+        ----------
+        time : float
+            Sampling instant [s].
+        error : float
+            Distance to the goal [mixed units]; nan counts as not within the tolerance.
+        tolerance : float
+            Error below which the sphere is at the goal [mixed units].
+        dwell : float
+            Time for which the error has to stay below the tolerance [s].
+        """
+        if not error < (_LEAVING * tolerance if self.reached else tolerance):
+            self.reset()
+        elif self._inside_since is None or time < self._inside_since:
+            self._inside_since = time
+        if self._away_since is None or time < self._away_since:
+            self._away_since = time
+        if self._inside_since is not None and time >= self._inside_since + dwell:
+            if not self.reached:
+                self.took = self._inside_since - self._away_since
+            self.reached = True
+        return self.reached
+
+
+class _Stand(NamedTuple):
+    """Control time [s] of the first pose of a sphere that stands, the pose, and its error."""
 
     since: float
     pose: Vector
@@ -74,51 +122,19 @@ class Progress:
         self._found = ""
 
     def update(
-        self,
-        time: float,
-        pose: Vector,
-        goal: Vector,
-        speeds: Vector,
-        decision: Decision,
+        self, time: float, pose: Vector, goal: Vector, speeds: Vector, decision: Decision,
         settings: ControllerSettings,
     ) -> str:
         """Record a sampling instant; return what there is instead of progress, empty where it is.
 
-        Poses are compared once a sample period, whatever the control rate.
-
-        Parameters
-        ----------
-        time : float
-            Sampling instant [s].
-        pose : ndarray, shape (6,)
-            Newest measured state.
-        goal : ndarray, shape (6,)
-            Goal in force.
-        speeds : ndarray, shape (2,)
-            Rotor speeds in force [rad/s].
-        decision : Decision
-            Plan for this instant, with the drift.
-        settings : ControllerSettings
-            Sample period, tolerance of the goal, noise of the poses.
+        Poses are compared once a sample period, whatever the control rate. At the sampling instant
+        `time` [s] `pose` is the newest measured state, and `speeds` are in force [rad/s].
         """
         elapsed = time - self._time
         if 0.0 <= elapsed < 0.99 * settings.period:
             return self._found
-        self._time = time
-        self._found = self._compare(elapsed, pose, goal, speeds, decision, settings)
-        return self._found
-
-    def _compare(
-        self,
-        elapsed: float,
-        pose: Vector,
-        goal: Vector,
-        speeds: Vector,
-        decision: Decision,
-        settings: ControllerSettings,
-    ) -> str:
-        """Return the result of `update`, `elapsed` [s] after the last one."""
-        time, plan, error = self._time, decision.plan, state_error(pose, goal)
+        self._time, self._found = time, ""
+        plan, error = decision.plan, state_error(pose, goal)
         resting = plan.status is PlanStatus.HOLDING and not plan.given_up
         if resting or error < _tolerance(settings):
             self._stand = None
@@ -134,10 +150,11 @@ class Progress:
         if waited < longest:
             return ""
         ignored = self._rolling if self._rolling > _IGNORED * standing else 0.0
-        return (
+        self._found = (
             f"given a sphere that has stood {error:.2g} from its goal for {waited:.1f} s, "
             f"expected motion; {self._cause(decision, ignored)}"
         )
+        return self._found
 
     def _progresses(self, stand: _Stand, pose: Vector, error: float, standing: float) -> bool:
         """Return whether the sphere has moved by more than `standing` [rad], or its error fell."""
@@ -150,7 +167,7 @@ class Progress:
     def _noise(self, settings: ControllerSettings) -> float:
         """Return the rolling [rad] that two noisy poses of one place may differ by."""
         position = settings.pose_position_noise / self._radius
-        return _NOISE_FACTOR * max(position, settings.pose_orientation_noise)
+        return _SAME_POSE * max(position, settings.pose_orientation_noise)
 
     def _cause(self, decision: Decision, ignored: float) -> str:
         """Return what is known of the cause, such as `ignored` rolling [rad] of the rotors."""
@@ -179,7 +196,7 @@ def _tolerance(settings: ControllerSettings) -> float:
         math.sqrt(2.0) * settings.pose_position_noise,
         math.sqrt(0.75) * settings.pose_orientation_noise,
     )
-    return settings.goal_tolerance + _NOISE_FACTOR * noise
+    return settings.goal_tolerance + _SAME_POSE * noise
 
 
 def _excess(speeds: Vector, decision: Decision, time: float) -> float:
@@ -195,3 +212,61 @@ def _excess(speeds: Vector, decision: Decision, time: float) -> float:
     turn = state[QUATERNION]
     held = drift.after_rest(turn, time - decision.plan.hold.start).rest_speeds(turn)
     return float(np.max(np.abs(speeds - held)))
+
+
+def impossible_step(
+    before: Vector, after: Vector, elapsed: float, robot: RobotParameters,
+    settings: ControllerSettings,
+) -> str:
+    """Return what is wrong with a step between two poses that no rolling explains; else "".
+
+    The sphere has then been carried: after a reset of the simulator, or where an estimator
+    corrects its pose. Taken for rolling, the step would be explained by a push.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (6,)
+        Measured states.
+    elapsed : float
+        Time between them [s].
+    robot : RobotParameters
+        Robot as built: its radius, and the speed that its rotors can give it.
+    settings : ControllerSettings
+        Noise of the poses.
+    """
+    rate = math.sqrt(2.0) * robot.lumped.input_gain * robot.max_rotor_speed
+    turn = _FASTEST * rate * elapsed + _SMALLEST
+    way = robot.shell_radius * turn + _NO_STEP * settings.pose_position_noise
+    turn += _NO_STEP * settings.pose_orientation_noise
+    moved, turned = position_error(before, after), angle_error(before, after)
+    if moved <= way and turned <= turn:
+        return ""
+    return (
+        f"given a step of {moved:.3g} m and {math.degrees(turned):.3g} deg within {elapsed:.3g} "
+        f"s, expected at most {way:.2g} m and {math.degrees(turn):.2g} deg; poses and plans "
+        "before it are dropped"
+    )
+
+
+def rotor_reserve(drift: Drift, robot: RobotParameters, goal: Vector) -> dict[str, str]:
+    """Return the warning about rotors that hold a momentum at the goal, by its kind; or none."""
+    quaternion, limit = goal[QUATERNION], robot.max_rotor_speed
+    needed = float(np.max(np.abs(drift.rest_speeds(quaternion))))
+    if needed < _NEAR * limit:
+        return {}
+    x, y = push_against(robot, drift.momentum).tolist()
+    push = f"a push of {math.hypot(x, y):.2g} N s towards {math.degrees(math.atan2(y, x)):.0f} deg"
+    if needed >= limit:
+        return {
+            "rotors at their limit": f"given a momentum that needs {needed:.0f} rad/s at the "
+            f"goal, expected at most {limit:.0f}; the sphere rolls until {push} or the opposite "
+            "slope takes the momentum, which a level floor leaves as it is"
+        }
+    left = time_to_saturation(drift, quaternion, limit)
+    if left > _SOON:
+        return {}
+    return {
+        "rotors near their limit": f"given {needed:.0f} of {limit:.0f} rad/s to hold the momentum "
+        f"at the goal, and {left:.1f} s until it can be held no longer; a level floor, a balanced "
+        f"sphere or {push} helps"
+    }

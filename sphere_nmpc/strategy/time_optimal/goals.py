@@ -1,11 +1,16 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal that the rotors can hold: the given one, the nearest one, or one that unloads the rotors.
+"""Goals that are aimed at in place of a given one, which the rotors cannot hold or is too far.
 
 A sphere that rests out of balance gains momentum until a rotor saturates. The torque turns with
 the sphere, so that an orientation at which it opposes the momentum unloads the rotors. They hold
 the momentum there, too, if it is perpendicular to the body's z axis and to the imbalance; the
 torque is largest where the imbalance is horizontal.
+
+With momentum a sphere cannot roll steadily, and whole turns cannot be left out of a plan: its size
+would grow with the distance. A far goal is then approached by intermediate goals some metres ahead
+on the straight line. Without momentum only goals at kilometres need them, as the direction of
+steady rolling would have to be planned to more digits than the solver attains.
 """
 
 from dataclasses import replace
@@ -14,9 +19,9 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.holdable_goal import given_up_angle, holdable_goal
+from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -135,6 +140,50 @@ class HeldGoal:
         if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
             self._direction = level / length
         return _unloading_orientation(drift.imbalance, self._direction, near, other)
+
+
+class IntermediateGoals:
+    """Replacement of a far goal by one on the way to it, at distances of the settings."""
+
+    def __init__(self, settings: TimeOptimalSettings) -> None:
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the intermediate goal."""
+        self._place: Vector | None = None
+
+    def aim(
+        self, situation: Situation, time_left: float, found_none: bool = False
+    ) -> tuple[Situation, bool]:
+        """Return the situation with the goal to plan for, and whether that is a new one.
+
+        Parameters
+        ----------
+        situation : Situation
+            With the final goal.
+        time_left : float
+            Time to the arrival of the plan that is being followed [s]; 0 without one.
+        found_none : bool, optional
+            Whether the last search has found no arrival; the next one is then to a nearer goal.
+        """
+        settings, last = self._settings, self._place
+        here, there = situation.state[POSITION], situation.goal[POSITION]
+        rolls_steadily = situation.drift.is_zero
+        near = settings.reach if rolls_steadily else settings.reach_with_momentum
+        farthest = settings.farthest if rolls_steadily else settings.far_distance
+        if not rolls_steadily and (last is not None or found_none):
+            farthest = near
+        distance = float(np.linalg.norm(there - here))
+        if distance <= farthest:
+            self._place = None
+            return situation, last is not None
+        is_near = last is not None and float(np.linalg.norm(last - here)) < 0.5 * near
+        if last is None or time_left <= 0.0 or (rolls_steadily and is_near):
+            self._place = here + (near / distance) * (there - here)
+        goal = situation.goal.copy()
+        goal[POSITION] = self._place
+        return replace(situation, goal=goal), self._place is not last
 
 
 def _unloading_orientation(

@@ -1,0 +1,278 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Control time: pace and jumps of its clock, sampling instants, time to plan, missed samples."""
+
+import math
+from collections import deque
+from itertools import pairwise
+
+MOST_AHEAD = 0.5
+"""How far ahead of its clock a command may begin [s]; a smaller step of the clock is no jump."""
+_WINDOW, _SPACING, _ENOUGH = 0.5, 5e-3, 1e-2
+"""Wall time over which the pace is measured, between two readings, and at least needed [s]."""
+_STANDSTILL = 0.1
+"""Wall time without progress of control time that counts as a pause [s]."""
+_HURRY = 3.0
+"""Excess over the measured pace up to which a simulated clock does not jump, in paces of at least
+1: on a busy machine simulator and controller run by turns."""
+_STEADY_AFTER = 0.2
+"""Wall time without a jump after which the clock is steady again [s]."""
+_EARLY = 0.25
+"""How much before its instant a tick may appear to be, in periods: the first one may be late.
+One may be late by up to the rest of a period before it counts for the next instant."""
+PLANNING_SHARE = 0.4
+"""Share of the control period that planning may take; the rest is for other processes."""
+MOST_LEAD = 0.5
+"""Largest share of the control period by which a plan is made ahead, for planning and the
+transport of its command."""
+_LEAST_SHARE = 0.1
+"""Share of the control period that planning may take even at a late tick."""
+_RECENT = 8
+"""Newest ticks from whose durations that of the next one is predicted."""
+_MARGIN = 1.25
+"""Predicted duration over the longest of these."""
+_NEGLIGIBLE = 0.02
+"""Share of the control period up to which a command counts as sent at its instant."""
+_COUNT_EVERY = 1.0
+"""Least wall time between two readings of the numbers of samples [s]."""
+_INTERVALS = 5
+"""Intervals between readings over which the share is taken."""
+_MANY, _FEW = 0.1, 0.02
+"""Share of missed instants at which it begins to be reported, and at which that ends."""
+
+
+class ClockWatch:
+    """Measurement of the pace of control time, and detector of its jumps.
+
+    A simulated clock jumps when it goes back, or ahead by more than its pace explains; the system
+    clock when it departs from the steady clock.
+
+    Parameters
+    ----------
+    simulated : bool
+        Whether the pace of control time has to be measured; otherwise it is 1.
+    has_pace : bool, optional
+        Whether control time advances with the wall clock. In lockstep it does not: it jumps back
+        only, and is steady again at once.
+    """
+
+    def __init__(self, simulated: bool, has_pace: bool = True) -> None:
+        self._simulated = simulated
+        self._has_pace = has_pace
+        self._readings: deque[tuple[float, float]] = deque()
+        self._last: tuple[float, float] | None = None
+        self._read_at = float("-inf")
+        self._known_pace: float | None = None if simulated else 1.0
+        self._jumped_at: float | None = None
+        self._before = (0.0, 0.0)
+        self._held_up: tuple[float, float, float] | None = None
+        self.step = 0.0
+        """Control time after the last jump less that before it [s]."""
+        self.has_returned = False
+        """Whether the clock has become steady within `MOST_AHEAD` of what it would show without
+        jumps."""
+
+    @property
+    def pace(self) -> float | None:
+        """Control time over wall time; None until it has been measured for long enough."""
+        if not self._simulated:
+            return 1.0
+        if not self._readings or self._last is None:
+            return None
+        (then, wall_then), (now, wall) = self._readings[0], self._last
+        return (now - then) / (wall - wall_then) if wall - wall_then >= _ENOUGH else None
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the clock has not jumped lately."""
+        return self._jumped_at is None
+
+    def read(self, now: float, wall: float) -> bool:
+        """Record that control time is `now` [s] when the steady clock shows `wall` [s].
+
+        A standstill and a jump restart the measurement of the pace; after a standstill it begins
+        when control time has advanced.
+
+        Returns
+        -------
+        bool
+            Whether the clock has jumped, or has become steady again after jumps.
+        """
+        last, read_at = self._last, self._read_at
+        jumped = last is not None and self._has_jumped(last[0], now, wall)
+        if jumped and last is not None:
+            self.step = now - last[0]
+            self.has_returned = False
+            if self._jumped_at is None:
+                self._before = (last[0], read_at)
+            self._jumped_at = wall if self._has_pace else None
+            self._readings.clear()
+        self._measure(now, wall)
+        if jumped or self._jumped_at is None or wall < self._jumped_at + _STEADY_AFTER:
+            return jumped
+        self._jumped_at = None
+        self.has_returned = abs(now - self.expected(wall)) <= MOST_AHEAD
+        return True
+
+    def expected(self, wall: float) -> float:
+        """Return the control time [s] that a clock which jumps would show without its jumps.
+
+        `wall` is what the steady clock shows [s].
+        """
+        then, wall_then = self._before
+        return then + (self._known_pace or 0.0) * (wall - wall_then)
+
+    def _has_jumped(self, then: float, now: float, wall: float) -> bool:
+        """Return whether the clock has jumped since the last reading, which was `then` [s]."""
+        read_at = self._read_at
+        jumped = self._is_jump(then, read_at, now, wall)
+        if (wall - read_at) * max(1.0, self._known_pace or 0.0) > MOST_AHEAD:
+            # A process that was held up may read an old message first.
+            self._held_up = then, read_at, wall
+        elif jumped and now > then and self._held_up is not None:
+            before, wall_before, ended = self._held_up
+            is_recent = wall < ended + _STEADY_AFTER
+            return not is_recent or self._is_jump(before, wall_before, now, wall)
+        return jumped
+
+    def _is_jump(self, then: float, wall_then: float, now: float, wall: float) -> bool:
+        """Return whether the clock cannot have run from `then` to `now` in this wall time."""
+        step, passed, pace = now - then, wall - wall_then, self._known_pace
+        if not self._simulated:
+            return abs(step - passed) > MOST_AHEAD
+        if step < 0.0 or pace is None or not self._has_pace:
+            return step < 0.0
+        return step > MOST_AHEAD + (pace + _HURRY * max(1.0, pace)) * passed
+
+    def _measure(self, now: float, wall: float) -> None:
+        self._read_at, readings = wall, self._readings
+        if self._last is not None and now == self._last[0]:
+            if wall - self._last[1] >= _STANDSTILL:
+                readings.clear()
+            return
+        self._last = (now, wall)
+        if not readings or wall - readings[-1][1] >= _SPACING:
+            readings.append((now, wall))
+        while wall - readings[0][1] > _WINDOW and len(readings) > 1:
+            readings.popleft()
+        self._known_pace = self.pace or self._known_pace
+
+
+class SampleGrid:
+    """Sampling instants t_0 + k T [s], from the times at which a timer fires late.
+
+    The earliest phase counts: a timer fires late by chance, but never early.
+
+    Parameters
+    ----------
+    period : float
+        T [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self.missed = 0
+        """Instants that passed without a tick."""
+        self.reset()
+
+    def reset(self, period: float | None = None) -> None:
+        """Begin a new grid at the next tick, with another period [s] if given."""
+        self._period = self._period if period is None else period
+        self._origin: float | None = None
+        self._last = 0
+
+    def instant(self, now: float) -> float:
+        """Return the sampling instant of a tick at `now` [s], and count those missed before it."""
+        if self._origin is None:
+            self._origin = now
+            return now
+        k = math.floor((now - self._origin) / self._period + _EARLY)
+        if self._origin + k * self._period > now:
+            self._origin = now - k * self._period
+        self.missed += max(0, k - self._last - 1)
+        self._last = k
+        return self._origin + k * self._period
+
+
+class PlanningTime:
+    """Time budget and lead of the next plan, from the measured pace of control time.
+
+    Parameters
+    ----------
+    control_period : float
+        Control time between two sampling instants [s].
+    watch : ClockWatch
+        Pace of control time.
+    """
+
+    def __init__(self, control_period: float, watch: ClockWatch) -> None:
+        self._period = control_period
+        self._watch = watch
+        self._took: deque[float] = deque(maxlen=_RECENT)
+
+    def budget(self, instant: float, now: float) -> float:
+        """Return the wall time [s] that the plan of a sampling instant may take.
+
+        It is requested at `now`; both `instant` and `now` are control times [s].
+        """
+        left = instant + PLANNING_SHARE * self._period - now
+        return max(left, _LEAST_SHARE * self._period) / (self._watch.pace or 1.0)
+
+    def after(self, now: float, elapsed: float) -> float:
+        """Return the control time [s] when `elapsed` of wall time [s] has passed since `now`.
+
+        It is no more than `MOST_AHEAD` later: a command must not begin long after the clock that
+        is known, however long it took and whatever pace was measured.
+        """
+        return now + min(elapsed * (self._watch.pace or 0.0), MOST_AHEAD)
+
+    def took(self, duration: float, late: float) -> None:
+        """Record the wall time [s] between the request of a plan and its command.
+
+        The request was `late` [s, control time] behind its sampling instant.
+        """
+        self._took.append(late + duration * (self._watch.pace or 1.0))
+
+    @property
+    def lead(self) -> float:
+        """Lead of a plan: predicted delay of its command behind the instant [s, control time].
+
+        A plan that takes effect at the instant it was made for is followed exactly. A command
+        that is late has to start from the rotor speeds at that time, and departs from its plan.
+        """
+        expected = _MARGIN * max(self._took, default=0.0)
+        if expected < _NEGLIGIBLE * self._period:
+            return 0.0
+        return min(expected, MOST_LEAD * self._period)
+
+
+class MissedSamples:
+    """Monitor of missed sampling instants; a single gap, as at a slow start, does not count."""
+
+    def __init__(self) -> None:
+        self._readings: deque[tuple[float, int, int]] = deque(maxlen=_INTERVALS + 1)
+        self.share = 0.0
+        """Share of the instants missed lately; 0 unless some were missed in each interval, and
+        `_MANY` of all."""
+
+    @property
+    def span(self) -> float:
+        """Wall time over which the share is taken [s]."""
+        return self._readings[-1][0] - self._readings[0][0]
+
+    def read(self, wall: float, used: int, missed: int) -> None:
+        """Take the numbers of instants with and without a plan so far, at wall time `wall` [s]."""
+        readings = self._readings
+        if readings and wall < readings[-1][0] + _COUNT_EVERY:
+            return
+        readings.append((wall, used, missed))
+        gained = readings[-1][2] - readings[0][2]
+        share = gained / max(1, gained + readings[-1][1] - readings[0][1])
+        if self.share:
+            self.share = share if share >= _FEW else 0.0
+            return
+        counts = [count for _, _, count in readings]
+        steady = len(counts) > _INTERVALS and all(
+            later > earlier for earlier, later in pairwise(counts)
+        )
+        self.share = share if steady and share >= _MANY else 0.0

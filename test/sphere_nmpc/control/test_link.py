@@ -1,0 +1,243 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands within the limits, which of them are followed, and poses that are late or lost."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphere_nmpc.control.link import REACH, Commands, PoseLink, RotorFeedback
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+
+ROBOT = RobotParameters()
+PERIOD = 0.25
+EXACT = 1e-12
+LIMIT = 1000.0
+"""Limit of the rotors' acceleration of the class `Robot` [rad/s^2]."""
+
+
+@pytest.mark.parametrize(("period", "reach"), [(0.002, REACH), (PERIOD, REACH), (2.5, 5.0)])
+def test_command_of_a_long_plan_is_at_rest_soon_after_it_should_have_been_renewed(
+    period: float, reach: float
+) -> None:
+    speeds = np.array([[0.0, 0.0], [100.0, 100.0], [100.0, 100.0]])
+    plan = FirstOrderHold(np.array([0.0, 0.25, 2000.0]), speeds)
+    sent = Commands(ROBOT).joined(plan, 0.0, period)
+    np.testing.assert_array_equal(sent.speeds[-1], 0.0)
+    assert sent.end == pytest.approx(reach + 100.0 / ROBOT.max_rotor_acceleration)
+    for time in (0.1, 0.25, 1.0, reach):
+        np.testing.assert_array_equal(sent.at(time), plan.at(time))
+
+
+def test_command_of_a_short_plan_is_the_plan() -> None:
+    plan = FirstOrderHold(np.array([0.0, 0.25, 0.5]), np.array([[0, 0], [50, 80], [0, 0]]))
+    sent = Commands(ROBOT).joined(plan, 0.0, PERIOD)
+    np.testing.assert_array_equal(sent.times, plan.times)
+    np.testing.assert_array_equal(sent.speeds, plan.speeds)
+
+
+@given(
+    start=st.floats(0.0, 1.9), count=st.integers(3, 60), spacing=st.floats(1e-3, 0.1),
+    epoch=st.sampled_from([0.0, 12345.678]),
+)
+def test_accelerations_by_the_stamps_keep_the_limit(
+    start: float, count: int, spacing: float, epoch: float
+) -> None:
+    limit, commands = ROBOT.max_rotor_acceleration, Commands(ROBOT)
+    commands.sent.record(FirstOrderHold.constant(epoch, np.array([100.0, 3e-7])))
+    # Between the limits of speed, with steps as large as those of acceleration.
+    speeds = 100.0 - np.abs(limit * spacing * np.arange(1, count + 1) % 400.0 - 200.0)
+    plan = FirstOrderHold(spacing * np.arange(count), np.column_stack((speeds, -speeds)))
+    near = spacing * round(start / spacing) - 4e-9  # just before a knot
+    for at in (start, near):
+        sent = commands.joined(plan.delayed(epoch), epoch + at, PERIOD)
+        intervals = np.diff(np.rint(sent.times * 1e9)) * 1e-9
+        assert np.all(intervals >= 0.999e-6)
+        slopes = np.abs(np.diff(sent.speeds, axis=0)) / intervals[:, None]
+        assert np.max(slopes) <= limit * (1.0 + 1e-9)  # rounding of the quotient alone
+
+
+def test_command_after_a_step_back_of_the_clock_begins_now_or_soon() -> None:
+    commands = Commands(ROBOT)
+    commands.sent.record(FirstOrderHold.constant(100.0, np.zeros(2)))
+    assert commands.earliest(99.9) == 100.0
+    assert commands.earliest(99.4) == 99.4
+    assert commands.earliest(100.1) == 100.1
+
+
+class Robot:
+    """Rotors that follow the holds which arrive, without limits, and what is sent to them."""
+
+    def __init__(self) -> None:
+        self.sent = SentInputs()
+        self.feedback = RotorFeedback(self.sent, LIMIT)
+        self.arrived: FirstOrderHold | None = None
+
+    def send(self, start: float, first: float, slope: float, arrives: bool = False) -> None:
+        """Send a ramp of ten seconds [rad/s, rad/s^2] of rotor 1, the other one at rest."""
+        hold = FirstOrderHold(
+            np.array([start, start + 10.0]), np.array([[first, 0.0], [first + 10.0 * slope, 0.0]])
+        )
+        self.sent.record(hold)
+        self.feedback.sent(hold)
+        self.newest = hold
+        if arrives:
+            self.arrive()
+
+    def arrive(self) -> None:
+        """Follow the newest hold from now on."""
+        self.arrived = self.newest
+
+    def measure(self, *times: float, lag: float = 0.0) -> None:
+        for time in times:
+            self.feedback.observe(time, self.speeds(time - lag), lag)
+
+    def speeds(self, time: float) -> np.ndarray:
+        return np.zeros(2) if self.arrived is None else self.arrived.at(time)
+
+    def believed(self, *times: float) -> list[float]:
+        return [float(self.sent.at(time)[0]) for time in times]
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return Robot()
+
+
+def test_lost_command_was_never_followed(robot: Robot) -> None:
+    robot.send(1.0, 0.0, 10.0, arrives=True)
+    robot.measure(1.2)
+    assert robot.believed(0.9, 1.2, 5.0) == pytest.approx([0.0, 2.0, 40.0], abs=EXACT)
+    assert robot.feedback.window == 0.0 and robot.feedback.loss == 0.0
+    robot.send(2.0, 10.0, -10.0)
+    robot.measure(2.1, 2.2)
+    assert robot.believed(1.5, 2.2, 3.0) == pytest.approx([5.0, 12.0, 20.0], abs=EXACT)
+    robot.send(2.5, 15.0, 0.0, arrives=True)
+    robot.measure(2.7)
+    assert robot.believed(2.2, 2.7) == pytest.approx([12.0, 15.0], abs=EXACT)
+    assert robot.feedback.loss == pytest.approx(0.95 * 0.05) and robot.feedback.shows_link
+
+
+def test_late_command_is_followed_from_when_it_was_measured(robot: Robot) -> None:
+    robot.send(1.0, 0.0, 10.0, arrives=True)
+    robot.measure(1.9)
+    robot.send(2.0, 10.0, -10.0)
+    robot.measure(2.06, 2.1)
+    robot.arrive()
+    robot.measure(2.14)
+    began = 2.14 - (11.4 - 8.6) / LIMIT
+    assert robot.believed(2.1, began) == pytest.approx([11.0, 10.0 * (began - 1.0)], abs=1e-9)
+    assert robot.believed(2.14, 3.0) == pytest.approx([8.6, 0.0], abs=EXACT)
+    assert robot.feedback.delay == pytest.approx(began - 2.0)
+    assert robot.feedback.window == pytest.approx(began - 2.0)
+
+
+@pytest.mark.parametrize(
+    ("late", "slope", "window", "expected"),
+    [(0.03, 1.0, 0.03, [0.0, 0.0, 30.0, 170.0]), (0.0, 0.6, 0.0, [20.0, 30.0, 60.0, 200.0])],
+    ids=["late", "weak"],
+)
+def test_rotors_that_catch_up_as_fast_as_they_can_are_late_and_slower_ones_weak(
+    robot: Robot, late: float, slope: float, window: float, expected: list[float]
+) -> None:
+    robot.send(1.0, 0.0, LIMIT)
+    for time in (1.05, 1.07, 1.09):
+        robot.feedback.observe(time, np.array([slope * LIMIT * (time - 1.0 - late), 0.0]))
+    assert robot.believed(1.02, 1.03, 1.06, 1.2) == pytest.approx(expected, abs=1e-6)
+    assert robot.feedback.window == pytest.approx(window)
+
+
+def test_measurement_between_two_commands_decides_nothing(robot: Robot) -> None:
+    robot.send(1.0, 0.0, 100.0)
+    robot.feedback.observe(1.2, np.array([10.0, 0.0]))
+    assert robot.believed(1.2) == pytest.approx([20.0], abs=EXACT)
+
+
+def test_speeds_behind_by_the_lag_are_in_time(robot: Robot) -> None:
+    robot.send(1.0, 0.0, 100.0, arrives=True)
+    robot.measure(1.03, 1.06, lag=0.02)
+    assert robot.believed(1.03) == pytest.approx([3.0], abs=EXACT)
+    assert robot.feedback.window == 0.0
+
+
+def test_command_sent_for_later_stays_where_an_earlier_one_is_withdrawn(robot: Robot) -> None:
+    robot.send(1.0, 0.0, 10.0)
+    robot.send(3.0, 7.0, 0.0)
+    robot.measure(1.5)
+    assert robot.believed(1.5, 3.5) == pytest.approx([0.0, 7.0], abs=EXACT)
+
+
+def test_window_is_limited_and_shrinks_while_commands_are_in_time(robot: Robot) -> None:
+    robot.send(1.0, 0.0, 10.0)
+    robot.measure(1.5)
+    robot.arrive()
+    robot.measure(1.9)
+    assert robot.feedback.window == pytest.approx(0.3), "rather than 0.9"
+    for i in range(400):
+        start = 2.0 + 0.1 * i
+        robot.send(start, 20.0 * (i % 2), 0.0, arrives=True)
+        robot.measure(start + 0.05)
+    assert robot.feedback.window == 0.0
+    assert not robot.feedback.is_needed
+
+
+def test_command_that_is_late_by_less_than_the_spacing_of_measurements_is_in_time(robot) -> None:
+    """As from a controller whose clock has that spacing, too."""
+    robot.measure(0.80, 0.85, 0.90, 0.95)
+    robot.send(1.0, 0.0, 100.0)
+    robot.measure(1.0, 1.05)
+    assert robot.believed(1.05) == pytest.approx([5.0], abs=EXACT), "not withdrawn"
+    robot.arrive()
+    robot.measure(1.1)
+    assert robot.believed(1.05, 1.1) == pytest.approx([5.0, 10.0], abs=EXACT)
+    assert robot.feedback.window == 0.0
+
+
+def test_late_command_that_servos_follow_with_a_lag_is_in_force_as_it_was_sent(robot) -> None:
+    robot.send(1.0, 0.0, LIMIT)
+    robot.measure(1.1)
+    robot.arrive()
+    for time in (1.2, 1.3):
+        robot.feedback.observe(time, robot.speeds(time - 3.3e-3), 0.0)
+    assert robot.believed(1.25, 1.5) == pytest.approx([250.0, 500.0], abs=EXACT)
+
+
+def test_measured_speeds_are_needed_until_commands_were_in_time_for_long(robot: Robot) -> None:
+    for i in range(10):
+        assert robot.feedback.is_needed
+        robot.send(1.0 + i, 20.0 * (1 + i % 2), 0.0, arrives=True)
+        robot.measure(1.5 + i)
+    assert not robot.feedback.is_needed
+    robot.feedback.resume()
+    assert robot.feedback.is_needed
+
+
+def test_after_a_jump_of_the_clock_earlier_times_count(robot: Robot) -> None:
+    robot.send(7.0, 0.0, 10.0, arrives=True)
+    robot.measure(7.5)
+    robot.sent.clear()
+    robot.feedback.reset()
+    robot.arrived = None
+    robot.send(1.0, 0.0, 10.0)
+    robot.measure(1.5)
+    assert robot.believed(1.5) == pytest.approx([0.0], abs=EXACT)
+
+
+def test_delay_and_loss_of_poses_follow_from_their_stamps() -> None:
+    link = PoseLink()
+    assert math.isnan(link.delay) and math.isnan(link.loss)
+    link.received(0.0, 0.02)
+    for i in range(1, 101):
+        if i % 5 != 3:
+            link.received(0.02 * i, math.nan if i % 2 else 0.02 + 0.02 * (i == 50))
+            link.received(max(0.02 * i - 0.01, 1e-3), 9.0)  # overtaken
+    assert link.delay == pytest.approx(0.02 + 0.02 / 41)
+    assert link.loss == pytest.approx(20 / 100)
+    for time in (0.0, 0.1, 0.2):  # the clock has jumped back
+        link.received(time, 0.0)
+    assert link.loss == 0.0 and link.delay == 0.0

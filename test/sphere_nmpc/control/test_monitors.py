@@ -1,0 +1,294 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Arrival, missing progress with its cause, steps of the pose, and the reserve of the rotors."""
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from delayed_worker import DelayedWorker
+from momentum_loop import MomentumLoop
+from robots import GIANT, PALM
+from standing import Standing
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.monitors import (
+    ArrivalDetector,
+    Progress,
+    impossible_step,
+    rotor_reserve,
+)
+from sphere_nmpc.model.drift import NO_DRIFT, Drift, momentum_of_push, push_against
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, make_state, state_error
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import NANOSECONDS, Simulator
+
+ROBOT = RobotParameters()
+START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+GOAL = make_state((1.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+AT_REST = np.zeros(2)
+TOLERANCE, DWELL = 0.01, 0.25
+TICK = NANOSECONDS // 100
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [
+        ([(0.0, 0.009), (0.24, 0.009), (0.25, 0.009)], [False, False, True]),
+        ([(0.0, 0.009), (0.1, 0.011), (0.3, 0.009)], [False, False, False]),
+        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.019), (0.5, 0.021)], [False, True, True, False]),
+        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.021), (0.5, 0.015)], [False, True, False, False]),
+        ([(0.0, math.nan), (0.3, math.nan)], [False, False]),
+        ([(5.0, 0.0), (0.0, 0.0), (0.1, 0.0), (0.3, 0.0)], [False, False, False, True]),
+    ],
+    ids=["stays", "passes", "noise at the limit", "pushed away", "unknown", "clock set back"],
+)
+def test_goal_is_reached_when_the_error_stays_within_the_tolerance(samples, expected) -> None:
+    arrival = ArrivalDetector()
+    assert [arrival.update(time, error, TOLERANCE, DWELL) for time, error in samples] == expected
+
+
+def test_time_taken_counts_from_the_first_sample_or_from_when_the_goal_was_left() -> None:
+    arrival = ArrivalDetector()
+    taken = []
+    for time, error in (
+        (1.0, math.nan), (1.5, 1.0), (4.14, 0.005), (4.5, 0.001),  # reached after 3.14 s
+        (5.0, 0.5), (6.0, 0.1), (7.5, 0.001), (8.0, 0.001),  # pushed away at 5 s
+    ):
+        if arrival.update(time, error, TOLERANCE, DWELL) and arrival.took not in taken:
+            taken.append(arrival.took)
+    assert taken == pytest.approx([3.14, 2.5])
+    arrival.reset()  # the pose was lost at the goal
+    arrival.update(9.0, 0.02, TOLERANCE, DWELL)
+    arrival.reset()  # and on the way back
+    for time, error in ((10.0, 0.02), (10.5, 0.001), (11.0, 0.001)):
+        arrival.update(time, error, TOLERANCE, DWELL)
+    assert arrival.reached and arrival.took == pytest.approx(1.5)
+
+
+class Blocked(Simulator):
+    """Simulator of a sphere that does not move, whatever its rotors do."""
+
+    def advance_to(self, then: int) -> None:
+        """Let time pass."""
+        self.now = then
+
+
+def closed_loop(
+    controller: Controller, settings: ControllerSettings, duration: float,
+    kind: type[Simulator] = Simulator, robot: RobotParameters = ROBOT,
+) -> Trajectory:
+    period = settings.control_period
+    world = SimulatorSettings(initial_state=tuple(START), sample_period=period)
+    return run_closed_loop(kind(world, robot), controller, GOAL, duration, period, 0.1)
+
+
+def first_missing(run: Trajectory) -> str:
+    return next(d.no_progress for d in run.decisions if d.mode is Mode.NO_PROGRESS)
+
+
+@pytest.mark.parametrize(
+    ("robot", "values"),
+    [
+        (ROBOT, {"sample_period": 0.1}),
+        (ROBOT, {"sample_period": 2.3}),
+        (ROBOT, {"control_rate": 50.0}),
+        (PALM, {"sample_period": 0.5}),
+        (GIANT, {"sample_period": 0.5}),
+    ],
+)
+def test_strategy_that_stands_still_is_told_within_some_periods(robot, values) -> None:
+    settings = ControllerSettings(strategy="paper", **values)
+    controller = Controller(settings, robot, Standing(message="converged"))
+    patience = max(5.0, 6.0 * settings.period)
+    run = closed_loop(controller, settings, patience + 2.0 * settings.period, robot=robot)
+    modes = [d.mode for d in run.decisions]
+    first = modes.index(Mode.NO_PROGRESS)
+    late = first * settings.control_period - patience
+    assert 0.0 <= late + 1e-9 < 1.01 * settings.period
+    assert set(modes[:first]) == {Mode.TRACKING}
+    found = run.decisions[-1]
+    assert found.solved and found.mode is Mode.NO_PROGRESS
+    assert found.no_progress.startswith("given a sphere that has stood 1 from its goal for ")
+    assert found.no_progress.endswith("the plan leaves it where it is (solved: converged)")
+
+
+@pytest.mark.parametrize(
+    ("strategy", "momentum"), [("time_optimal", True), ("plan_keeping", True), ("paper", False)]
+)
+def test_blocked_sphere_is_told_also_where_it_looks_like_momentum(strategy, momentum) -> None:
+    """With `momentum` what the rotors do without effect is taken for momentum that they hold."""
+    settings = ControllerSettings(strategy=strategy, momentum=momentum, planning_effort=20_000)
+    run = closed_loop(Controller(settings, ROBOT), settings, 5.6, Blocked)
+    assert "is it blocked, do its rotors turn" in first_missing(run)
+
+
+def test_robot_that_waits_for_a_plan_and_one_that_gives_up_are_told_so() -> None:
+    settings = ControllerSettings()
+    waiting = Controller(settings, ROBOT, worker=DelayedWorker(lambda: 0.0, 1.0))
+    text = first_missing(closed_loop(waiting, settings, 5.6))
+    assert text.endswith("there is no plan: no arrival found yet")
+    strategy = Standing(status=PlanStatus.HOLDING, given_up="orientation by 30.0 deg: too much")
+    text = first_missing(closed_loop(Controller(settings, ROBOT, strategy), settings, 5.6))
+    assert text.endswith("the strategy gives up orientation by 30.0 deg: too much")
+
+
+def test_progress_and_another_goal_end_it() -> None:
+    settings = ControllerSettings(strategy="paper")
+    controller = Controller(settings, ROBOT, Standing())
+    closed_loop(controller, settings, 6.0)
+    here = make_state((0.1, 0.0), START[2:])
+    for time, pose, mode in (
+        (6.5, START, Mode.NO_PROGRESS), (7.0, here, Mode.TRACKING), (12.5, here, Mode.NO_PROGRESS)
+    ):
+        controller.observe(time, pose)
+        assert controller.decide(time).mode is mode
+    controller.set_goal(make_state((2.0, 0.0), START[2:]))
+    controller.observe(13.0, here)
+    assert controller.decide(13.0).mode is Mode.TRACKING
+
+
+def results(
+    times: Vector, poses: list[Vector], target: Vector = AT_REST, drift: Drift = NO_DRIFT,
+    speeds: Vector = AT_REST, **settings: Any,
+) -> list[str]:
+    """Return the results of the detector for plans from `speeds` to `target`, both [rad/s]."""
+    progress, chosen, found = Progress(ROBOT), ControllerSettings(**settings), []
+    for time, pose in zip(times, poses, strict=True):
+        hold = FirstOrderHold(time + np.array([0.0, 1.0]), np.vstack((speeds, target)))
+        plan = Plan(PlanStatus.SOLVED, hold, START[None, :])
+        decision = Decision(Mode.TRACKING, plan, pose, GOAL, 0.0, None, drift)
+        found.append(progress.update(float(time), pose, GOAL, speeds, decision, chosen))
+    return found
+
+
+def missing(poses: list[Vector], **settings: Any) -> list[str]:
+    """Return the results for a pose every half second."""
+    return results(0.5 * np.arange(len(poses)), poses, strategy="paper", **settings)
+
+
+def at(x: float, turn: float = 0.0) -> Vector:
+    return make_state((x, 0.0), (np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)))
+
+
+def test_slow_approach_and_motion_are_progress() -> None:
+    assert not any(missing([at(1.0 - 0.03 * 0.99**k) for k in range(100)]))
+    assert any(missing([at(1.0 - 0.03 * 0.999**k) for k in range(100)]))
+    # On the way round an obstacle, or turning on the spot, the error may rise.
+    assert not any(missing([at(-0.005 * k) for k in range(60)]))
+    assert not any(missing([at(0.0, 0.01 * k) for k in range(60)]))
+    assert any(missing([at(-0.0005 * k) for k in range(60)]))
+
+
+@pytest.mark.parametrize("x", [0.0, 0.8])
+def test_noise_neither_hides_a_stand_nor_makes_one_of_a_rest_at_the_goal(x) -> None:
+    rng = np.random.default_rng(3)
+    position, turn = 5e-3, 0.017
+
+    def noisy(x: float) -> Vector:
+        return at(x + position * rng.normal(), turn * rng.normal())
+
+    noise = {"pose_position_noise": position, "pose_orientation_noise": turn}
+    assert any(missing([noisy(x) for _ in range(60)], **noise))
+    assert not any(missing([noisy(0.985) for _ in range(200)], **noise))
+
+
+def test_momentum_that_is_held_is_no_motion_and_plans_that_move_it_later_are_told() -> None:
+    times, drift = 0.25 * np.arange(30), Drift(momentum=np.array([20.0, -30.0, 0.0]))
+    held = drift.rest_speeds(START[2:])
+    found = results(times, [START] * 30, held, drift, held)[-1]
+    assert found.endswith("the plan leaves it where it is (solved)")
+    found = results(times, [START] * 30, np.array([50.0, 0.0]))[-1]
+    assert found.endswith("each plan begins at rest and moves it later (solved)")
+
+
+def test_clock_that_is_set_back_begins_anew() -> None:
+    found = results(np.array([0.0, 6.0, 1.0, 5.0, 6.5]), [START] * 5)
+    assert [bool(text) for text in found] == [False, True, False, False, True]
+
+
+def shifted(way: float, turn: float = 0.0) -> np.ndarray:
+    return np.array([way, 0.0, math.cos(turn / 2), math.sin(turn / 2), 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("way", "turn", "elapsed", "noise"),
+    [
+        (0.02, 0.0, 0.001, 0.0),  # noise that was not told
+        (0.1, 0.33, 0.01, 0.0),  # ten times as fast as the rotors can, after a push
+        (3.0, 1.0, 0.5, 0.0),  # poses were lost
+        (0.6, 0.0, 0.01, 0.1),
+    ],
+)
+def test_what_rolling_or_noise_explains_is_no_jump(way, turn, elapsed, noise) -> None:
+    settings = ControllerSettings(pose_position_noise=noise)
+    assert impossible_step(START, shifted(way, turn), elapsed, ROBOT, settings) == ""
+    assert "given a step of " in impossible_step(START, shifted(9.0), elapsed, ROBOT, settings)
+    assert " 90 deg " in impossible_step(START, shifted(0.0, math.pi / 2), 0.01, ROBOT, settings)
+
+
+@pytest.mark.parametrize(("strategy", "after"), [("plan_keeping", 0.8), ("time_optimal", 2.0)])
+def test_simulator_that_is_reset_on_the_way_is_taken_for_no_momentum(strategy, after) -> None:
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(START)), ROBOT)
+    settings = ControllerSettings(strategy=strategy)
+    controller = Controller(settings, ROBOT)
+    period = round(settings.control_period * NANOSECONDS)
+    controller.set_goal(np.array([2.0, -1.0, 1.0, 0.0, 0.0, 0.0]))
+    modes, largest = set(), 0.0
+    for now in range(0, round((after + 6.0) * 100) * TICK, TICK):
+        simulator.advance_to(now)
+        if now == round(after * 100) * TICK:
+            simulator.reset()
+            controller.set_goal(START)
+            modes.clear()
+        controller.observe(simulator.time, simulator.plant.state)
+        if now % period == 0:
+            decision = controller.decide(simulator.time)
+            hold = controller.commit(decision, simulator.time)
+            if hold is not None:
+                simulator.follower.follow_trajectory(hold)
+            modes.add(decision.mode)
+            largest = max(largest, float(np.max(np.abs(decision.drift.momentum))))
+    assert controller.pose_jumps == 1
+    assert modes == {Mode.POSE_JUMPED, Mode.TRACKING, Mode.AT_GOAL}
+    assert largest < 1.0, "no momentum was ever there [rad/s]"
+    assert state_error(simulator.plant.state, START) < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("momentum", "slope", "expected"),
+    [
+        (0.0, 0.0, ""), (69.0, 7.0, ""), (90.0, 0.0, ""), (90.0, -2.0, ""), (80.0, 0.3, ""),
+        (80.0, 4.0, "given 80 of 100 rad/s to hold the momentum at the goal, and 5.0 s until"),
+        (120.0, 0.0, "given a momentum that needs 120 rad/s"),
+    ],
+)
+def test_time_that_rotors_have_left_is_told_where_it_is_short(momentum, slope, expected) -> None:
+    drift = Drift(np.array([0.0, momentum, 0.0]), np.array([0.0, slope]))
+    found = rotor_reserve(drift, ROBOT, START)
+    assert [text.startswith(expected) for text in found.values()] == [True] * bool(expected)
+    against = momentum_of_push(ROBOT, push_against(ROBOT, drift.momentum))
+    np.testing.assert_allclose(against, -drift.momentum)
+
+
+def test_push_that_is_advised_lets_the_sphere_return() -> None:
+    loop = MomentumLoop(START, START)
+    loop.tilt(np.radians(0.6))
+    loop.run(9.0)
+    loop.tilt(0.0)
+    assert loop.run(1.0)[-1].status is PlanStatus.SATURATED, "a level floor alone does not help"
+    (text,) = rotor_reserve(loop.drift, ROBOT, loop.goal).values()
+    impulse, angle = re.findall(r"a push of (\S+) N s towards (\S+) deg", text)[0]
+    turn = np.radians(float(angle))
+    loop.plant.push(float(impulse) * np.array([np.cos(turn), np.sin(turn)]))
+    loop.run(8.0)
+    assert loop.error < 1e-2
+    loop.check_limits()

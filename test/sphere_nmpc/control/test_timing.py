@@ -1,0 +1,180 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Pace and jumps of control time, sampling instants, time to plan, missed samples."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.timing import (
+    MOST_LEAD,
+    PLANNING_SHARE,
+    ClockWatch,
+    MissedSamples,
+    PlanningTime,
+    SampleGrid,
+)
+
+SPACING = 0.01
+
+
+def read(watch: ClockWatch, now: float, wall: float, duration: float, pace: float = 1.0) -> int:
+    """Let a clock run that shows `now` at `wall` [s]; return how often something has changed."""
+    return sum(watch.read(now + pace * t, wall + t) for t in np.arange(0.0, duration, SPACING))
+
+
+def running(pace: float = 1.0, simulated: bool = True) -> ClockWatch:
+    """Return the watch of a clock that has shown `pace` s at 1 s of wall time, for a second."""
+    watch = ClockWatch(simulated)
+    assert read(watch, 0.0, 0.0, 1.0, pace) == 0
+    return watch
+
+
+def test_pace_is_measured_for_a_while_and_anew_after_a_pause() -> None:
+    watch = ClockWatch(simulated=True)
+    watch.read(0.0, 7.0)
+    watch.read(0.045, 7.009)
+    assert watch.pace is None
+    watch.read(0.1, 7.02)
+    assert watch.pace == pytest.approx(5.0)
+    watch.read(0.1, 7.05)
+    assert watch.pace == pytest.approx(5.0), "the same instant again"
+    for wall in (7.1, 7.3):
+        assert not watch.read(0.1, wall)
+    assert watch.pace is None
+    watch.read(0.2, 7.32)
+    assert watch.pace is None, "how long before the reading time went on is unknown"
+    watch.read(0.3, 7.34)
+    assert watch.pace == pytest.approx(5.0) and watch.is_steady
+    assert read(watch, 0.31, 7.35, 0.6, pace=4.0) == 0
+    assert watch.pace == pytest.approx(4.0, rel=0.01), "half a second later"
+    assert ClockWatch(simulated=False).pace == 1.0
+
+
+@pytest.mark.parametrize(("simulated", "pace"), [(True, 1.0), (True, 20.0), (False, 1.0)])
+def test_process_that_was_held_up_finds_no_jump(simulated: bool, pace: float) -> None:
+    watch = running(pace, simulated)
+    assert read(watch, 61.0 * pace, 61.0, 1.0, pace) == 0
+
+
+@pytest.mark.parametrize("pace", [0.5, 1.0, 20.0])
+def test_old_message_that_is_read_first_after_a_hold_up_makes_no_jump(pace: float) -> None:
+    watch = running(pace)
+    assert not watch.read(1.002 * pace, 4.0), "what had arrived before"
+    assert not watch.read(4.001 * pace, 4.001)
+    assert watch.is_steady
+    assert watch.read(64.0 * pace, 4.002), "which is more than it can have missed"
+    watch = running(pace)
+    assert not watch.read(1.002 * pace, 4.0) and read(watch, 1.01 * pace, 4.01, 0.3, pace) == 0
+    assert watch.read(4.31 * pace, 4.31), "too late to be a message that has waited"
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+@pytest.mark.parametrize("step", [3600.0, 0.6, -0.6, -3600.0])
+def test_jump_is_told_at_once_and_over_when_the_clock_has_been_steady(
+    simulated: bool, step: float
+) -> None:
+    watch = running(simulated=simulated)
+    assert watch.read(1.0 + step, 1.0)
+    assert not watch.is_steady
+    assert watch.step == pytest.approx(step + SPACING)
+    assert read(watch, 1.1 + step, 1.1, 0.095) == 0 and not watch.is_steady
+    assert read(watch, 1.2 + step, 1.2, 0.095) == 1 and watch.is_steady
+    assert not watch.has_returned
+    assert watch.pace == pytest.approx(1.0), "the jump is not part of the pace"
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_clock_that_jumps_and_comes_back_has_returned(simulated: bool) -> None:
+    watch = running(simulated=simulated)
+    for wall in (1.0, 1.02, 1.04):  # one forged message after another, among the true ones
+        assert watch.read(3600.0, wall)
+        assert watch.read(wall + 0.01, wall + 0.01)
+    assert read(watch, 1.06, 1.06, 0.25) == 1
+    assert watch.is_steady and watch.has_returned
+    watch.read(-50.0, 2.0)
+    assert not watch.is_steady and not watch.has_returned
+
+
+def test_clock_in_lockstep_may_wait_and_hurry_and_begins_again_at_once() -> None:
+    watch = ClockWatch(simulated=True, has_pace=False)
+    walls = np.arange(0.0, 1.0, SPACING)
+    assert not any(watch.read(now, wall) for now, wall in zip(walls**4, walls, strict=True))
+    assert not watch.read(30.0, 1.001)
+    assert watch.read(0.0, 1.002)
+    assert watch.is_steady and not watch.has_returned
+
+
+def test_sampling_instants_are_those_of_the_earliest_tick_until_a_reset() -> None:
+    grid = SampleGrid(0.5)
+    found = [grid.instant(moment) for moment in (1.02, 1.5, 2.2, 2.51, 4.0)]
+    assert found == pytest.approx([1.02, 1.5, 2.0, 2.5, 4.0])
+    assert grid.missed == 2
+    grid.reset()
+    assert [grid.instant(moment) for moment in (3.3, 3.8)] == pytest.approx([3.3, 3.8])
+    assert grid.missed == 2
+
+
+def planning(pace: float | None = 1.0) -> PlanningTime:
+    """Return the time to plan on a simulated clock of some pace; None on the system clock."""
+    return PlanningTime(0.25, ClockWatch(False) if pace is None else running(pace))
+
+
+@pytest.mark.parametrize("pace", [None, 0.2, 1.0, 50.0])
+def test_budget_is_a_share_of_the_period_on_the_wall_clock(pace: float | None) -> None:
+    one, pace = planning(pace), pace or 1.0
+    assert one.budget(7.0, 7.0) == pytest.approx(PLANNING_SHARE * 0.25 / pace)
+    assert one.budget(7.0, 7.06) == pytest.approx((PLANNING_SHARE * 0.25 - 0.06) / pace)
+    assert one.budget(7.0, 8.0) == pytest.approx(0.025 / pace), "never none"
+    assert one.after(7.0, 0.001) == pytest.approx(7.0 + 0.001 * pace)
+    assert one.after(7.0, 30.0) == 7.5, "no command begins long after the clock that is known"
+    assert PlanningTime(0.25, ClockWatch(simulated=True)).after(7.0, 0.01) == 7.0, "no pace yet"
+
+
+def test_lead_follows_from_recent_durations_in_control_time() -> None:
+    one = planning(5.0)
+    assert one.lead == 0.0
+    one.took(1.0, 0.0)
+    assert one.lead == pytest.approx(MOST_LEAD * 0.25)
+    for _ in range(8):
+        one.took(0.004, 0.01)
+    assert one.lead == pytest.approx(1.25 * (0.01 + 5.0 * 0.004))
+    for _ in range(8):
+        one.took(0.0002, 0.0)
+    assert one.lead == 0.0, "a negligible duration"
+
+
+def reported(missed_in: list[int], rate: int = 500) -> list[float]:
+    """Return the share after each second, of which so many instants were missed."""
+    monitor, used, missed = MissedSamples(), 0, 0
+    monitor.read(0.0, used, missed)
+    shares = []
+    for second, count in enumerate(missed_in, start=1):
+        used, missed = used + max(0, rate - count), missed + count
+        for part in (0.0, 0.25, 0.5, 0.75):
+            monitor.read(second + part, used, missed)
+        shares.append(monitor.share)
+    return shares
+
+
+@pytest.mark.parametrize(
+    ("missed_in", "rate"),
+    [
+        ([900, 700, 300, 200, *[0] * 16], 500),
+        ([0] * 10 + [1_800_000] + [0] * 9, 500),
+        ([10] * 20, 500),
+        ([1, 0] * 10, 4),
+    ],
+    ids=["slow start", "clock set ahead", "two per cent", "now and then"],
+)
+def test_few_misses_or_a_single_gap_are_not_reported(missed_in, rate) -> None:
+    assert not any(reported(missed_in, rate))
+
+
+@pytest.mark.parametrize(("missed", "rate"), [(133, 500), (1, 2)])
+def test_share_is_reported_after_five_seconds_and_until_it_is_over(missed, rate) -> None:
+    shares = reported([missed] * 10 + [0] * 10, rate)
+    assert shares[:4] == [0.0] * 4
+    assert shares[4:10] == pytest.approx([missed / rate] * 6)
+    assert shares[10] > 0.0 and shares[-6:] == [0.0] * 6
+    varying = reported([100] * 6 + [0, 30, 20, 100, 0, 40, 50, 0, 60, 20])
+    assert all(varying[4:]), "one report"

@@ -15,6 +15,8 @@ from typing import Any
 
 from sphere_nmpc.errors import InvalidParameterError
 
+NANOSECONDS = 1_000_000_000
+"""Nanoseconds in a second."""
 _KEY = "quantity"
 
 

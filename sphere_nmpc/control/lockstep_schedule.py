@@ -11,10 +11,10 @@ from sphere_nmpc.control.clock_watch import ClockWatch
 from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPose
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 
 _AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
-_NANOSECONDS = 1_000_000_000
 
 
 class LockstepSchedule:
@@ -51,7 +51,7 @@ class LockstepSchedule:
         The simulator repeats the pose while it waits. The plan of an instant is made once, its
         command is then sent again.
         """
-        if pose.stamp % round(self._period * _NANOSECONDS):
+        if pose.stamp % round(self._period * NANOSECONDS):
             return NOTHING
         if pose.stamp == self._answered:
             return Actions(repeat=True)

@@ -22,13 +22,12 @@ from sphere_nmpc.errors import InvalidInputError, InvalidParameterError, Invalid
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantity import NANOSECONDS, quantity, validate
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
 """Names of the rotors about body x and body y."""
 WORLD_FRAME = "world"
 BODY_FRAME = "base_link"
-NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ from trajectory_msgs.msg import JointTrajectory
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.conversions import (
     JOINT_NAMES,
-    NANOSECONDS,
     WORLD_FRAME,
     framed_pose_from_ros,
     hold_from_trajectory,

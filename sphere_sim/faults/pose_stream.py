@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-NANOSECONDS = 1_000_000_000
+from sphere_nmpc.quantity import NANOSECONDS
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@
 
 from typing import Any
 
-NANOSECONDS = 1_000_000_000
-"""Nanoseconds in a second."""
+from sphere_nmpc.quantity import NANOSECONDS
+
 LARGEST = 1e30
 """Largest magnitude of a number that is believed [SI units]: its square is one, too."""
 

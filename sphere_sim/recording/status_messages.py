@@ -5,9 +5,9 @@
 import math
 from collections.abc import Iterator
 
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.controller_status import number
-from sphere_sim.recording.message_fields import NANOSECONDS
 from sphere_sim.recording.messages import Messages
 
 

@@ -15,10 +15,11 @@ from sphere_nmpc.control.schedule import Actions, PlanRequest, TimedPose
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 STEP = 0.002
 """Spacing of the instants at which something happens [s]."""

@@ -6,8 +6,9 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.faults.catalogue import Fault
-from sphere_sim.faults.pose_stream import NANOSECONDS, make_disturbance
+from sphere_sim.faults.pose_stream import make_disturbance
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.disturbance_actions import Push, Tilt
 from sphere_sim.ros.faults.fault_session import FaultSession, SessionError

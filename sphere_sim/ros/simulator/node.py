@@ -25,6 +25,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.conversions import BODY_FRAME, FrameSettings
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.graph_faults import GraphFault
@@ -43,7 +44,7 @@ from sphere_sim.world.limits import beyond
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import PushSettings, SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""

@@ -12,9 +12,10 @@ from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.pose_step import impossible_step
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 UPRIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

@@ -17,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros import conversions as cv
 from sphere_nmpc.ros import serialised
 
@@ -170,7 +171,7 @@ def test_speeds_with_dimensions_or_of_another_number_are_read() -> None:
 
 
 def big_endian_pose(x: float, stamp: int) -> bytes:
-    head = b"\x00\x00\x00\x00" + struct.pack(">iI", *divmod(stamp, cv.NANOSECONDS))
+    head = b"\x00\x00\x00\x00" + struct.pack(">iI", *divmod(stamp, NANOSECONDS))
     name = struct.pack(">I", 6) + b"world\x00" + bytes(6)
     return head + name + struct.pack(">7d", x, 2.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 

@@ -9,8 +9,9 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 MILLISECOND = NANOSECONDS // 1000
 

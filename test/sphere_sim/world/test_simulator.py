@@ -10,9 +10,10 @@ import pytest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 SETTINGS = SimulatorSettings()

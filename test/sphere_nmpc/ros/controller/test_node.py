@@ -26,10 +26,10 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.planning_time import PLANNING_SHARE
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import (
-    NANOSECONDS,
     hold_from_trajectory,
     pose_from_ros,
     pose_to_ros,

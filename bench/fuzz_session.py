@@ -35,7 +35,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.child_process import parameter_options, verb_command
 from sphere_sim.ros.session.process_set import ProcessSet

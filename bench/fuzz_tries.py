@@ -35,8 +35,7 @@ from std_srvs.srv import SetBool
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.conversions import pose_to_ros
-from sphere_nmpc.ros.serialised import clock_message
+from sphere_nmpc.ros.messages import clock_message, pose_to_ros
 from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.faults.worker_actions import worker_of
 from sphere_sim.ros.session.child_process import verb_command

@@ -27,7 +27,7 @@ from node_runs import PATIENCE, machine, write_json
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from sphere_nmpc.ros.conversions import seconds, stamp_from_ros
+from sphere_nmpc.ros.messages import seconds, stamp_from_ros
 from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner

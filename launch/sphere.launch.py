@@ -40,7 +40,8 @@ from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.child_command import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.state import as_state, upright_state
-from sphere_nmpc.ros.conversions import WORLD_FRAME, FrameSettings
+from sphere_nmpc.ros.messages import WORLD_FRAME
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.error_text import how_to_install
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS

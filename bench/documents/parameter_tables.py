@@ -14,8 +14,8 @@ from typing import Any
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
-from sphere_nmpc.ros.conversions import FrameSettings
 from sphere_nmpc.ros.scheduling import SchedulingSettings
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.study.conditions import OF_NODES
 from sphere_sim.world.disturbances import DisturbanceSettings

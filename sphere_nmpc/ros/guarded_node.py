@@ -20,7 +20,7 @@ from type_description_interfaces.srv import GetTypeDescription
 from sphere_nmpc.errors import InvalidValueError, SphereNmpcError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.ros.serialised import clock_stamp, message_object
+from sphere_nmpc.ros.messages import clock_stamp, message_object
 
 _TYPE_HASH = re.compile("RIHS01_[0-9a-f]{64}")
 FAILED = "callback failed"

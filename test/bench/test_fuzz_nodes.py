@@ -22,12 +22,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import make_state
-from sphere_nmpc.ros.conversions import stamp_from_ros
-from sphere_nmpc.ros.serialised import (
+from sphere_nmpc.ros.messages import (
     clock_message,
     joint_states_message,
     pose_message,
     speeds_message,
+    stamp_from_ros,
     trajectory_message,
 )
 

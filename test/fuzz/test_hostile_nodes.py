@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

@@ -16,8 +16,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import JOINT_NAMES
-from sphere_nmpc.ros.serialised import hold_and_stamp
+from sphere_nmpc.ros.messages import JOINT_NAMES, hold_and_stamp
 from sphere_sim.faults.limits import LimitCheck
 from sphere_sim.ros.simulator.node import SimulatorNode
 
@@ -103,7 +102,7 @@ def test_poses_of_now_with_any_numbers_keep_the_limits(controller, sent) -> None
         place.x, place.y = (float(v) for v in rng.choice([0.0, 1e-300, 5.0, -1e6, 1e5], 2))
         q = rng.normal(size=4)
         turn.x, turn.y, turn.z, turn.w = (float(v) for v in q / np.linalg.norm(q))
-        controller._receive_pose(pose)
+        controller._receive_pose(serialize_message(pose))
         controller._receive_goal(pose if rng.random() < 0.3 else PoseStamped())
         controller._tick()
     assert sent.worst_speed > 0.0, "plans were sent"

@@ -9,8 +9,9 @@ services    ~/enable
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
@@ -18,7 +19,9 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -36,13 +39,13 @@ from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
-from sphere_nmpc.ros.conversions import FrameSettings, framed_pose_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.messages import framed_pose_from_ros, header_stamp, pose_of_message
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.ros.serialised import header_stamp, pose_of_message
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.worker.process import WorkerProcess
 
@@ -131,6 +134,22 @@ class ControllerNode(RunnableNode):
         """Real-time priority as set, and none in lockstep, where time waits for this node."""
         return self._scheduling.settings.thread_priority if self._schedule.is_real_time else 0
 
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any,
+        **options: Any,
+    ) -> Subscription:
+        """Create a subscription; rclpy's own one of ``/clock`` is served by `ControlClock`.
+
+        rclpy makes it with the node and whenever ``use_sim_time`` is set. Its callback takes
+        message objects, each of which takes as long as a solve.
+        """
+        if msg_type is ClockMessage:
+            callback, options = self._receive_clock, {**options, "raw": True}
+        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
+
+    def _receive_clock(self, message: bytes) -> None:
+        self._control_clock.hear(message)
+
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""
         now = self._control_clock.final_now()
@@ -174,7 +193,6 @@ class ControllerNode(RunnableNode):
         self._timer = None if period is None else self.create_timer(period, self._tick)
 
     def _check(self) -> None:
-        self._control_clock.listen()
         clock = self._control_clock
         now, watch = clock.now(), clock.watch
         jump = 0.0 if watch.is_steady else watch.step
@@ -246,7 +264,7 @@ class ControllerNode(RunnableNode):
         if not self.controller.searches:
             self._found_timer.cancel()
 
-    def _receive_pose(self, message: bytes | PoseStamped) -> None:
+    def _receive_pose(self, message: bytes) -> None:
         now = self._control_clock.steady_now()
         try:
             stamp = header_stamp(message)

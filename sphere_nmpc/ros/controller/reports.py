@@ -25,8 +25,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus
-from sphere_nmpc.ros.conversions import path_to_ros, pose_to_ros
 from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
+from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
 
 _LEVELS = {

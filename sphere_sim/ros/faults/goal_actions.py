@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector, upright_state
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
 

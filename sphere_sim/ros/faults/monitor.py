@@ -18,7 +18,7 @@ from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.conversions import (
+from sphere_nmpc.ros.messages import (
     hold_from_trajectory,
     joint_states_from_ros,
     pose_from_ros,

@@ -13,7 +13,7 @@ import time
 from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, READY, FaultSession, SessionError
 from sphere_sim.ros.faults.goal_actions import random_goal

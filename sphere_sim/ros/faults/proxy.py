@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.ros.conversions import stamp_from_ros, stamp_to_ros
+from sphere_nmpc.ros.messages import stamp_from_ros, stamp_to_ros
 from sphere_sim.faults.pose_stream import PoseSample, PoseStream
 
 REMAPPED = {

@@ -8,7 +8,7 @@ import time
 from geometry_msgs.msg import PoseStamped
 
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.conversions import pose_to_ros, stamp_from_ros
+from sphere_nmpc.ros.messages import pose_to_ros, stamp_from_ros
 from sphere_sim.ros.faults.action import Action
 from sphere_sim.ros.faults.fault_session import RADIUS, FaultSession
 from sphere_sim.ros.faults.goal_actions import random_goal

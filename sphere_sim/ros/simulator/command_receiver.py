@@ -12,7 +12,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.serialised import hold_and_stamp, speeds_of_message
+from sphere_nmpc.ros.messages import hold_and_stamp, speeds_of_message
 from sphere_sim.world.simulator import Simulator
 
 _NEGLIGIBLE_SPEED = 0.1
@@ -76,7 +76,7 @@ class CommandReceiver:
             Float64MultiArray, "rotor_commands", self._receive_speeds, 10, raw=True
         )
 
-    def _receive_trajectory(self, message: bytes | JointTrajectory) -> None:
+    def _receive_trajectory(self, message: bytes) -> None:
         self.received += 1
         simulator = self._simulator
         try:
@@ -115,7 +115,7 @@ class CommandReceiver:
         self._count_clamped(lambda: simulator.follower.follow_trajectory(hold))
         self._on_trajectory(stamp)
 
-    def _receive_speeds(self, message: bytes | Float64MultiArray) -> None:
+    def _receive_speeds(self, message: bytes) -> None:
         self.received += 1
         simulator = self._simulator
         try:

@@ -26,13 +26,14 @@ from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.conversions import BODY_FRAME, FrameSettings
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.graph_faults import GraphFault
 from sphere_nmpc.ros.graph_monitor import GraphMonitor
 from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.messages import BODY_FRAME
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.scheduling import SchedulingSettings
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.simulator.awaited_controller import AwaitedController
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
 from sphere_sim.ros.simulator.controller_limits import ControllerLimits

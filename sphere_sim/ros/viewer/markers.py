@@ -22,9 +22,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import FrameSettings, pose_from_ros
 from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.frame import radius_at

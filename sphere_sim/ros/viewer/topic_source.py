@@ -11,7 +11,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_nmpc.ros.messages import WORLD_FRAME, pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions

@@ -16,7 +16,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.conversions import pose_to_ros
 from sphere_nmpc.ros.environment import (
     RosEnvironmentError,
     check_environment,
@@ -25,6 +24,7 @@ from sphere_nmpc.ros.environment import (
     unwritable_log_folder,
 )
 from sphere_nmpc.ros.loopback import network_reach
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.shared_memory import avoid_foreign_shared_memory
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

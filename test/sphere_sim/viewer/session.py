@@ -18,7 +18,7 @@ from ros_graph import Graph, values_of
 from verb_process import start, stop
 
 from sphere_nmpc.model.state import Vector, state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
+from sphere_nmpc.ros.messages import pose_from_ros, stamp_from_ros
 
 CONTROLLER = (
     "-p", "use_sim_time:=true", "-p", "strategy:=time_optimal",

@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import Graph
 
 from sphere_nmpc.model.state import state_error
-from sphere_nmpc.ros.conversions import pose_from_ros
+from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

@@ -21,7 +21,7 @@ from test_replay_in_browser import wait_until, write_bag
 from verb_process import start, stop, verb_command
 
 from sphere_nmpc.model.state import make_state
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 
 BROWSER = find_browser()
 pytestmark = [

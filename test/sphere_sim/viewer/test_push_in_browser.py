@@ -19,7 +19,7 @@ from session import LATCHED, Session, open_session
 from std_msgs.msg import Bool
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.conversions import stamp_from_ros
+from sphere_nmpc.ros.messages import stamp_from_ros
 from sphere_sim.viewer import colours
 
 BROWSER = find_browser()

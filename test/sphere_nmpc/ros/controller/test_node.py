@@ -29,7 +29,7 @@ from sphere_nmpc.model.state import make_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import (
+from sphere_nmpc.ros.messages import (
     hold_from_trajectory,
     pose_from_ros,
     pose_to_ros,

@@ -45,8 +45,9 @@ from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.error_text import how_to_install
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.rviz_config import rviz_config
-from sphere_sim.world.settings import PLANTS, SimulatorSettings
+from sphere_sim.world.settings import PLANTS
 
 PACKAGE = "sphere_nmpc"
 STATE_PUBLISHER = "robot_state_publisher"
@@ -321,7 +322,7 @@ def initial_state(text: str) -> list[float]:
 
 def real_time_factor(text: str, clock: str) -> float:
     try:
-        return SimulatorSettings(clock=clock, real_time_factor=float(text)).real_time_factor
+        return SimulatorNodeSettings(clock=clock, real_time_factor=float(text)).real_time_factor
     except InvalidParameterError as error:
         raise RuntimeError(str(error)) from None
     except ValueError:

@@ -15,9 +15,11 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
+from typing import Any
 
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from sphere_nmpc.end_signals import END_SIGNALS
@@ -25,6 +27,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.garbage import GarbageCollection
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.loopback import network_reach
+from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.scheduling import refused_message, schedule
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
 
@@ -39,10 +42,30 @@ _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 
 
 class RunnableNode(GuardedNode):
-    """Node with work of its own beside callbacks, or with final messages to send."""
+    """Node with work of its own beside callbacks, or with final messages to send.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    parameter_overrides : list of Parameter, optional
+        Parameters as given on a command line; for use within a program.
+    **options
+        See `rclpy.node.Node`.
+    """
 
     uses_events_executor = False
     """Whether rclpy's events executor is preferred, for callbacks at a high rate."""
+
+    def __init__(
+        self, name: str, parameter_overrides: list[Parameter] | None = None, **options: Any
+    ) -> None:
+        super().__init__(
+            name, parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True, **options,
+        )
+        self.parameters = Parameters(self)
+        """Where the node declares its settings."""
 
     @property
     def thread_priority(self) -> int:

@@ -4,36 +4,12 @@
 
 import contextlib
 import os
-from dataclasses import dataclass
 from pathlib import Path
-
-from sphere_nmpc.quantity import quantity, validate
 
 _NICENESS = 5
 """Niceness of a process that only displays."""
 _TASKS = Path("/proc/self/task")
 _OF_SESSION = Path("/proc/self/autogroup")
-
-
-@dataclass(frozen=True)
-class SchedulingSettings:
-    """Scheduling of the threads of a node.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
-
-    thread_priority: int = quantity(
-        0, "-",
-        "Real-time priority (SCHED_FIFO) while time runs with the wall clock; 0 is ordinary "
-        "scheduling",
-        minimum=0, maximum=99, live=True,
-    )
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 def schedule(priority: int) -> bool:

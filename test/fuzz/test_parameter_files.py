@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.ros.settings import ControllerNodeSettings
 
 NAMES = st.sampled_from(
-    [*quantities(ControllerSettings()), *(f"robot.{n}" for n in quantities(RobotParameters())),
+    [*quantities(ControllerNodeSettings()), *(f"robot.{n}" for n in quantities(RobotParameters())),
      "robot", "use_sim_time", "unheard_of", "a.b.c", "qos_overrides", "''", "~", "1", "sphere:"]
 )
 VALUES = st.one_of(
@@ -34,10 +33,10 @@ class ShortNode(RunnableNode):
     """Node with the parameters of the controller, which ends as soon as it runs."""
 
     def __init__(self) -> None:
-        super().__init__("controller", automatically_declare_parameters_from_overrides=True)
-        both = [DeclaredSettings(self, ControllerSettings()),
-                DeclaredSettings(self, RobotParameters(), prefix="robot")]
-        warn_of_unknown(self, [name for settings in both for name in settings.names])
+        super().__init__("controller")
+        self.parameters.declare(ControllerNodeSettings())
+        self.parameters.declare(RobotParameters(), "robot")
+        self.parameters.warn_of_unknown()
 
     def work(self, executor) -> None:
         signal.raise_signal(signal.SIGTERM)

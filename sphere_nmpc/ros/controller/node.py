@@ -43,10 +43,8 @@ from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import framed_pose_from_ros, header_stamp, pose_of_message
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.ros.settings import FrameSettings
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
+from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
 
 _CHECK_EVERY = 0.25
@@ -71,21 +69,16 @@ class ControllerNode(RunnableNode):
     uses_events_executor = True
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            "controller",
-            parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
-        own = ControllerSettings().of(robot.settings)
-        declared = DeclaredSettings(self, own, on_change=self._change)
-        self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        frames = DeclaredSettings(self, FrameSettings())
-        parts = (declared, robot, self._scheduling, frames)
-        warn_of_unknown(self, [name for part in parts for name in part.names])
+        super().__init__("controller", parameter_overrides)
+        declare = self.parameters.declare
+        robot = declare(RobotParameters(), "robot").settings
+        settings = self._settings = declare(
+            ControllerNodeSettings().of(robot), on_change=self._change
+        ).settings
+        self._scheduling = declare(SchedulingSettings())
+        self._frame = declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
         self.add_on_set_parameters_callback(self._refuse)
-        settings = self._settings = declared.settings
-        self._frame = frames.settings.world_frame
         self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (
@@ -95,7 +88,7 @@ class ControllerNode(RunnableNode):
         self._worker: WorkerProcess | None = None
         if self._schedule.is_real_time:
             self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
-        self.controller = Controller(settings, robot.settings, worker=self._worker)
+        self.controller = Controller(settings, robot, worker=self._worker)
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._stored_goal = StoredGoal(
             self, settings.goal_memory, self._control_clock, self._fault_log
@@ -109,7 +102,7 @@ class ControllerNode(RunnableNode):
             depth=1 if self._schedule.is_real_time else 10,
         )
         self._reports = ControllerReports(
-            self, self.controller, self._schedule, self._fault_log, robot.settings, settings,
+            self, self.controller, self._schedule, self._fault_log, robot, settings,
             self._monitor, self._event_log, self._frame,
         )
         self._rotor_receiver = RotorReceiver(
@@ -312,7 +305,7 @@ class ControllerNode(RunnableNode):
         self._event_log.report("enable", response.message)
         return response
 
-    def _change(self, settings: ControllerSettings) -> None:
+    def _change(self, settings: ControllerNodeSettings) -> None:
         if settings.control_period != self._settings.control_period:
             self._period_publisher.publish(Float64(data=settings.control_period))
         if settings.strategy != self._settings.strategy:

@@ -24,7 +24,6 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import pose_from_ros
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
@@ -49,14 +48,9 @@ class MarkerNode(RunnableNode):
     """
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            "markers",
-            parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        frames = DeclaredSettings(self, FrameSettings())
-        warn_of_unknown(self, frames.names)
-        self._frame = frames.settings.world_frame
+        super().__init__("markers", parameter_overrides)
+        self._frame = self.parameters.declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._pose: PoseStamped | None = None

@@ -64,7 +64,7 @@ def test_time_taken_counts_from_the_first_sample_or_from_when_the_goal_was_left(
 def test_paper_case_ends_in_the_mode_at_goal_once_it_has_settled(case: int) -> None:
     scenario, settings, robot = PAPER_CASES[case], ControllerSettings(), RobotParameters()
     world = SimulatorSettings(
-        initial_state=tuple(scenario.start), sample_period=settings.control_period
+        initial_state=tuple(scenario.start)
     )
     controller = Controller(settings, robot)
     run = run_closed_loop(

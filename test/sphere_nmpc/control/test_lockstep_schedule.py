@@ -13,7 +13,7 @@ from sphere_nmpc.control.schedule import NOTHING, Actions, PlanRequest, TimedPos
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import ControllerSettings
 
-PAPER = ControllerSettings(strategy="paper", lockstep=True)
+PAPER = ControllerSettings(strategy="paper")
 MS = 1_000_000
 
 
@@ -96,8 +96,8 @@ def test_last_plan_is_for_the_present(schedule: LockstepSchedule) -> None:
 
 
 def test_only_a_change_to_another_control_period_is_refused(schedule: LockstepSchedule) -> None:
-    same = ControllerSettings(strategy="plan_keeping", lockstep=True)
+    same = ControllerSettings(strategy="plan_keeping")
     assert schedule.refusal(same) is None
     schedule.change(same)
-    reason = schedule.refusal(ControllerSettings(strategy="time_optimal", lockstep=True))
+    reason = schedule.refusal(ControllerSettings(strategy="time_optimal"))
     assert reason is not None and "every 0.5 s" in reason

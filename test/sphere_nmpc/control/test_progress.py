@@ -46,7 +46,7 @@ def closed_loop(
 ) -> Trajectory:
     simulator = kind(
         SimulatorSettings(
-            initial_state=tuple(START), sample_period=settings.control_period, **world
+            initial_state=tuple(START), **world
         ), robot,
     )
     return run_closed_loop(
@@ -229,7 +229,7 @@ def test_runs_that_settle_are_not_told_to_stand(strategy, noise) -> None:
     for scenario in draw_scenarios(1 if noise else 2, 1):
         simulator = Simulator(
             SimulatorSettings(
-                initial_state=tuple(scenario.start), sample_period=settings.control_period,
+                initial_state=tuple(scenario.start),
                 **world,
             ), ROBOT,
         )

@@ -3,17 +3,22 @@
 """What the nodes declare, what may change while they run, and what is refused."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from parameter_tables import NODES, PARTS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities, quantity, validate
+from sphere_nmpc.quantity import Quantity, quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.parameters import DeclaredSettings
+from sphere_nmpc.ros.parameters import DeclaredSettings, Parameters
+from sphere_nmpc.ros.settings import ControllerNodeSettings
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
@@ -30,10 +35,11 @@ def controller(graph) -> ControllerNode:
 def test_node_declares_each_quantity_with_unit_range_and_description(graph, name) -> None:
     node = CLASSES[name]()
     graph.add(node)
-    expected = dict(quantities(NODES[name]))
-    expected |= {f"robot.{key}": about for key, about in quantities(RobotParameters()).items()}
-    for prefix, _, settings in PARTS[name]:
-        expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(settings).items()}
+    expected = {}
+    for prefix, part in [
+        ("", NODES[name]), ("robot", RobotParameters()), *((p, part) for p, _, part in PARTS[name])
+    ]:
+        expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(part).items()}
     declared = set(node.list_parameters([], depth=0).names)
     assert declared - expected.keys() <= {"use_sim_time", "start_type_description_service"}
     for key, about in expected.items():
@@ -113,7 +119,7 @@ def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, b
             parameter_overrides=given[::turn],
             automatically_declare_parameters_from_overrides=True,
         )
-        declared = DeclaredSettings(node, Band())
+        declared = Parameters(node).declare(Band())
         assert declared.settings == Band(7.0, 8.0)
         changes = [Parameter(name, value=value) for name, value in band.items()][::turn]
         result = node.set_parameters_atomically(changes)
@@ -122,12 +128,6 @@ def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, b
         refused = node.set_parameters_atomically([Parameter("low", value=9.0)])
         assert not refused.successful and "less than high" in refused.reason
         node.destroy_node()
-
-
-def test_change_of_several_is_all_or_nothing(controller) -> None:
-    both = [Parameter("pose_timeout", value=0.7), Parameter("input_weight", value=-1.0)]
-    assert not controller.set_parameters_atomically(both).successful
-    assert controller.get_parameter("pose_timeout").value == 0.5
 
 
 def test_settings_follow_what_was_given(graph) -> None:
@@ -147,6 +147,12 @@ def test_wrong_value_at_the_start_is_named(graph, name, value) -> None:
         SimulatorNode([Parameter(name, value=value)])
 
 
+@pytest.mark.parametrize("setting", ["sensor_rate", "sensor_latency", "sensor_dropout"])
+def test_lockstep_refuses_a_sensor_with_rate_latency_or_losses(graph, setting) -> None:
+    with pytest.raises(InvalidParameterError, match="lockstep: given True, expected false"):
+        SimulatorNode([Parameter("lockstep", value=True), Parameter(setting, value=0.5)])
+
+
 def test_unknown_names_are_logged_in_one_warning(graph, capfd) -> None:
     given = {"sed": 1, "robot.mass": 2.0}
     node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
@@ -154,3 +160,71 @@ def test_unknown_names_are_logged_in_one_warning(graph, capfd) -> None:
     lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
     assert len(lines) == 1 and "'robot.mass, sed'" in lines[0]
     assert not node.has_parameter("sed")
+
+
+DEFAULT = ControllerNodeSettings()
+FEW = settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def values(name: str, about: Quantity) -> st.SearchStrategy[Any]:
+    """Return values that are accepted, for all that does not depend on other parameters."""
+    default = getattr(DEFAULT, name)
+    if isinstance(default, bool):
+        return st.booleans()
+    if about.choices:
+        return st.sampled_from(list(about.choices))
+    assert about.minimum is not None and about.maximum is not None
+    if isinstance(default, int):
+        return st.integers(int(about.minimum), int(about.maximum))
+    return st.floats(float(about.minimum), float(about.maximum), allow_subnormal=False)
+
+
+def accepted(given: dict[str, Any]) -> bool:
+    """Return whether the settings, which know what goes together, take the values."""
+    try:
+        ControllerNodeSettings(**given)
+    except ValueError:
+        return False
+    return True
+
+
+SOME = st.fixed_dictionaries(
+    {}, optional={name: values(name, about) for name, about in quantities(DEFAULT).items()}
+).filter(accepted)
+
+
+def text(value: Any) -> str:
+    """Return a value as YAML has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.17e}" if isinstance(value, float) else str(value)
+
+
+def declared(*arguments: str) -> tuple[Node, DeclaredSettings[ControllerNodeSettings]]:
+    node = Node(
+        "controller", cli_args=["--ros-args", *arguments],
+        automatically_declare_parameters_from_overrides=True,
+    )
+    return node, Parameters(node).declare(DEFAULT)
+
+
+@FEW
+@given(given=SOME)
+def test_any_accepted_values_are_in_force_from_a_file_or_set_live(
+    graph, tmp_path: Path, given
+) -> None:
+    path = tmp_path / "values.yaml"
+    lines = ["controller:", "  ros__parameters:", "    use_sim_time: false"]
+    path.write_text("\n".join([*lines, *(f"    {n}: {text(v)}" for n, v in given.items())]))
+    node, of_file = declared("--params-file", str(path))
+    assert of_file.settings == ControllerNodeSettings(**given)
+    assert all(node.get_parameter(name).value == value for name, value in given.items())
+    node.destroy_node()
+    node, of_change = declared()
+    live = {name: v for name, v in given.items() if quantities(DEFAULT)[name].live}
+    if live:
+        changes = [Parameter(name, value=value) for name, value in live.items()]
+        result = node.set_parameters_atomically(changes)
+        assert result.successful, result.reason
+    assert of_change.settings == ControllerNodeSettings(**live)
+    node.destroy_node()

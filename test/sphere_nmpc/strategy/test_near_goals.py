@@ -23,7 +23,7 @@ EXACT = 2e-4
 
 def final_error(goal: Vector) -> float:
     world = SimulatorSettings(
-        initial_state=tuple(START), sample_period=SETTINGS.control_period
+        initial_state=tuple(START)
     )
     run = run_closed_loop(
         Simulator(world, ROBOT), Controller(SETTINGS, ROBOT), goal, 6.0, SETTINGS.control_period

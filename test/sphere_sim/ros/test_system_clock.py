@@ -21,8 +21,8 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros, trajectory_message
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.scenario.scenarios import PAPER_CASES
-from sphere_sim.world.settings import SimulatorSettings
 
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -101,7 +101,7 @@ def test_requests_to_stop_or_hurry_the_system_clock_are_refused(graph, node) -> 
 )
 def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
     with pytest.raises(InvalidParameterError, match=f"{next(iter(settings))}.*clock: system"):
-        SimulatorSettings(clock="system", **settings)
+        SimulatorNodeSettings(clock="system", **settings)
 
 
 @pytest.mark.slow

@@ -38,8 +38,8 @@ STRATEGIES: dict[str, StrategyEntry] = {
 }
 """All strategies by name; an entry added here is a choice of the parameter ``strategy``."""
 
-_SHORTEST_PERIOD = 1e-2
-_SHORTEST_STEP = 1e-3
+_SHORTEST = {"sample_period": 1e-2, "integration_step": 1e-3}
+"""Least values of times that are given [s]."""
 _INPUT_WEIGHT = 0.5
 """The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
 _INTEGRATION_STEP = 0.1
@@ -145,14 +145,10 @@ class ControllerSettings:
 
     def __post_init__(self) -> None:
         validate(self)
-        if 0.0 < self.sample_period < _SHORTEST_PERIOD:
-            raise InvalidParameterError(
-                "sample_period", self.sample_period, f"0 or at least {_SHORTEST_PERIOD:g} s"
-            )
-        if 0.0 < self.integration_step < _SHORTEST_STEP:
-            raise InvalidParameterError(
-                "integration_step", self.integration_step, f"0 or at least {_SHORTEST_STEP:g} s"
-            )
+        for name, least in _SHORTEST.items():
+            given = getattr(self, name)
+            if 0.0 < given < least:
+                raise InvalidParameterError(name, given, f"0 or at least {least:g} s")
 
     def of(self: S, robot: RobotParameters) -> S:
         """Return the settings with the units of a robot.

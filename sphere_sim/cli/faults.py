@@ -21,7 +21,7 @@ from rich.table import Table
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.environment import DOMAIN, RosEnvironmentError
+from sphere_nmpc.ros.network import DOMAIN, RosEnvironmentError
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import number, whole
 from sphere_sim.cli.exits import if_interrupted

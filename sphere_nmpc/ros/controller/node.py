@@ -15,13 +15,10 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rosgraph_msgs.msg import Clock as ClockMessage
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -30,7 +27,6 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.lockstep_schedule import LockstepSchedule
 from sphere_nmpc.control.schedule import Actions, PlanRequest, Schedule, TimedPose
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -41,6 +37,7 @@ from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import framed_pose_from_ros, header_stamp, pose_of_message
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
@@ -79,7 +76,6 @@ class ControllerNode(RunnableNode):
         self._frame = declare(FrameSettings()).settings.world_frame
         self.parameters.warn_of_unknown()
         self.add_on_set_parameters_callback(self._refuse)
-        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (
             LockstepSchedule(settings) if settings.lockstep
@@ -94,8 +90,7 @@ class ControllerNode(RunnableNode):
             self, settings.goal_memory, self._control_clock, self._fault_log
         )
         # Before the publisher of commands, so that nobody finds that one alone.
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._period_publisher = self.create_publisher(Float64, "control_period", latched)
+        self._period_publisher = self.create_publisher(Float64, "control_period", LATCHED)
         self._period_publisher.publish(Float64(data=settings.control_period))
         self._sender = CommandSender(
             self, settings.command_rate, self._control_clock.steady_now,
@@ -111,13 +106,11 @@ class ControllerNode(RunnableNode):
         self._subscribe()
         self._timer: Timer | None = None
         self._set_timer()
-        # Wall time: faults have to be reported also where simulated time stands still.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._wall_timers = [
-            self.create_timer(_CHECK_EVERY, self._check, clock=wall),
-            self.create_timer(_SAVE_EVERY, self._save_goal, clock=wall),
+            self.create_wall_timer(_CHECK_EVERY, self._check),
+            self.create_wall_timer(_SAVE_EVERY, self._save_goal),
         ]
-        self._found_timer = self.create_timer(_FOUND_EVERY, self._use_found, clock=wall)
+        self._found_timer = self.create_wall_timer(_FOUND_EVERY, self._use_found)
         self._found_timer.cancel()
         tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
         self._diagnostics = Diagnostics(self, self._control_clock.stamp, tasks)
@@ -136,7 +129,7 @@ class ControllerNode(RunnableNode):
         rclpy makes it with the node and whenever ``use_sim_time`` is set. Its callback takes
         message objects, each of which takes as long as a solve.
         """
-        if msg_type is ClockMessage:
+        if msg_type is Clock:
             callback, options = self._receive_clock, {**options, "raw": True}
         return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
 
@@ -162,11 +155,7 @@ class ControllerNode(RunnableNode):
     def _subscribe(self) -> None:
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before
         # simulated time stops, so that a depth of one keeps it.
-        newest = QoSProfile(
-            depth=1,
-            reliability=ReliabilityPolicy.BEST_EFFORT if self._schedule.is_real_time
-            else ReliabilityPolicy.RELIABLE,
-        )
+        newest = NEWEST if self._schedule.is_real_time else 1
         self._inputs = [
             self.create_subscription(
                 PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS,

@@ -29,17 +29,6 @@ class RotorReceiver:
 
     Without a link all commands soon turn out to take effect in time; the subscription then ends,
     as at a high rate its messages would take time from the control loop.
-
-    Parameters
-    ----------
-    node : Node
-        Node of the subscription.
-    controller : Controller
-        Is given the measured speeds.
-    clock : ControlClock
-        Conversion from stamps to control times.
-    on_window : callable
-        Called with the commitment window [s] when it may have changed.
     """
 
     def __init__(

@@ -19,8 +19,6 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
@@ -104,10 +102,8 @@ class RecorderNode(RunnableNode):
                 self._subscribe(topic, msgtype, compatible_qos((), name in LATCHED))
         if settings.record_on_start:
             self._start()
-        # Discovery and commits must go on while simulated time is paused.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady)
-        self.create_timer(settings.commit_period, self._session.commit, clock=steady)
+        self.create_wall_timer(_DISCOVERY_PERIOD, self._discover)
+        self.create_wall_timer(settings.commit_period, self._session.commit)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/is_recording", self._on_is_recording)

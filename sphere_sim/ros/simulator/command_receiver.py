@@ -112,7 +112,8 @@ class CommandReceiver:
                 "rotor_trajectory late",
                 f"given an end {simulator.time - hold.end:.6g} s ago; the rotors ramp to rest",
             )
-        self._count_clamped(lambda: simulator.follower.follow_trajectory(hold))
+        simulator.follower.follow_trajectory(hold)
+        self._report_clamped()
         self._on_trajectory(stamp)
 
     def _receive_speeds(self, message: bytes) -> None:
@@ -120,15 +121,13 @@ class CommandReceiver:
         simulator = self._simulator
         try:
             speeds = speeds_of_message(message)
-            self._count_clamped(lambda: simulator.follower.follow_speeds(speeds, simulator.time))
+            simulator.follower.follow_speeds(speeds, simulator.time)
+            self._report_clamped()
         except InvalidInputError as error:
             self._fault_log.report("rotor_commands refused", str(error))
 
-    def _count_clamped(self, follow: Callable[[], None]) -> None:
-        follower = self._simulator.follower
-        before = follower.clamped
-        follow()
-        if follower.clamped > before:
+    def _report_clamped(self) -> None:
+        if self._fault_log.has_risen("command limited", self._simulator.follower.clamped):
             self._fault_log.report(
                 "command limited",
                 f"given more than the largest rotor speed, expected at most "

@@ -17,18 +17,16 @@ from typing import Any
 
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
-from sphere_nmpc.ros.graph_faults import GraphFault
-from sphere_nmpc.ros.graph_monitor import GraphMonitor
+from sphere_nmpc.ros.graph_monitor import GraphFault, GraphMonitor
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import BODY_FRAME
 from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
@@ -119,16 +117,14 @@ class SimulatorNode(RunnableNode):
             self._command_received, lambda: self._epoch,
         )
         self._period_told = False
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._period_subscription = self.create_subscription(
-            Float64, "control_period", self._receive_period, latched
+            Float64, "control_period", self._receive_period, LATCHED
         )
         self._command_services = [
             self.create_service(Trigger, "~/reset", self._reset),
             self.create_service(SetBool, "~/pause", self._pause),
             self.create_service(Trigger, "~/step", self._step),
         ]
-        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._push_receiver = PushReceiver(
             self, self.simulator, self._fault_log, self._event_log, lambda: pushes.settings,
             lambda: self._epoch, frame,
@@ -152,9 +148,8 @@ class SimulatorNode(RunnableNode):
     def work(self, executor: Executor) -> None:
         """Advance to the next instant if it is due, and call the executor at intervals."""
         wall = time.monotonic()
-        timeouts = self._simulated_clock.timeouts
         wait = self._simulated_clock.wait(self.simulator.now, wall, self._controller_found)
-        if self._simulated_clock.timeouts > timeouts:
+        if self._fault_log.has_risen("lockstep time-out", self._simulated_clock.timeouts):
             self._report_timeout()
         if wait <= 0.0:
             self._advance()

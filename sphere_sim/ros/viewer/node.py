@@ -13,8 +13,7 @@ from collections.abc import Sequence
 
 from rclpy.executors import Executor
 
-from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.scheduling import lower_priority
+from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.viewer.topic_source import TopicSource
 from sphere_sim.viewer.server import announce

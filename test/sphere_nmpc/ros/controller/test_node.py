@@ -3,7 +3,6 @@
 """The controller node over real DDS, with poses and clock published by the test."""
 
 import math
-import re
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -22,10 +21,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc import fault_log
 from sphere_nmpc.control.decision import Decision, Mode
-from sphere_nmpc.control.planning_time import PLANNING_SHARE
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import make_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
@@ -166,37 +163,6 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
         assert 0.5 * value <= float(status[f"learnt_{name}"]) <= 1.6 * value
 
 
-def test_motion_starts_immediately_with_a_new_grid_of_samples(robot, monkeypatch) -> None:
-    monkeypatch.setattr(controller_node, "time", NoPlanningTime)
-    robot.pass_time(0.33)
-    robot.send_goal()
-    robot.pass_time(1.2)
-    robot.graph.until(lambda: len(robot.trajectories) >= 3)
-    starts = [hold.start for hold in robot.holds()]
-    np.testing.assert_allclose(starts, 0.34 + 0.5 * np.arange(len(starts)), atol=0.021)
-
-
-def test_time_optimal_has_a_share_of_the_sample_period_for_its_plan(graph, monkeypatch) -> None:
-    robot = Robot(graph, strategy="time_optimal")
-    shares: list[float] = []
-    decide = robot.node.controller.decide
-
-    def record(instant: float, time_budget: float) -> Decision:
-        shares.append(time_budget * robot.node._control_clock.watch.pace)
-        return decide(instant, time_budget)
-
-    monkeypatch.setattr(robot.node.controller, "decide", record)
-    robot.send_goal()
-
-    def has_plan() -> bool:
-        robot.pass_time(0.25)
-        return bool(robot.reported) and robot.status()["plan"] in ("solved", "best so far")
-
-    graph.until(has_plan)
-    assert 4.0 < float(robot.status()["arrival_s"]) - robot.now * 1e-9 < 30.0
-    assert 0.0 < max(shares) <= PLANNING_SHARE * 0.25 + 1e-9
-
-
 def test_commands_are_the_hold_sampled(robot, monkeypatch) -> None:
     monkeypatch.setattr(controller_node, "time", NoPlanningTime)
     robot.send_goal()
@@ -243,23 +209,6 @@ def test_wrong_goal_is_logged_once_and_has_no_effect(robot, capfd) -> None:
     assert len(robot.goals) == 1
 
 
-def test_flood_of_goals_is_logged_in_few_lines_with_the_last_of_them(robot, capfd) -> None:
-    printed = ""
-    for number in range(100):
-        robot.send_goal(make_state((0.01 * number, 0.0), CASE.goal[2:]))
-
-    def is_logged() -> bool:
-        nonlocal printed
-        printed += capfd.readouterr().err
-        return "goal: [0.99," in printed
-
-    robot.graph.until(is_logged)
-    lines = [line for line in printed.splitlines() if "goal: [" in line]
-    assert len(lines) < 50
-    counted = sum(int(n) for n in re.findall(r"[(](\d+) more since the last message", printed))
-    assert len(lines) + counted == 100
-
-
 def test_stale_pose_ramps_to_rest(robot) -> None:
     robot.send_goal()
     robot.pass_time(1.2)
@@ -270,31 +219,6 @@ def test_stale_pose_ramps_to_rest(robot) -> None:
     assert robot.status()["mode"] == "no fresh pose, ramping to rest"
     np.testing.assert_allclose(robot.node.controller.speeds_at(robot.now / 1e9), 0.0, atol=AT_REST)
     np.testing.assert_allclose(robot.commands[-1].data, 0.0, atol=AT_REST)
-
-
-def test_pose_from_the_future_is_refused(robot, capfd) -> None:
-    robot.send_goal()
-    robot.publishes_pose = False
-    robot.pose.header.stamp = stamp_to_ros(3600 * 10**9)
-    robot.pass_time(0.1)
-    robot.pose_sender.publish(robot.pose)
-    robot.pass_time(1.0)
-    assert not robot.moved()
-    assert "ahead of this node's clock" in capfd.readouterr().err
-
-
-def test_pose_that_arrives_before_its_clock_message_is_used(robot, capfd) -> None:
-    robot.pass_time(0.1)
-    robot.publishes_pose = False
-    # As after the node was held up: first the newest pose, then the clock of the same instant.
-    robot.pose.header.stamp = stamp_to_ros(2 * 10**9)
-    robot.pose_sender.publish(robot.pose)
-    robot.graph.until(lambda: robot.node._schedule._pose_ahead is not None)
-    time.sleep(2.0 / (robot.node._control_clock.watch.pace or 1.0))  # it was held up as long
-    robot.now = 2 * 10**9 - TICK
-    robot.pass_time(0.3)
-    assert robot.status()["pose_age_s"] != "inf" and float(robot.status()["pose_age_s"]) < 0.5
-    assert "ahead of this node's clock" not in capfd.readouterr().err
 
 
 def test_nothing_is_sent_before_the_clock(robot) -> None:
@@ -500,23 +424,6 @@ def test_nanoseconds_are_resolved_at_the_time_of_a_bag_that_is_played(robot) -> 
         assert_within_acceleration(hold_from_trajectory(message, played))
 
 
-def test_nothing_is_sent_while_two_clocks_are_published(robot) -> None:
-    robot.send_goal()
-    until_on_the_way(robot)
-    sent = len(robot.trajectories)
-
-    def jumps() -> bool:
-        for _ in range(10):
-            robot.clock.publish(Clock(clock=stamp_to_ros(robot.now + 5 * NANOSECONDS)))
-            robot.graph.until(lambda: robot.node._control_clock.stamp() > robot.now + TICK)
-            robot.pass_time(0.02)
-        return robot.status()["mode"] == "the clock jumps, nothing is sent"
-
-    robot.graph.until(jumps)
-    assert len(robot.trajectories) == sent
-    until_on_the_way(robot)
-
-
 def test_failing_estimator_and_solver_are_logged_and_the_plan_is_followed(
     robot, capfd, monkeypatch
 ) -> None:
@@ -614,5 +521,3 @@ def test_no_progress_is_reported_until_there_is_another_goal(robot, capfd, monke
     assert robot.status()["mode"] == "on the way to the goal"
     assert robot.status()["no_progress"] == ""
     assert "no progress: over" in capfd.readouterr().err
-
-

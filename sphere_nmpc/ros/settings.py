@@ -12,13 +12,7 @@ from sphere_nmpc.settings import ControllerSettings
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """Frame that poses and goals are given in.
-
-    Raises
-    ------
-    InvalidParameterError
-        If it is empty or begins with a slash, which tf2 refuses.
-    """
+    """Frame that poses and goals are given in."""
 
     world_frame: str = quantity(
         WORLD_FRAME, "-",
@@ -28,7 +22,7 @@ class FrameSettings:
 
     def __post_init__(self) -> None:
         validate(self)
-        if not self.world_frame or self.world_frame.startswith("/"):
+        if not self.world_frame or self.world_frame.startswith("/"):  # tf2 refuses both
             raise InvalidParameterError(
                 "world_frame", self.world_frame, "a name that begins without /"
             )
@@ -36,13 +30,7 @@ class FrameSettings:
 
 @dataclass(frozen=True)
 class SchedulingSettings:
-    """Scheduling of the threads of a node.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Scheduling of the threads of a node."""
 
     thread_priority: int = quantity(
         0, "-",
@@ -57,13 +45,7 @@ class SchedulingSettings:
 
 @dataclass(frozen=True)
 class ControllerNodeSettings(ControllerSettings):
-    """Settings of the controller, and of its node: commands, lockstep and the stored goal.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Settings of the controller, and of its node: commands, lockstep and the stored goal."""
 
     goal_memory: float = quantity(
         30.0, "s",

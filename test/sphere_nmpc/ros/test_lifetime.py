@@ -23,7 +23,6 @@ from patience import PATIENCE
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.end_signals import END_SIGNALS
@@ -102,16 +101,6 @@ def test_last_command_is_a_ramp_to_rest_when_the_terminal_is_closed(graph) -> No
     os.close(terminal)
 
 
-def test_node_runs_on_after_the_terminal_when_it_was_started_by_nohup(graph) -> None:
-    node = start(CONTROLLER, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
-    graph.until(lambda: graph.probe.count_publishers("controller/status") > 0)
-    node.send_signal(signal.SIGHUP)
-    enabling = SetBool.Request(data=True)
-    assert graph.call(SetBool, "controller/enable", enabling).success
-    node.send_signal(signal.SIGTERM)
-    assert node.wait(timeout=PATIENCE) == 0
-
-
 FAILING = """
 import sys
 from sphere_nmpc.ros.lifetime import RunnableNode, run
@@ -160,6 +149,13 @@ def test_signal_wakes_a_node_that_waits_in_the_middleware(number, own_handlers) 
         os.kill(os.getpid(), number)
         assert woken.wait(PATIENCE)
         assert stop.requested
+
+
+def test_hang_up_that_is_ignored_as_by_nohup_stays_ignored(own_handlers) -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with StopRequest() as stop:
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN and not stop.requested
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,10 @@
 
 import ipaddress
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -324,53 +322,3 @@ def test_profiles_for_lossy_networks_are_understood_by_fast_dds() -> None:
     )
     assert "no controller was ready" in done.stderr
     assert not done.stdout, "errors in profiles are printed there"
-
-
-@pytest.fixture
-def hosts() -> Iterator[tuple[str, str]]:
-    """Names of two network namespaces with a cable between them that is switched off."""
-    if os.geteuid() != 0 or shutil.which("ip") is None:
-        pytest.skip("needs root and the command ip (iproute2), for network namespaces")
-    names = tuple(f"sphere_test_{os.getpid()}_{end}" for end in "ab")
-    made = [["netns", "add", name] for name in names]
-    made += [["-n", name, "link", "set", "lo", "up"] for name in names]
-    made += [["link", "add", "name", "cable", "netns", names[0], "type", "veth",
-              "peer", "name", "cable", "netns", names[1]],
-             ["-n", names[0], "address", "add", "10.78.0.1/24", "dev", "cable"],
-             ["-n", names[1], "address", "add", "10.78.0.2/24", "dev", "cable"]]
-    try:
-        for command in made:
-            done = subprocess.run(["ip", *command], capture_output=True, text=True, check=False)
-            if done.returncode:
-                pytest.skip(f"no network namespaces here: {done.stderr.strip()}")
-        yield names
-    finally:
-        for name in names:
-            subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
-
-
-@pytest.mark.slow
-def test_node_that_starts_before_its_network_is_found_from_another_host(hosts, tmp_path) -> None:
-    here, there = hosts
-    environment = {
-        **{k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FAST"))},
-        "ROS_DOMAIN_ID": "66", "ROS_LOG_DIR": str(tmp_path),
-        "ROS_STATIC_PEERS": "10.78.0.1;10.78.0.2", DISCOVERY_RANGE: "LOCALHOST",
-    }
-    node = subprocess.Popen(
-        ["ip", "netns", "exec", here, *RUN, "controller"], env=environment,
-        stderr=subprocess.PIPE, text=True,
-    )
-    try:
-        time.sleep(3.0)  # most machines start a node in less; without the wait it is never found
-        for host in hosts:
-            subprocess.run(["ip", "-n", host, "link", "set", "cable", "up"], check=True)
-        goal = subprocess.run(
-            ["ip", "netns", "exec", there, *RUN, "goal", "1", "0", "--timeout", f"{PATIENCE}"],
-            env=environment, capture_output=True, text=True, timeout=2.0 * PATIENCE, check=False,
-        )
-        assert goal.returncode == 0, goal.stderr
-    finally:
-        node.terminate()
-        _, printed = node.communicate(timeout=PATIENCE)
-    assert "network: given" not in printed

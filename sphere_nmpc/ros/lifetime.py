@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -54,25 +53,16 @@ _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 class RunnableNode(GuardedNode):
     """Node with work of its own beside callbacks, or with final messages to send.
 
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    parameter_overrides : list of Parameter, optional
-        Parameters as given on a command line; for use within a program.
-    **options
-        See `rclpy.node.Node`.
+    `parameter_overrides` are parameters as given on a command line, for use within a program.
     """
 
     uses_events_executor = False
     """Whether rclpy's events executor is preferred, for callbacks at a high rate."""
 
-    def __init__(
-        self, name: str, parameter_overrides: list[Parameter] | None = None, **options: Any
-    ) -> None:
+    def __init__(self, name: str, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(
             name, parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True, **options,
+            automatically_declare_parameters_from_overrides=True,
         )
         self.parameters = Parameters(self)
         """Where the node declares its settings."""

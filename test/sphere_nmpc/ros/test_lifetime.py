@@ -77,8 +77,8 @@ def ramp_after(graph, end: Callable[[subprocess.Popen], object], **options: Any)
     assert not last.speeds[-1].any()
     assert last.end - last.start <= 0.25 + 1e-6, "100 rad/s at 400 rad/s^2"
     np.testing.assert_allclose(last.speeds[0], before.at(last.start), atol=1e-6)
-    steps = np.abs(np.diff([command.data for command in commands[-30:]], axis=0))
-    assert np.max(steps) < 60.0, "the sampled ramp has no jump to zero"
+    slowest = [command.data for command in commands if np.any(command.data)][-1]
+    assert np.max(np.abs(slowest)) <= 400.0 * 0.01 + 1e-6, "the sampled ramp goes down to rest"
 
 
 def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:

@@ -19,7 +19,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check venv homes clean
+.PHONY: help demo test test-fast check faults venv homes clean
 
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -36,6 +36,9 @@ test-fast: $(VENV)/.stamp  ## Run the tests that take no more than a few seconds
 check: $(VENV)/.stamp  ## Lint and type check
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+faults: $(VENV)/.stamp  ## Inject faults into running nodes (ARGS="--quick --json out/faults.json")
+	$(VENV)/bin/python test/campaign/faults.py $(ARGS)
 
 venv: $(VENV)/.stamp  ## Install the package and everything it can use into .venv
 

@@ -10,7 +10,7 @@ NAME = "sphere_nmpc"
 SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 VERBS = (
     "demo", "simulator", "controller", "recorder", "goal", "viewer", "markers", "study",
-    "benchmark", "report", "faults",
+    "benchmark", "report",
 )
 EXTRAS = {
     "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6"],

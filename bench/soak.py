@@ -27,8 +27,8 @@ from node_runs import PATIENCE, machine, write_json
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.ros.messages import seconds, stamp_from_ros
-from sphere_sim.ros.faults.goal_actions import random_goal
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError
@@ -95,7 +95,8 @@ class Soak:
 
     def _one_goal(self, end: float) -> None:
         """Run to a random goal; one that the end of the run cuts short does not count."""
-        goal = random_goal(self._rng, REACH)
+        rng = self._rng
+        goal = np.concatenate((rng.uniform(-REACH, REACH, 2), random_quaternion(rng)))
         timeout = min(DEADLINE, end - self._goals.time)
         try:
             took = self._goals.go(goal, timeout, PATIENCE)

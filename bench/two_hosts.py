@@ -34,7 +34,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_sim.ros.faults.goal_actions import random_goal
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import Vector
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
@@ -221,7 +222,7 @@ class _Goals:
     def run(self) -> dict[str, object]:
         self._goals.prepare(_PATIENCE)
         took = [
-            self._goals.go(random_goal(self._rng, REACH), DEADLINE, _PATIENCE, _REPEAT)
+            self._goals.go(self._goal(), DEADLINE, _PATIENCE, _REPEAT)
             for _ in range(self._number)
         ]
         reached = [time for time in took if time is not None]
@@ -242,7 +243,7 @@ class _Goals:
         try:
             self._goals.prepare(_PATIENCE)
             times["found_s"] = round(time.monotonic() - began, 2)
-            run = self._goals.send(random_goal(self._rng, REACH), _PATIENCE, _REPEAT)
+            run = self._goals.send(self._goal(), _PATIENCE, _REPEAT)
             at_first: list[float] = []
 
             def moves() -> bool:
@@ -255,6 +256,10 @@ class _Goals:
         except SphereNmpcError as error:
             print(error, file=sys.stderr)
         return times
+
+    def _goal(self) -> Vector:
+        place = self._rng.uniform(-REACH, REACH, 2)
+        return np.concatenate((place, random_quaternion(self._rng)))
 
     def _spin(self) -> None:
         rclpy.spin_once(self._node, timeout_sec=0.05)

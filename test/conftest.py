@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from ros_graph import Graph
 
 _HERE = Path(__file__).parent
-# Modules that tests share, and the scripts of bench/, some of which are tested.
+# Modules that tests share, those of the campaign of faults, and the scripts of bench/, some of
+# which are tested.
 _SCRIPTS = _HERE.parent / "bench"
 # Not this folder: its sphere_nmpc/ and sphere_sim/ would hide an editable installation.
-sys.path += map(str, (_HERE / "support", _SCRIPTS, _SCRIPTS / "documents"))
+sys.path += map(str, (_HERE / "support", _HERE / "campaign", _SCRIPTS, _SCRIPTS / "documents"))
 
 
 def _lock_domain() -> int:

@@ -66,14 +66,6 @@ try:
 except RuntimeError as error:
     assert "acados" in str(error), error
 """,
-    "process of a campaign of faults": """
-from pathlib import Path
-from sphere_sim.ros.faults.fault_session import SessionSettings
-from sphere_sim.ros.faults.trial_process import TrialProcess
-process = TrialProcess(SessionSettings(Path("faults").absolute()))
-process.begin(None)
-assert process._process.wait(60.0) == 0
-""",
 }
 """Programs that start a child of each kind."""
 

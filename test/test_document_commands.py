@@ -19,6 +19,7 @@ from command_checks import (
     WrongCommandError,
     check_for_some_node,
     check_launch,
+    check_own,
     check_ros,
     check_verb,
 )
@@ -35,7 +36,8 @@ from ros2_checks import (
 
 OF_A_VERB = ("sphere_nmpc", "ros2 run sphere_nmpc")
 CHECKS: dict[str, Callable[[tuple[str, ...]], None]] = {
-    "make demo": lambda words: check_make(words),
+    "make demo": lambda words: check_make("demo", words),
+    "make faults": lambda words: check_make("faults", words),
     "ros2 launch sphere_nmpc": check_launch,
     "ros2 topic pub": check_publication,
     "ros2 topic echo": check_subscription,
@@ -65,11 +67,11 @@ UNCHECKED = (
 """Beginnings of commands that are not checked."""
 
 
-def check_make(words: tuple[str, ...]) -> None:
+def check_make(verb: str, words: tuple[str, ...]) -> None:
     for word in words:
         name, _, value = word.partition("=")
         if name == "ARGS":
-            check_verb(["demo", *shlex.split(value)], False)
+            check_own(verb, shlex.split(value), False)
 
 
 def check_assignment(word: str) -> None:

@@ -29,7 +29,6 @@ VERBS = {
     "study": ("sphere_sim.cli.study", "run many scenarios and write tables of the outcome"),
     "benchmark": ("sphere_sim.cli.benchmark", "time the solver on this machine"),
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
-    "faults": ("sphere_sim.cli.faults", "inject faults and measure the recovery"),
 }
 _WITHOUT_ROS = ("study", "benchmark", "report")
 _DEBUG = "--debug"

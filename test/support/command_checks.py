@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+import faults
 import yaml
 from launch_stand_in import LAUNCH, ROOT, started
 from parameter_tables import NODES, PARTS
@@ -18,7 +19,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.settings import FrameSettings
-from sphere_sim.cli import benchmark, demo, faults, report, study, viewer
+from sphere_sim.cli import benchmark, demo, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.ros.session import goal_command
@@ -32,7 +33,7 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "report": report._parse,
     "faults": faults._parse,
 }
-"""Parser of each verb; the other verbs take the arguments of ROS only."""
+"""Parser of each verb, and of `make faults`; the other verbs take the arguments of ROS only."""
 SETTINGS: dict[str, dict[str, Any]] = {
     **{
         node: {"": settings, "robot": RobotParameters()}

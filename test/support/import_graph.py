@@ -28,7 +28,7 @@ FLOORS = {
         ("viewer", "report"),
         ("study", "benchmark", "recording"),
         ("evaluation", "scenario"),
-        ("world", "faults"),
+        ("world",),
         ("output",),
     ),
     "sphere_nmpc": (

@@ -1,3 +1,0 @@
-# Copyright 2026 sphere_nmpc contributors
-# SPDX-License-Identifier: Apache-2.0
-"""The fault campaign on running nodes."""

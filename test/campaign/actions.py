@@ -1,0 +1,332 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What causes the faults of the catalogue: generators that begin a fault, yield, and end it.
+
+What has to be done repeatedly while the fault lasts is a function that they yield. What stays
+after the end, such as momentum, is undone by ``session.cleanups`` after the recovery.
+"""
+
+import contextlib
+import itertools
+import math
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from hostile import goal_message
+from node_session import RADIUS, Session, SessionError, random_goal
+from relay import Disturbance, restamped, stamp_of
+from std_srvs.srv import SetBool, Trigger
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.drift import GRAVITY
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
+
+if TYPE_CHECKING:
+    from trial import CampaignSession
+
+Action = Iterator[Any]
+_SLICE = 0.1
+"""Period of the throttling [s], that of Linux's processor quotas."""
+_HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
+"""Program that ends by itself if the campaign is killed."""
+_LEFT_ON_DISK = 1000
+"""Space that is left before the disk is full [bytes]."""
+_SOME_MESSAGES = 4000
+"""Size of a bag that is not empty [bytes]."""
+_WORKER = b"sphere_nmpc.worker.serve"
+_WRONG_AT_START = (
+    "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
+    "time_budget:=fast",
+)
+_WRONG_LIVE = (
+    ("controller", "pose_timeout", -1.0), ("controller", "pose_timeout", float("nan")),
+    ("controller", "max_iterations", "many"), ("controller", "strategy", "none"),
+    ("controller", "robot__max_rotor_speed", 1e9), ("controller", "no_such_thing", 1),
+    ("simulator", "real_time_factor", -1.0), ("simulator", "process_noise", float("inf")),
+    ("simulator", "seed", "seven"),
+)
+
+
+def disturb_poses(session: Session, disturbance: Disturbance) -> Action:
+    """Disturb the poses between simulator and controller."""
+    session.relay.poses.disturbances.append(disturbance)
+    yield
+    session.relay.poses.disturbances.remove(disturbance)
+
+
+def lose(session: Session, of: tuple[str, ...]) -> Action:
+    """Lose all messages of some topics between simulator and controller."""
+    session.relay.lost.update(of)
+    yield
+    session.relay.lost.difference_update(of)
+
+
+def pause(session: Session) -> Action:
+    """Pause simulated time."""
+    session.call("simulator/pause", SetBool.Request(data=True))
+    yield
+    session.call("simulator/pause", SetBool.Request(data=False))
+
+
+def clock_back(session: Session, by: float) -> Action:
+    """Let the clock jump into the past by `by` [s]; it stays so, as another jump would be another.
+
+    It does not jump to before zero.
+    """
+    relay = session.relay
+    relay.shift -= min(round(by * NANOSECONDS), session.judge.now + relay.shift)
+    session.judge.limits.restart()
+    yield
+
+
+def pace(session: "CampaignSession", factor: float) -> Action:
+    """Set another real-time factor."""
+    session.require_parameters("simulator", real_time_factor=factor)
+    yield
+    session.require_parameters("simulator", real_time_factor=session.settings.rtf)
+
+
+def bad_goals(session: Session, kinds: tuple[str, ...], period: float = 0.2) -> Action:
+    """Send further goals of some kinds of `goal_message` in turn, one a `period` [s, wall]."""
+    rng = random.Random(int(session.rng.integers(2**32)))
+    due, kind = 0.0, itertools.cycle(kinds)
+
+    def send() -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + period
+            publisher.publish(goal_message(rng, next(kind)))
+
+    with session.publisher(PoseStamped, "goal_pose", 1) as publisher:
+        yield send
+
+
+def two_poses(session: "CampaignSession", offset: float = 0.0) -> Action:
+    """Publish further poses, each at a random time between one of the sphere and the next.
+
+    They are displaced by `offset` along x [m]; with 0 they are those of another sphere, within 2 m
+    and in any orientation.
+    """
+    other, relay, settings = random_goal(session.rng), session.relay, session.settings
+    seen, due, after = b"", math.inf, 0.0
+
+    def send() -> None:
+        nonlocal seen, due, after
+        if relay.newest != seen:
+            # Sometimes just before a sampling instant, at which the newest pose counts.
+            after = session.rng.uniform() / settings.rate
+            seen, due = relay.newest, time.monotonic() + after / settings.rtf
+        if time.monotonic() >= due:
+            due, state = math.inf, other
+            if offset:
+                state = pose_of_message(seen)
+                state[0] += offset
+            second = pose_message(state, stamp_of(seen) + round(NANOSECONDS * after), RADIUS)
+            publisher.publish(restamped(second, relay.shift))
+
+    with session.publisher(PoseStamped, "pose") as publisher:
+        yield send
+
+
+def kill(session: "CampaignSession", node: str) -> Action:
+    """Send SIGKILL to a node and start it again.
+
+    To a recorder once it has written, as it may lose its last second.
+    """
+    process = session.processes[node]
+    if node == "recorder":
+        before = written(session.folder)
+        session.wait(lambda: written(session.folder) > before, "the recorder to write")
+    process.kill()
+    session.reports.messages.append(process.ending)
+    yield
+    session.start(node)
+
+
+def stop(session: Session, node: str) -> Action:
+    """Send SIGSTOP to a node, and SIGCONT at the end."""
+    process = session.processes[node]
+    process.send(signal.SIGSTOP)
+    yield
+    process.send(signal.SIGCONT)
+
+
+def throttle(session: Session, share: float) -> Action:
+    """Let the controller run for a share of the time only, as a processor quota does."""
+    process, due, runs = session.processes["controller"], 0.0, True
+
+    def switch() -> None:
+        nonlocal due, runs
+        if time.monotonic() >= due:
+            runs = not runs
+            due = time.monotonic() + (share if runs else 1.0 - share) * _SLICE
+            process.send(signal.SIGCONT if runs else signal.SIGSTOP)
+
+    yield switch
+    process.send(signal.SIGCONT)
+
+
+def hog(session: Session, number: int) -> Action:
+    """Run other processes that take all of the processor time that they get."""
+    hogs: list[subprocess.Popen[bytes]] = []
+    try:
+        for _ in range(number):
+            hogs.append(subprocess.Popen([sys.executable, "-c", _HOG]))
+        yield
+    finally:
+        for process in hogs:
+            process.kill()
+            process.wait()
+
+
+def signal_worker(session: Session, number: signal.Signals) -> Action:
+    """Send a signal that ends or stops the controller's worker, and SIGCONT at the end."""
+    controller = session.processes["controller"].pid
+    # One that was just replaced may not be there yet.
+    session.wait(lambda: worker_of(controller), "the worker of the controller")
+    pid = worker_of(controller)
+    send(pid, number)
+    yield
+    send(pid, signal.SIGCONT)
+
+
+def send(pid: int, number: signal.Signals) -> None:
+    """Send a signal to a process that may have ended."""
+    with contextlib.suppress(ProcessLookupError):
+        if pid:
+            os.kill(pid, number)
+
+
+def worker_of(controller: int) -> int:
+    """Return the process id of the worker that a process has started; 0 if there is none."""
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        # A process may end while it is looked at.
+        with contextlib.suppress(OSError):
+            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+            if int(parent) == controller and state != "Z" and \
+                    _WORKER in (entry / "cmdline").read_bytes():
+                return int(entry.name)
+    return 0
+
+
+def bad_solver(session: "CampaignSession", mode: str) -> Action:
+    """Let the solver fail in a mode of `bad_strategy`."""
+    session.solver_file.write_text(mode)
+    yield
+    session.solver_file.write_text("")
+
+
+def disk_full(session: Session) -> Action:
+    """Let the recorder's disk be full, and start a new recording once there is space again.
+
+    A limit on the size of files is set from outside while the recorder runs: no disk has to be
+    filled, and writing fails in the same place as on a full one.
+    """
+    pid, folder = session.processes["recorder"].pid, session.folder
+    session.wait(lambda: written(folder) > _SOME_MESSAGES, "a bag of the recorder")
+    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (written(folder) + _LEFT_ON_DISK, hard))
+    yield
+    with contextlib.suppress(ProcessLookupError):  # if the recorder has been restarted
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (hard, hard))
+    before = set(folder.glob("bag*"))
+    response = session.call("recorder/start", Trigger.Request())
+    if response.success:
+        session.wait(
+            lambda: set(folder.glob("bag*")) != before and written(folder) > _SOME_MESSAGES,
+            "a new bag",
+        )
+    elif "already" not in response.message:
+        raise SessionError(f"the recorder does not start again: {response.message}")
+
+
+def written(folder: Path) -> int:
+    """Return the size of the bag in a folder that was written last [bytes]; 0 without one."""
+    files = [file.stat() for file in folder.glob("bag*/*.mcap")]
+    # Of the file being written, which may be smaller than earlier ones.
+    return max(files, key=lambda file: file.st_mtime_ns).st_size if files else 0
+
+
+def second_controller(session: Session) -> Action:
+    """Run a second controller, which drives the same robot to another goal."""
+    rival = session.processes.add("rival", session.processes["controller"].command, append=True)
+    names = ["-r", "__node:=rival", "-r", "goal_pose:=rival_goal"]
+    try:
+        rival.start([*session.arguments("controller"), *names])
+        with session.publisher(PoseStamped, "rival_goal", 1) as publisher:
+            if not publisher.get_subscription_count():
+                raise SessionError("the second controller does not start")
+            publisher.publish(pose_to_ros(random_goal(session.rng), 0, RADIUS))
+            yield
+    finally:
+        session.processes.stop("rival")  # with SIGINT first: it commands its rotors to rest
+
+
+def bad_start(session: "CampaignSession") -> Action:
+    """Start the controller with invalid parameters, each of which it has to name, then again."""
+    controller = session.processes["controller"]
+    controller.stop()
+    try:
+        for wrong in _WRONG_AT_START:
+            before = controller.log.stat().st_size
+            controller.start([*session.arguments("controller"), "-p", wrong])
+            session.wait(lambda: controller.code is not None, f"the end with {wrong}")
+            output = controller.log.read_bytes()[before:].decode(errors="replace")
+            name = wrong.partition(":")[0]
+            if controller.code != InvalidParameterError.exit_code or name not in output:
+                raise SessionError(f"{controller.ending} with {wrong}, output: {output.strip()}")
+            session.reports.messages.append(output)
+        yield
+    finally:
+        session.start("controller")
+
+
+def bad_live(session: "CampaignSession") -> Action:
+    """Set invalid parameters while the nodes run, each of which they have to refuse."""
+    for node, name, value in _WRONG_LIVE:
+        (result,) = session.set_parameters(node, **{name: value})
+        if result.successful or not result.reason:
+            raise SessionError(f"{node} did not refuse {name} = {value!r} with a reason")
+        session.reports.messages.append(f"refused live: {result.reason}")
+    yield
+
+
+def push(session: "CampaignSession", impulse: float) -> Action:
+    """Push the sphere in a random direction with an impulse [N s]; the momentum stays."""
+    pushed = impulse * _direction(session.rng.uniform(-math.pi, math.pi))
+    session.push(pushed)
+    # Back, so that the next trial begins without momentum.
+    session.cleanups.append(lambda: session.push(-pushed))
+    yield
+
+
+def tilt(session: "CampaignSession", slope: float) -> Action:
+    """Tilt the floor by `slope` [rad] in a random direction; the momentum stays."""
+    angle = session.rng.uniform(-math.pi, math.pi)
+    session.require_parameters("simulator", slope=slope, slope_direction=angle)
+    began = session.judge.time
+    yield
+    session.require_parameters("simulator", slope=0.0, slope_direction=0.0)
+    # As much as gravity has given it, uphill.
+    force = RobotParameters().total_mass * GRAVITY * math.sin(slope)
+    given = force * (session.judge.time - began) * _direction(angle)
+    session.cleanups.append(lambda: session.push(-given))
+
+
+def _direction(angle: float) -> Vector:
+    return np.array([math.cos(angle), math.sin(angle)])

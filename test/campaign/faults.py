@@ -1,0 +1,146 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults on running nodes, up to three at once, and fuzzing of all nodes.
+
+    make faults ARGS="--quick --json out/faults.json"
+    make faults ARGS="--json out/contact.json --plant rigid_body --triples 50 --jobs 2"
+    make faults ARGS="--fuzz --seed 12 --minutes 10"
+    make faults ARGS="--fuzz --seed 12 --only 17"            # try 17 again
+
+Runs simulator, controller and recorder as separate ROS 2 nodes, causes a fault during a run to a
+goal, and evaluates the recovery. Exits 0 when every trial was survived.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from catalogue import FAULTS, Fault, chosen, combined
+from fuzz import fuzz
+from outcome import read_outcomes, table, write_json
+from trial import RATE, Plan, Settings, run_trials
+from tries import TRIES
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.network import DOMAIN, RosEnvironmentError
+from sphere_nmpc.settings import STRATEGIES
+from sphere_sim.cli.arguments import number, whole
+from sphere_sim.output.result_folder import prepare_folder
+from sphere_sim.ros.session.domain import own_domain
+from sphere_sim.world.settings import PLANTS
+
+_PAIRS = 12
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign, or fuzz; return 0 when all was survived, 1 when something was not."""
+    given = _parse(arguments)
+    if given.json is not None:
+        prepare_folder(given.json.parent)
+    with tempfile.TemporaryDirectory(
+        prefix="sphere_nmpc_faults_", ignore_cleanup_errors=True
+    ) as temporary:
+        folder = given.out.expanduser().absolute() if given.out else Path(temporary)
+        if not given.fuzz:
+            return _campaign(given, folder)
+        with own_domain():
+            return 0 if fuzz(given, folder) else 1
+
+
+def _campaign(given: argparse.Namespace, folder: Path) -> int:
+    if given.jobs > 1 and (domain := os.environ.get(DOMAIN)):
+        raise RosEnvironmentError(DOMAIN, domain, f"no value with --jobs {given.jobs}")
+    settings = Settings(given.seed, given.rtf, given.strategy, given.plant, given.rate)
+    in_common = asdict(settings)
+    outcomes = read_outcomes(given.json, in_common) if given.resume else []
+    done = {(outcome.fault, outcome.repetition) for outcome in outcomes}
+    plans = [plan for plan in _plans(given) if (plan.name, plan.repetition) not in done]
+    trials = len(outcomes) + len(plans)
+    for outcome in run_trials(plans, settings, folder, given.jobs):
+        outcomes.append(outcome)
+        write_json(given.json, outcomes, in_common)
+        print(f"{len(outcomes)} of {trials}: {outcome}", flush=True)
+    robot = RobotParameters()
+    print(f"\nlimits: {robot.max_rotor_speed:g} rad/s, {robot.max_rotor_acceleration:g} rad/s^2\n")
+    print("\n".join(table(outcomes)))
+    survived = sum(outcome.survived for outcome in outcomes)
+    print(f"\n{survived} of {len(outcomes)} trials survived")
+    return 0 if survived == len(outcomes) else 1
+
+
+def _plans(given: argparse.Namespace) -> list[Plan]:
+    """Return the trials: each fault, as often as wanted, then the combinations."""
+    singles = chosen(FAULTS.values(), given.fault, given.quick)
+    several: list[tuple[Fault, ...]] = [(fault,) for fault in singles] * given.repeat
+    for size, wanted in ((2, given.pairs), (3, given.triples)):
+        several += combined(singles, size, wanted, given.seed)
+    tried: Counter[tuple[str, ...]] = Counter()
+    plans = []
+    for names in (tuple(fault.name for fault in faults) for faults in several):
+        plans.append(Plan(names, tried[names]))
+        tried[names] += 1
+    return plans
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    groups = list(dict.fromkeys(fault.group for fault in FAULTS.values()))
+    common = Settings()
+    parser = argparse.ArgumentParser(
+        prog="make faults", description=__doc__.splitlines()[0],
+        epilog="groups: " + ", ".join(groups) + "; faults: " + ", ".join(FAULTS)
+        + "; kinds of tries: " + ", ".join(TRIES),
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the table to this file")
+    parser.add_argument("--seed", type=whole(0), default=common.seed,
+                        help="of all that is random (default: %(default)s)")
+    parser.add_argument("--out", type=Path, metavar="DIR",
+                        help="keep logs and bags in this folder")
+    campaign = parser.add_argument_group("campaign", "with --json")
+    campaign.add_argument("--quick", action="store_true", help="one fault or two of each group")
+    campaign.add_argument("--fault", nargs="+", action="extend", default=[], metavar="NAME",
+                          choices=[*groups, *FAULTS], help="only these faults or groups of faults")
+    campaign.add_argument("--pairs", nargs="?", type=whole(1), const=_PAIRS, default=0,
+                          metavar="N", help="then N pairs of simultaneous faults, drawn by the "
+                          f"seed (default: {_PAIRS})")
+    campaign.add_argument("--triples", type=whole(1), default=0, metavar="N",
+                          help="then N triples likewise")
+    campaign.add_argument("--repeat", type=whole(1), default=1, metavar="N",
+                          help="try each fault N times, each time with another goal")
+    campaign.add_argument("--rtf", type=number(0.5, 5.0), default=common.rtf, metavar="F",
+                          help="simulated over wall time (default: %(default)g)")
+    campaign.add_argument("--strategy", choices=sorted(STRATEGIES), default=common.strategy,
+                          help="what the controller solves")
+    campaign.add_argument("--plant", choices=PLANTS, default=common.plant,
+                          help="what the simulator simulates (default: %(default)s)")
+    campaign.add_argument("--rate", type=number(RATE, 500.0), default=RATE, metavar="HZ",
+                          help="rate of poses, commands and, above the default, solves (default: "
+                          "%(default)g Hz, and a solve at each sampling instant)")
+    campaign.add_argument("--jobs", type=whole(1, 16), default=1, metavar="N",
+                          help="run N trials at the same time, each in a ROS domain of its own")
+    campaign.add_argument("--resume", action="store_true",
+                          help="keep the trials in --json and run those that it lacks")
+    fuzzing = parser.add_argument_group("fuzzing")
+    fuzzing.add_argument("--fuzz", action="store_true", help="fuzz all nodes instead")
+    fuzzing.add_argument("--minutes", type=float, default=10.0, help="wall time")
+    fuzzing.add_argument("--only", type=whole(1), nargs="+", metavar="K", help="numbers of tries")
+    fuzzing.add_argument("--kinds", nargs="+", choices=TRIES, default=list(TRIES), metavar="KIND",
+                         help="kinds to draw from; they are part of what --only repeats")
+    given = parser.parse_args(arguments)
+    if given.json is None and not given.fuzz:
+        parser.error("expected --json FILE or --fuzz")
+    return given
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except SphereNmpcError as error:
+        sys.exit(f"faults: {error}")
+    except KeyboardInterrupt:
+        sys.exit("faults: interrupted; --resume continues a campaign from its file")

@@ -1,0 +1,301 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Judge of commands and rotors by the limits, of the run to a goal; the reports of the nodes."""
+
+import math
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Log
+from rclpy.node import Node
+
+from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.messages import (
+    clock_stamp,
+    header_stamp,
+    hold_and_stamp,
+    pose_of_message,
+    rotor_speeds_and_stamp,
+    speeds_of_message,
+)
+from sphere_sim.ros.session.goal_run import GoalRun
+
+_TOLERANCE = 1e-3
+"""Relative excess up to which a limit does not count as violated."""
+_CONTINUITY = 1e-3
+"""Largest jump of the commanded speeds from one command to the next [rad/s]."""
+_RESOLUTION = 2e-9
+"""Largest error of a duration between two stamps that were rounded to nanoseconds [s]."""
+_KEPT = 20
+"""Number of violations that are kept as text."""
+_LATE = 0.01
+"""Delay of a command beyond which the drives have to catch up with it [s]."""
+_AT_REST = 1e-3
+"""Speed below which a rotor rests [rad/s]."""
+_DEPTH = 1000
+
+
+class LimitCheck:
+    """Check of trajectories, rotor commands and joint states.
+
+    The servos' speed error that the load causes changes by at most `servo_error` [rad/s], by which
+    measured speeds may change more than commanded ones.
+    """
+
+    def __init__(self, servo_error: float = 0.0) -> None:
+        robot = RobotParameters()
+        self._max_speed = robot.max_rotor_speed
+        self._max_acceleration = robot.max_rotor_acceleration
+        self._servo_error = servo_error
+        self.continuous = True
+        """Whether a command has to start from the speeds in force."""
+        self.restart()
+        self.begin()
+
+    def begin(self) -> None:
+        """Reset the results, at the beginning of a trial."""
+        self.worst_speed = 0.0
+        """Largest speed, commanded or measured [rad/s]."""
+        self.worst_slew = 0.0
+        """Largest slew rate, commanded or measured [rad/s^2]."""
+        self.broken: list[str] = []
+        """Violations of a limit, in words."""
+
+    def restart(self) -> None:
+        """Discard the previous command and speeds, as when simulated time restarts."""
+        self._hold: FirstOrderHold | None = None
+        self._left: FirstOrderHold | None = None
+        self._measured: tuple[int, Vector] | None = None
+
+    def trajectory(self, hold: FirstOrderHold) -> None:
+        """Check a commanded hold by itself and against the one that it replaces."""
+        self.sent(hold)
+        self.delivered(hold)
+
+    def sent(self, hold: FirstOrderHold) -> None:
+        """Check a commanded hold by itself."""
+        self._check_speed("rotor_trajectory", hold.speeds)
+        if hold.times.size > 1:
+            changes = np.abs(np.diff(hold.speeds, axis=0))
+            durations = np.diff(hold.times)[:, None] + _RESOLUTION
+            self._check_slew("rotor_trajectory", float(np.max(changes / durations)))
+
+    def delivered(self, hold: FirstOrderHold, now: float = -np.inf) -> None:
+        """Check a hold that reaches the drives by `now` [s] against the one that it replaces.
+
+        After a hold that was late the rotors are still between the one that they left and that.
+        A copy of the hold in force replaces nothing.
+        """
+        known = self._hold
+        if known is not None and np.array_equal(hold.times, known.times) and \
+                np.array_equal(hold.speeds, known.speeds):
+            return
+        (before, left), self._hold = (self._hold, self._left), hold
+        self._left = before if now > hold.start + _LATE else None
+        if before is None or hold.start < before.start or not self.continuous:
+            return
+        in_force = [before.at(hold.start)]
+        if left is not None:
+            in_force.append(left.at(hold.start))
+        within = np.clip(hold.speeds[0], np.min(in_force, axis=0), np.max(in_force, axis=0))
+        jump = float(np.max(np.abs(hold.speeds[0] - within)))
+        if jump > _CONTINUITY + self._max_acceleration * _RESOLUTION:
+            self._report(
+                f"rotor_trajectory starts {jump:.4g} rad/s away from the one in force at "
+                f"t = {hold.start:.3f} s"
+            )
+
+    def command(self, speeds: Vector) -> None:
+        """Check rotor speeds that were commanded without a time, shape (2,)."""
+        self._check_speed("rotor_commands", speeds)
+
+    def joints(self, stamp: int, speeds: Vector) -> None:
+        """Check the measured rotor speeds, shape (2,), at `stamp` [ns]."""
+        self._check_speed("joint_states", speeds)
+        before, self._measured = self._measured, (stamp, speeds)
+        if before is None or stamp <= before[0]:
+            return
+        duration = (stamp - before[0]) * 1e-9 + _RESOLUTION
+        change = float(np.max(np.abs(speeds - before[1])))
+        self._check_slew("joint_states", change / duration, self._servo_error / duration)
+
+    def _check_speed(self, topic: str, speeds: Vector) -> None:
+        speed = float(np.max(np.abs(speeds), initial=0.0))
+        if not np.all(np.isfinite(speeds)):
+            self._report(f"{topic} holds {np.asarray(speeds).tolist()}")
+            return
+        self.worst_speed = max(self.worst_speed, speed)
+        if speed > self._max_speed * (1.0 + _TOLERANCE):
+            self._report(f"{topic} has {speed:.6g} rad/s")
+
+    def _check_slew(self, topic: str, slew: float, allowance: float = 0.0) -> None:
+        self.worst_slew = max(self.worst_slew, slew)
+        if slew > self._max_acceleration * (1.0 + _TOLERANCE) + allowance:
+            self._report(f"{topic} has {slew:.6g} rad/s^2")
+
+    def _report(self, what: str) -> None:
+        if len(self.broken) < _KEPT:
+            self.broken.append(what)
+
+
+class Judge:
+    """Judge by the simulator's own messages, which nobody disturbs.
+
+    All messages are given serialised, with the wall time of their publication [ns] and the shift
+    of the robot's clock to the simulator's [ns], see `Relay`; for `servo_error` see `LimitCheck`.
+    """
+
+    def __init__(self, servo_error: float = 0.0) -> None:
+        self.limits = LimitCheck(servo_error)
+        self.run: GoalRun | None = None
+        """The run to the goal."""
+        self.now = 0
+        """Newest time of the simulator [ns]."""
+        self.state: Vector | None = None
+        """Newest state, shape (6,); None if it is none that can be."""
+        self.pose_stamp = 0
+        """Stamp of that state [ns]."""
+        self.speeds: Vector = np.zeros(2)
+        """Measured rotor speeds [rad/s]."""
+        self.joint_stamp = 0
+        """Stamp of these speeds [ns]."""
+        self.moving_until = 0.0
+        """Time at which a rotor last turned, as `time` [s]."""
+        self.goal: Vector | None = None
+        """Goal that the controller confirmed last, shape (6,)."""
+        self.count = 0
+        """Number of commands that were judged."""
+        self._before = self._spacing = 0
+
+    @property
+    def time(self) -> float:
+        """Simulated time of the newest pose, continued where a simulator is restarted [s]."""
+        return (self._before + self.pose_stamp) / NANOSECONDS
+
+    @property
+    def turning(self) -> float:
+        """Speed of the faster rotor [rad/s]."""
+        return float(np.max(np.abs(self.speeds)))
+
+    def begin(self, goal: Vector) -> GoalRun:
+        """Begin a trial and return its run to a goal, shape (6,)."""
+        self.run = GoalRun(goal)
+        self.limits.begin()
+        return self.run
+
+    def restarted(self) -> None:
+        """Expect the time of a new simulator, which begins at zero."""
+        self._before += self.pose_stamp
+        self.pose_stamp = 0
+        self.limits.restart()
+
+    def clock(self, raw: bytes, wall: int, shift: int) -> None:
+        """Take the time of the simulator."""
+        self.now = clock_stamp(raw)
+
+    def pose(self, raw: bytes, wall: int, shift: int) -> None:
+        """Take a pose of the simulator, unless it comes late, from a slow sensor."""
+        stamp = header_stamp(raw)
+        if stamp < self.pose_stamp:
+            return
+        self.pose_stamp, self._spacing, self.state = stamp, stamp - self.pose_stamp, None
+        try:
+            self.state = pose_of_message(raw)
+        except InvalidStateError as error:
+            if self.run is not None:  # otherwise it may have been pushed away too far
+                self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
+            return
+        if self.run is not None:
+            self.run.observe(self.time, self.state)
+
+    def joints(self, raw: bytes, wall: int, shift: int) -> None:
+        """Take joint states of the simulator."""
+        speeds, self.joint_stamp = rotor_speeds_and_stamp(raw)
+        if speeds is None:
+            self.limits.broken.append("joint_states without finite speeds")
+            return
+        self.speeds = speeds
+        self.limits.joints(self.joint_stamp, speeds)
+        if self.turning > _AT_REST:
+            self.moving_until = (self._before + self.joint_stamp) / NANOSECONDS
+
+    def command(self, raw: bytes, wall: int, shift: int) -> None:
+        """Take rotor speeds of a controller."""
+        self.count += 1
+        self.limits.command(speeds_of_message(raw))
+
+    def trajectory(self, raw: bytes, wall: int, shift: int) -> None:
+        """Take a trajectory of a controller, of times on its shifted clock."""
+        self.count += 1
+        try:
+            stamp = header_stamp(raw)
+            hold, _ = hold_and_stamp(raw, 0, stamp)  # relative to its stamp, hence exact
+        except (InvalidStateError, InvalidInputError) as error:
+            self.limits.broken.append(f"rotor_trajectory is wrong: {error}")
+            return
+        self.limits.sent(hold)
+        self.take_hold(hold, stamp, wall, shift)
+
+    def take_hold(self, hold: FirstOrderHold, stamp: int, wall: int, shift: int) -> None:
+        """Take the hold of a trajectory, relative to its stamp; for further checks."""
+
+    def delivered(self, raw: bytes) -> None:
+        """Take a trajectory that reaches the drives, of times on the simulator's clock."""
+        with suppress(InvalidStateError, InvalidInputError):  # reported when it was sent
+            # Between two poses time is known no better than to their spacing.
+            latest = (self.pose_stamp + self._spacing) / NANOSECONDS
+            self.limits.delivered(hold_and_stamp(raw, 0)[0], latest)
+
+    def confirmed(self, raw: bytes) -> None:
+        """Take the goal in force, as far as it can be read."""
+        with suppress(InvalidStateError):
+            self.goal = pose_of_message(raw)
+
+
+class Reports:
+    """What the nodes report: log lines, messages of diagnostics, counters that rose."""
+
+    def __init__(self, node: Node) -> None:
+        self.messages: list[str] = []
+        """Reports so far."""
+        self._counters: dict[str, float] = {}
+        for kind, topic, take in (
+            (DiagnosticArray, "/diagnostics", self._take_diagnostics),
+            (DiagnosticStatus, "controller/status", self._take_status),
+            (Log, "/rosout", self._take_log),
+        ):
+            node.create_subscription(kind, topic, take, _DEPTH)
+
+    def name(self, words: tuple[str, ...]) -> bool:
+        """Return whether one of some words is in a report."""
+        return any(word in line for line in self.messages for word in words)
+
+    def _take_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            self._take_status(status)
+
+    def _take_status(self, message: Any) -> None:
+        if message.level != DiagnosticStatus.OK or message.message == "paused":
+            self.messages.append(f"{message.name}: {message.message}")
+        for pair in message.values:
+            self._count(f"{message.name} {pair.key}", pair.key, pair.value)
+
+    def _count(self, place: str, key: str, text: str) -> None:
+        """Add a message for a number that rose, among which those of interest are counters."""
+        try:
+            value = float(text)
+        except ValueError:
+            return
+        if value > self._counters.get(place, math.inf):
+            # The keys of the status have underscores, those of diagnostics have not.
+            self.messages.append(f"{key.replace('_', ' ')} rose ({key})")
+        self._counters[place] = value
+
+    def _take_log(self, message: Any) -> None:
+        self.messages.append(f"{message.name}: {message.msg}")

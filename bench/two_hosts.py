@@ -117,8 +117,8 @@ def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, objec
 
     Without a link that is the first one, too.
     """
-    with lossy_link(quality or Quality(0.0, 0.0, 0.0)) as link:
-        here, there = link.hosts if quality else 2 * link.hosts[:1]
+    with lossy_link(quality or Quality(0.0, 0.0, 0.0)) as hosts:
+        here, there = hosts if quality else 2 * hosts[:1]
         environment = {
             **{k: v for k, v in os.environ.items()
                if not k.startswith(("ROS_A", "ROS_S", "ROS_DISC", "ROS_L", "FAST"))},
@@ -143,8 +143,7 @@ def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, objec
 
         with _server(here) if given.discovery == "server" else contextlib.nullcontext():
             measured = _starts(run, given.starts) if given.starts else run()
-        means = link.means if quality else "no link"
-        return {"by": means, "discovery": given.discovery, **measured}
+        return {"discovery": given.discovery, **measured}
 
 
 @contextlib.contextmanager

@@ -14,8 +14,7 @@ import sphere_sim
 from sphere_nmpc.child_command import python_command
 from sphere_nmpc.model.state import Vector
 from sphere_sim.benchmark.acados_process import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
-from sphere_sim.benchmark.benchmarked_solver import Answer, Maker
-from sphere_sim.benchmark.problem import LIMIT
+from sphere_sim.benchmark.problem import LIMIT, Answer, Maker
 
 HOW_TO_GET_IT = (
     "--acados-python takes the Python of an environment of its own with "

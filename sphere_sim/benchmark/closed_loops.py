@@ -17,8 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_sim.benchmark.benchmarked_solver import BenchmarkedSolver, Maker
-from sphere_sim.benchmark.problem import ROBOT, SAMPLE_PERIOD
+from sphere_sim.benchmark.problem import ROBOT, SAMPLE_PERIOD, BenchmarkedSolver, Maker
 from sphere_sim.evaluation.metrics import settling_index, state_errors
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.world.plant.rolling_plant import RollingPlant

@@ -1,6 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Optimal control problem of the paper (Eq. 34), which all benchmarked solvers solve."""
+"""Optimal control problem of the paper (Eq. 34) and the interface of the solvers that solve it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -80,3 +84,39 @@ def shifted(knots: Vector) -> Vector:
     start = np.zeros((knots.shape[0] - 1, INPUT_SIZE))
     start[:-1] = knots[2:]
     return start
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Result of a solve at a sampling instant.
+
+    Attributes
+    ----------
+    speeds : ndarray, shape (2,)
+        Rotor speeds at the next sampling instant [rad/s].
+    solved : bool
+        Whether the solver itself reports success.
+    took : (float, float) or None
+        Wall and processor time of the solve [s] measured in another process, where the solve is
+        made; None where it is made in the calling process.
+    """
+
+    speeds: Vector
+    solved: bool
+    took: tuple[float, float] | None = None
+
+
+class BenchmarkedSolver(Protocol):
+    """A solver in a receding horizon, which keeps its own warm start."""
+
+    def start(self, goal: Vector) -> None:
+        """Start a run towards `goal`, shape (6,), without a warm start."""
+        ...
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """Return the next rotor speeds from `state`, (6,), and the present ones, (2,) [rad/s]."""
+        ...
+
+
+Maker = Callable[[], BenchmarkedSolver]
+"""Sets a solver up; raises ModuleNotFoundError where its package is not installed."""

@@ -7,10 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
-from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.solver.problem import SolverSettings
 from sphere_sim.benchmark.nlp_solvers import CasadiSolver
 from sphere_sim.benchmark.problem import HORIZON, LIMIT, paper_problem
 from sphere_sim.scenario.scenarios import draw_scenarios
@@ -77,7 +75,7 @@ def compare(
     comparison : Comparison
         Where the costs are appended.
     """
-    solver = HoldSolver(_OFFLINE)
+    solver, judge = HoldSolver(_OFFLINE), HoldSolver(SolverSettings(max_iterations=0))
     rng = np.random.default_rng(seed)
     for scenario in draw_scenarios(number, seed):
         in_force = rng.uniform(-LIMIT, LIMIT, 2)
@@ -89,21 +87,11 @@ def compare(
         starts[0] = 0.0
         parameters = np.concatenate((state, scenario.goal, in_force))
         v, _ = ipopt.minimise(np.zeros(2 * HORIZON), parameters)
-        comparison.ipopt.append(_cost(problem, np.clip(v, -1.0, 1.0)))
+        knots = LIMIT * np.clip(v, -1.0, 1.0).reshape(-1, 2)
+        comparison.ipopt.append(judge.solve(problem, knots).cost)
         answers = [solver.solve(problem, start) for start in starts]
         comparison.own.append(answers[0].cost)
         comparison.own_s.append(answers[0].solve_time)
         comparison.own_many.append(min(answer.cost for answer in answers))
         comparison.own_many_s.append(sum(answer.solve_time for answer in answers))
         yield
-
-
-def _cost(problem: HoldProblem, v: Vector) -> float:
-    """Return the cost of scaled knots `v`, shape (2 N,), as `HoldSolver` computes it."""
-    inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, 2)))
-    states = roll_out(
-        problem.state, inputs, problem.durations, problem.constants, problem.max_step
-    )
-    miss = states[1:] - problem.goal
-    stages = problem.stage_weight * float(np.sum(miss[:-1] ** 2))
-    return float(miss[-1] @ miss[-1]) + stages + problem.input_weight * float(v @ v)

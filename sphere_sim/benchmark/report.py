@@ -13,11 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sphere_sim.benchmark.closed_loops import SolverRecord
+from sphere_sim.benchmark.solvers import ALGORITHM_1, OWN, PLAN_KEEPING
 
-ALGORITHM_1, PLAN_KEEPING = "paper (Algorithm 1)", "plan_keeping"
-"""Names of the entries of this package: solved to convergence as by the other solvers, and stopped
-early to keep the plan in force."""
-OWN = (ALGORITHM_1, PLAN_KEEPING)
 _COMPARED = ("median", "p99", "cpu_median", "cpu_p99")
 _SHOWN_TIMES = ("median_ms", "p99_ms", "max_ms", "cpu_median_ms", "cpu_p99_ms")
 
@@ -98,13 +95,6 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
         console.print(
             f"Control rate of {PLAN_KEEPING} on this machine: {rate['p99']:.0f} Hz at the 99th "
             f"percentile, {rate['max']:.0f} Hz at the slowest solve."
-        )
-    if "floor_us" in report:
-        parts = ", ".join(f"{k.replace('_', ' ')} {v:.1f}" for k, v in report["floor_us"].items())
-        console.print(f"Parts of a solve [us]: {parts}.", markup=False)
-    if "first_use_s" in report:
-        console.print(
-            f"First use with an empty cache, first solve included: {report['first_use_s']:.1f} s."
         )
     if "random" in report:
         _show_random(report["random"], console)

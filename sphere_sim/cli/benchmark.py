@@ -5,15 +5,10 @@
 import argparse
 import json
 import os
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.child_command import python_command
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
@@ -28,21 +23,11 @@ _FILE_WIDTH = 160
 _LONGEST = 1e5
 """Longest run [s], as in studies."""
 
-_FIRST_SOLVE = (
-    "import numpy as np\n"
-    "from sphere_sim.benchmark.own_solvers import BothSigns\n"
-    "from sphere_sim.scenario.scenarios import PAPER_CASES\n"
-    "solver = BothSigns()\n"
-    "solver.start(PAPER_CASES[1].goal)\n"
-    "solver.solve(PAPER_CASES[1].start, np.zeros(2))\n"
-)
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; return the exit code.
 
-    Numbers are written first. A first use that cannot be measured and a figure that cannot be
-    drawn are warnings.
+    Numbers are written first. A figure that cannot be drawn is a warning.
 
     Raises
     ------
@@ -55,16 +40,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.update(ONE_EACH)
     from rich.console import Console
 
-    from sphere_sim.benchmark.report import OWN, draw, show
+    from sphere_sim.benchmark.report import draw, show
+    from sphere_sim.benchmark.solvers import OWN
 
     console = Console()
     if not console.is_terminal:
         console = Console(width=_FILE_WIDTH)
     records, missing, report = _run(options, console)
     _write(options.json, report)
-    if not options.quick and (took := _first_use()) is not None:
-        report["first_use_s"] = took
-        _write(options.json, report)
     show(report, options.cases, console)
     written, figure = str(options.json), options.json.with_suffix(".png")
     if draw_or_warn("benchmark", str(figure), lambda: draw(records, figure)):
@@ -88,23 +71,6 @@ def _keep(path: Path, report: dict[str, Any]) -> str:
     except OSError as error:
         return f"no numbers are kept: {in_words(error)}"
     return f"{kept} has the numbers so far"
-
-
-def _first_use() -> float | None:
-    """Return the time of the first solve with an empty cache [s]; None where it fails."""
-    from sphere_nmpc.cache import CACHE_VARIABLE
-
-    try:
-        with tempfile.TemporaryDirectory() as empty:
-            began = time.perf_counter()
-            environment = {**os.environ, CACHE_VARIABLE: empty}
-            subprocess.run(
-                python_command(_FIRST_SOLVE), check=True, env=environment, capture_output=True
-            )
-            return time.perf_counter() - began
-    except (OSError, subprocess.CalledProcessError) as error:
-        print(f"sphere_nmpc benchmark: first use not measured: {error}", file=sys.stderr)
-        return None
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -164,7 +130,6 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
     from sphere_sim.benchmark.problem import SAMPLE_PERIOD
     from sphere_sim.benchmark.random_problems import Comparison, compare
     from sphere_sim.benchmark.report import as_numbers
-    from sphere_sim.benchmark.solve_parts import measure_parts
     from sphere_sim.benchmark.solvers import ALL, IPOPT, QUICK
     from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -194,7 +159,6 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
             )
             for _ in loops:
                 progress.advance(task)
-            extra["floor_us"] = measure_parts()
             if options.random:
                 comparison = Comparison()
                 task = progress.add_task(f"random problems ({IPOPT})", total=options.random)

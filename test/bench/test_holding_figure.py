@@ -14,8 +14,6 @@ from holding_figure import (
     PUSH,
     ROBOT,
     START,
-    HeldRun,
-    draw,
     run,
     time_out_of_balance,
     times_on_slope,
@@ -25,10 +23,6 @@ from sphere_nmpc.model.drift import Drift, imbalance_of_offset
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.saturation import time_to_saturation
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
-
-STILL = HeldRun(
-    np.array([0.0, 1.0]), np.zeros(2), np.zeros((2, 2)), np.array([0.0]), np.zeros((1, 2))
-)
 
 
 def test_time_on_a_slope_is_that_of_one_rotor_and_at_best_of_both() -> None:
@@ -60,9 +54,3 @@ def test_pushed_sphere_settles_with_its_momentum_in_a_rotor() -> None:
     np.testing.assert_allclose(held.speeds[-1], [0.0, expected], atol=1.0)
     np.testing.assert_allclose(held.rest_speeds[-1], [0.0, expected], atol=1.0)
     assert held.samples.size == len(held.rest_speeds)
-
-
-def test_each_panel_has_a_title_and_lines() -> None:
-    panels = draw(STILL, STILL).axes
-    assert len(panels) == 6
-    assert all(panel.get_title(loc="left") and panel.lines for panel in panels)

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from momentum_holding import Case, Outcome, _row, run
+from momentum_holding import Case, run
 
 
 def test_sphere_on_a_slope_stays_for_the_time_that_it_could() -> None:
@@ -20,12 +20,3 @@ def test_sphere_on_a_slope_stays_for_the_time_that_it_could() -> None:
     # It stays within 1e-2 a little longer, while it begins to roll.
     assert found.left > found.arrived + 0.8 * (found.limit - found.arrived)
     assert found.predicted == pytest.approx(found.limit - found.arrived, abs=0.3)
-
-
-def test_share_of_the_time_and_of_the_prediction_are_shown() -> None:
-    kept = Outcome(arrived=2.0, left=10.0, limit=10.0, predicted=8.4)
-    lost = Outcome(arrived=2.0, left=4.0, limit=10.0, predicted=8.0)
-    never = Outcome(math.nan, math.nan, math.inf, math.nan)
-    row = _row(Case(slope=0.5, duration=20.0), [kept, lost, never])
-    shown = "| slope 0.5° | 2 of 3 | 2.0 (2.0) | 1 of 2 | 0.62 (0.25) | 2.5 % (5.0 %) |"
-    assert row == shown

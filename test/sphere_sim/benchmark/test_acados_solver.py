@@ -1,100 +1,40 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""acados in a process of another Python."""
+"""The interface to acados in another Python: reasons where it is missing, answers, times."""
 
-import os
-import subprocess
 import sys
-from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rich")
 
-from sphere_nmpc.child_command import python_command
-from sphere_nmpc.model.integrator import integrate
-from sphere_nmpc.solver.reference.objective import cost
-from sphere_sim.benchmark import acados_solver
-from sphere_sim.benchmark.acados_solver import Acados, acados_makers, clean_environment
-from sphere_sim.benchmark.benchmarked_solver import Answer
+from sphere_sim.benchmark.acados_solver import Acados, acados_makers
 from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
-from sphere_sim.benchmark.problem import (
-    CONSTANTS,
-    HORIZON,
-    INTEGRATION_STEP,
-    LIMIT,
-    SAMPLE_PERIOD,
-    paper_problem,
-)
-from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
-
-PYTHON = os.environ.get("SPHERE_TEST_ACADOS_PYTHON")
-needs_acados = pytest.mark.skipif(
-    PYTHON is None, reason="SPHERE_TEST_ACADOS_PYTHON does not name a Python that has acados"
-)
-
-# Reads rows of x_0 ... x_N (8 each), v_0 ... v_{N-1} and the goal; writes acados' cost and gap.
-# Its cost has its weights only once it has solved something.
-EVALUATE = """
-import os, sys, tempfile
-from pathlib import Path
-import numpy as np
-from sphere_sim.benchmark.acados_process import Loop, build
-
-def put(solver, x, v):
-    for k in range(5):
-        solver.set(k, "x", x[k])
-    for k in range(4):
-        solver.set(k, "u", v[k])
-
-rows = np.frombuffer(sys.stdin.buffer.read()).reshape(-1, 54)
-answers = os.fdopen(os.dup(1), "wb")
-os.dup2(2, 1)
-with tempfile.TemporaryDirectory() as folder:
-    os.chdir(folder)
-    solver = build("sqp", Path(folder))
-    for row in rows:
-        x, v, goal = row[:40].reshape(5, 8), row[40:48].reshape(4, 2), row[48:]
-        Loop(solver).start(x[0, :6], goal)
-        solver.set(0, "lbx", x[0])
-        solver.set(0, "ubx", x[0])
-        put(solver, x, v)
-        solver.solve()
-        gap = solver.get_stats("statistics")[2, 0]  # before the first step
-        put(solver, x, v)
-        answers.write(np.array([solver.get_cost(), gap]).tobytes())
-    os.chdir("/")
-"""
+from sphere_sim.benchmark.problem import LIMIT, Answer
+from sphere_sim.scenario.scenarios import PAPER_CASES
 
 
-def script(tmp_path, text):
+def script(folder: Path, text: str) -> str:
     """Return a stand-in for the other Python, which runs `text` with this one."""
-    path = tmp_path / "python"
+    path = folder / "python"
     path.write_text(f"#!{sys.executable}\n{text}\n")
     path.chmod(0o755)
     return str(path)
 
 
-def test_without_an_interpreter_the_reason_says_how_to_get_one():
+def test_reason_why_acados_is_missing_is_told(tmp_path):
     _, _, missing = set_up(acados_makers(None), lambda name: None)
     assert list(missing) == ["acados sqp", "acados rti"]
     assert all("pip install comma-deps-acados" in reason for reason in missing.values())
-
-
-def test_missing_interpreter_is_named():
-    with pytest.raises(RuntimeError, match=r"/no/such/python does not start: No such file"):
-        Acados("sqp", "/no/such/python")
-
-
-def test_interpreter_without_acados_is_reported():
-    with pytest.raises(RuntimeError, match="No module named 'acados"):
-        Acados("sqp", sys.executable)
-
-
-def test_program_that_is_no_interpreter_is_reported(tmp_path):
-    with pytest.raises(RuntimeError, match="python: ended without an answer"):
-        Acados("sqp", script(tmp_path, "pass"))
+    for python, reason in {
+        "/no/such/python": "/no/such/python does not start: No such file",
+        sys.executable: "No module named 'acados",
+        script(tmp_path, "pass"): "python: ended without an answer",
+    }.items():
+        with pytest.raises(RuntimeError, match=reason):
+            Acados("sqp", python)
 
 
 def test_answers_of_the_process_are_returned(tmp_path):
@@ -132,48 +72,3 @@ def test_times_measured_in_another_process_are_counted():
         pass
     assert records["one"].wall == [2.0, 2.0] and records["one"].cpu == [1.0, 1.0]
     assert records["one"].spent == 4.0
-
-
-@needs_acados
-@pytest.mark.slow
-def test_acados_has_the_same_cost_and_dynamics():
-    rng = np.random.default_rng(0)
-    rows, expected = [], []
-    for scenario in draw_scenarios(5, 0):
-        v, in_force = rng.uniform(-1.0, 1.0, 2 * HORIZON), rng.uniform(-LIMIT, LIMIT, 2)
-        knots = np.vstack((in_force, LIMIT * v.reshape(-1, 2)))
-        states = [scenario.start]
-        for last, there in pairwise(knots):
-            sample = (SAMPLE_PERIOD, CONSTANTS, INTEGRATION_STEP)
-            states.append(integrate(states[-1], last, there, *sample))
-        rows.append(np.concatenate((np.hstack((states, knots / LIMIT)).ravel(), v, scenario.goal)))
-        expected.append(cost(paper_problem(scenario.start, scenario.goal, in_force), v)[0])
-    done = subprocess.run(
-        python_command(
-            acados_solver.IMPORT_PATH + EVALUATE, acados_solver.PACKAGES, python=PYTHON
-        ),
-        input=np.array(rows).tobytes(),
-        env=clean_environment(),
-        capture_output=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr.decode()
-    costs, gaps = np.frombuffer(done.stdout).reshape(-1, 2).T
-    assert costs == pytest.approx(expected, rel=1e-12)
-    assert gaps.max() < 1e-12
-
-
-@needs_acados
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ("sqp", "rti"))
-def test_acados_solves_and_removes_its_files(kind, tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    acados = Acados(kind, PYTHON)
-    case = PAPER_CASES[3]
-    acados.start(case.goal)
-    answer = acados.solve(case.start, np.zeros(2))
-    assert np.all(np.abs(answer.speeds) <= LIMIT) and np.any(answer.speeds != 0.0)
-    assert answer.took is not None and answer.took[0] > 0.0
-    assert list(tmp_path.iterdir())
-    acados.close()
-    assert not list(tmp_path.iterdir())

@@ -21,16 +21,14 @@ from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.reference.objective import cost
 from sphere_sim.benchmark import numpy_slsqp
-from sphere_sim.benchmark.benchmarked_solver import Answer
-from sphere_sim.benchmark.closed_loops import SolverRecord, run_closed_loops, set_up
-from sphere_sim.benchmark.nlp_solvers import Slsqp, ipopt, nonlinear_program
-from sphere_sim.benchmark.own_solvers import AlgorithmOne, BothSigns
-from sphere_sim.benchmark.problem import paper_problem
+from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
+from sphere_sim.benchmark.nlp_solvers import ipopt, nonlinear_program
+from sphere_sim.benchmark.problem import Answer, paper_problem
 from sphere_sim.benchmark.random_problems import Comparison, compare
-from sphere_sim.benchmark.report import ALGORITHM_1, PLAN_KEEPING, as_numbers
+from sphere_sim.benchmark.report import as_numbers
+from sphere_sim.benchmark.solvers import ALGORITHM_1, PLAN_KEEPING, AlgorithmOne, BothSigns
 from sphere_sim.cli.benchmark import main
 from sphere_sim.cli.main import main as command
-from sphere_sim.output.result_folder import ResultFolderError
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 
@@ -95,11 +93,6 @@ def test_all_of_the_papers_cases_settle_in_time():
         assert settle is not None
 
 
-def test_another_solver_settles_in_the_same_loop():
-    (settle,) = settling_times(lambda: Slsqp(exact_gradient=True), (3,))
-    assert settle is not None and settle < 10.0
-
-
 def test_solver_that_cannot_be_set_up_is_reported():
     def absent():
         raise ModuleNotFoundError("No module named 'absent'", name="absent")
@@ -131,15 +124,6 @@ def test_failures_are_counted_and_never_settling_is_none():
     assert report["solvers"]["raising"]["solves"] == 3
 
 
-def test_runs_after_the_time_budget_are_left_out():
-    solvers, records, _ = set_up({"idle": Idle}, lambda name: None)
-    for _ in run_closed_loops(solvers, records, [PAPER_CASES[1], PAPER_CASES[2]], 5, 1, 0.0):
-        pass
-    assert records["idle"].stopped
-    assert len(records["idle"].wall) == 1
-    assert records["idle"].settle == [None, None]
-
-
 @pytest.mark.slow
 def test_many_starts_are_not_worse_than_ipopt():
     comparison = Comparison()
@@ -148,17 +132,6 @@ def test_many_starts_are_not_worse_than_ipopt():
     summary = comparison.summary()
     assert summary["problems"] == 20
     assert summary["8_starts_not_worse"] >= 0.95
-
-
-def test_other_solvers_are_compared_with_algorithm_1_which_solves_the_same_problem():
-    """`plan_keeping` stops early, so that its time is not that of a solution."""
-    records = {}
-    for name, seconds in (("another", 6e-3), (PLAN_KEEPING, 1e-3), (ALGORITHM_1, 2e-3)):
-        records[name] = SolverRecord()
-        records[name].wall = records[name].cpu = [seconds]
-    report = as_numbers(records, {})
-    times = {name: found["median"] for name, found in report["times_algorithm_1"].items()}
-    assert times == {"another": pytest.approx(3.0), PLAN_KEEPING: pytest.approx(0.5)}
 
 
 @pytest.mark.slow
@@ -171,7 +144,6 @@ def test_command_writes_numbers_table_and_figure(tmp_path, capsys):
         ours = report["solvers"][name]
         assert {"median_ms", "p99_ms", "settle_s", "failures"} <= set(ours)
         assert ours["failures"] == 0 and len(ours["settle_s"]) == 1
-    assert report["floor_us"].keys() == {"roll_out", "expansion", "iteration", "call"}
     assert path.with_suffix(".png").stat().st_size > 1000
     assert "Closed loops on the paper's problem" in capsys.readouterr().out
 
@@ -191,25 +163,7 @@ def test_invalid_arguments_are_refused(wrong, tmp_path):
     assert stopped.value.code == 2
 
 
-def test_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch):
-    def run(*_):
-        raise AssertionError("the benchmark is run")
-
-    monkeypatch.setattr("sphere_sim.cli.benchmark._run", run)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ResultFolderError, match="file"):
-        main(["--json", str(tmp_path / "file" / "x.json")])
-
-
 QUICK = ["--quick", "--cases", "3", "--duration", "2", "--budget", "1"]
-
-
-def test_figure_that_cannot_be_drawn_leaves_the_numbers(tmp_path, caplog):
-    (tmp_path / "x.png").mkdir()
-    assert main(["--json", str(tmp_path / "x.json"), *QUICK]) == 0
-    assert ALGORITHM_1 in json.loads((tmp_path / "x.json").read_text())["solvers"]
-    (warning,) = caplog.messages
-    assert f"{tmp_path / 'x.png'} not drawn" in warning
 
 
 def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(
@@ -219,16 +173,16 @@ def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(
         raise KeyboardInterrupt
 
     (tmp_path / "x.json").write_text("{}")
-    monkeypatch.setattr("sphere_sim.benchmark.solve_parts.measure_parts", interrupt)
-    assert command(["benchmark", "--json", str(tmp_path / "x.json"), *QUICK]) == 130
+    monkeypatch.setattr("sphere_sim.benchmark.random_problems.compare", interrupt)
+    path = str(tmp_path / "x.json")
+    assert command(["benchmark", "--json", path, "--random", "1", *QUICK]) == 130
     kept = tmp_path / "x_interrupted.json"
     assert json.loads(kept.read_text())["solvers"][ALGORITHM_1]["solves"] == 4
     assert f"interrupted; {kept} has the numbers so far" in capsys.readouterr().err
     assert (tmp_path / "x.json").read_text() == "{}"
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
-def test_interrupt_ends_the_benchmark_during_any_solver(tmp_path, delay):
+def test_interrupt_ends_the_benchmark_during_any_solver(tmp_path):
     """Solvers of other libraries may handle interrupts themselves."""
     command = "from sphere_sim.cli.main import main; exit(main())"
     process = subprocess.Popen(
@@ -240,7 +194,7 @@ def test_interrupt_ends_the_benchmark_during_any_solver(tmp_path, delay):
         while "libipopt" not in Path(f"/proc/{process.pid}/maps").read_text():
             assert process.poll() is None
             time.sleep(0.05)
-        time.sleep(delay)
+        time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         _, message = process.communicate(timeout=PATIENCE)  # the benchmark takes longer
     finally:

@@ -31,7 +31,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import pose_from_ros
+from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_sender import GoalSender

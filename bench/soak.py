@@ -28,7 +28,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.ros.conversions import seconds, stamp_from_ros
+from sphere_nmpc.ros.messages import seconds, stamp_from_ros
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError

@@ -40,12 +40,14 @@ from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.child_command import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.state import as_state, upright_state
-from sphere_nmpc.ros.conversions import WORLD_FRAME, FrameSettings
+from sphere_nmpc.ros.messages import WORLD_FRAME
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.error_text import how_to_install
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.rviz_config import rviz_config
-from sphere_sim.world.settings import PLANTS, SimulatorSettings
+from sphere_sim.world.settings import PLANTS
 
 PACKAGE = "sphere_nmpc"
 STATE_PUBLISHER = "robot_state_publisher"
@@ -320,7 +322,7 @@ def initial_state(text: str) -> list[float]:
 
 def real_time_factor(text: str, clock: str) -> float:
     try:
-        return SimulatorSettings(clock=clock, real_time_factor=float(text)).real_time_factor
+        return SimulatorNodeSettings(clock=clock, real_time_factor=float(text)).real_time_factor
     except InvalidParameterError as error:
         raise RuntimeError(str(error)) from None
     except ValueError:

@@ -44,6 +44,7 @@ class FaultLog:
         self._newest: dict[str, str] = {}
         self.counts: Counter[str] = Counter()
         """How often each kind of fault has occurred."""
+        self._seen: Counter[str] = Counter()
 
     def report(self, kind: str, message: str) -> None:
         """Count a fault and log it, unless one of its kind was logged less than `period` ago.
@@ -62,6 +63,11 @@ class FaultLog:
             self._newest[kind] = message
             return
         self._log(kind, message, now)
+
+    def has_risen(self, kind: str, count: int) -> bool:
+        """Return whether the number of faults of a kind so far has risen since the last call."""
+        before, self._seen[kind] = self._seen[kind], count
+        return count > before
 
     def flush(self) -> None:
         """Log the newest suppressed fault of each kind whose `period` is over."""

@@ -15,60 +15,36 @@ from typing import Any
 
 from sphere_nmpc.errors import InvalidParameterError
 
+NANOSECONDS = 1_000_000_000
+"""Nanoseconds in a second."""
 _KEY = "quantity"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Metadata of a parameter.
-
-    Attributes
-    ----------
-    unit : str
-        SI unit, ``"-"`` for a pure number.
-    description : str
-        One line for ``ros2 param describe``.
-    minimum, maximum : float or None
-        Inclusive range of a number; None where there is no bound.
-    choices : collection of str
-        Accepted values of a text; empty where any text is accepted.
-    live : bool
-        Whether the value may change while a node runs.
-    """
+    """Metadata of a parameter."""
 
     unit: str
+    """SI unit, ``"-"`` for a pure number."""
     description: str
+    """One line for ``ros2 param describe``."""
     minimum: float | None = None
+    """Least value that is accepted; None where there is no bound."""
     maximum: float | None = None
+    """Largest value that is accepted."""
     choices: Collection[str] = ()
+    """Accepted values of a text; empty where any text is accepted."""
     live: bool = False
+    """Whether the value may change while a node runs."""
 
 
-def quantity(
-    default: Any,
-    unit: str,
-    description: str,
-    *,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    choices: Collection[str] = (),
-    live: bool = False,
-) -> Any:
+def quantity(default: Any, unit: str, description: str, **more: Any) -> Any:
     """Return a dataclass field with unit, range and description in its metadata.
 
-    Parameters
-    ----------
-    default : bool, int, float, str or tuple of float
-        Default; its type is the type of the parameter.
-    unit, description, minimum, maximum, choices, live
-        See `Quantity`.
-
-    Returns
-    -------
-    dataclasses.Field
-        For an annotated name in the body of a dataclass.
+    The type of the default is the type of the parameter; `more` are further attributes of
+    `Quantity`.
     """
-    about = Quantity(unit, description, minimum, maximum, choices, live)
+    about = Quantity(unit, description, **more)
     return dataclasses.field(default=default, metadata={_KEY: about})
 
 

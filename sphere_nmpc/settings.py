@@ -3,6 +3,7 @@
 """Settings of the controller, and the table of strategies."""
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
@@ -37,12 +38,15 @@ STRATEGIES: dict[str, StrategyEntry] = {
 }
 """All strategies by name; an entry added here is a choice of the parameter ``strategy``."""
 
-_SHORTEST_PERIOD = 1e-2
-_SHORTEST_STEP = 1e-3
+_SHORTEST = {"sample_period": 1e-2, "integration_step": 1e-3}
+"""Least values of times that are given [s]."""
 _INPUT_WEIGHT = 0.5
 """The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
 _INTEGRATION_STEP = 0.1
 """Longest step of the prediction [s; for the robot of Table 1]."""
+
+
+S = TypeVar("S", bound="ControllerSettings")
 
 
 @dataclass(frozen=True)
@@ -137,31 +141,16 @@ class ControllerSettings:
         1e-2, "-", "Error in R^6 below which, for a sample period, the goal counts as reached",
         minimum=1e-9, maximum=10.0, live=True,
     )
-    goal_memory: float = quantity(
-        30.0, "s",
-        "Time after the end of a controller within which a new one resumes its goal; 0 is never",
-        minimum=0.0, maximum=3600.0,
-    )
-    command_rate: float = quantity(
-        100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0
-    )
-    lockstep: bool = quantity(
-        False, "-", "Solve when the pose of the sampling instant arrives, not when a timer fires"
-    )
     units: RobotUnits = TABLE_1_UNITS
 
     def __post_init__(self) -> None:
         validate(self)
-        if 0.0 < self.sample_period < _SHORTEST_PERIOD:
-            raise InvalidParameterError(
-                "sample_period", self.sample_period, f"0 or at least {_SHORTEST_PERIOD:g} s"
-            )
-        if 0.0 < self.integration_step < _SHORTEST_STEP:
-            raise InvalidParameterError(
-                "integration_step", self.integration_step, f"0 or at least {_SHORTEST_STEP:g} s"
-            )
+        for name, least in _SHORTEST.items():
+            given = getattr(self, name)
+            if 0.0 < given < least:
+                raise InvalidParameterError(name, given, f"0 or at least {least:g} s")
 
-    def of(self, robot: RobotParameters) -> "ControllerSettings":
+    def of(self: S, robot: RobotParameters) -> S:
         """Return the settings with the units of a robot.
 
         Raises

@@ -14,15 +14,15 @@ from typing import Any
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
-from sphere_nmpc.ros.conversions import FrameSettings
-from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
+from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.study.conditions import OF_NODES
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.world.settings import PushSettings, SimulatorSettings
 
-NODES: dict[str, Any] = {"simulator": SimulatorSettings(), "controller": ControllerSettings()}
+NODES: dict[str, Any] = {
+    "simulator": SimulatorNodeSettings(), "controller": ControllerNodeSettings()
+}
 """Settings of each node; both also have those of the robot, under ``robot.``."""
 
 PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
@@ -63,7 +63,8 @@ Every node also has `use_sim_time`: set it to `true` for the controller to follo
 `sphere_nmpc study --set` has one prefix for each kind of setting: `controller.NAME`,
 `simulator.NAME`, and as in the nodes `robot.NAME` and `rigid_body.NAME`; slope, centre of mass and
 friction are `disturbances.NAME`. The prefix may be left out, and the order does not matter.
-Settings that only nodes read are refused: {_OF_NODES}.
+Settings without effect on a study are refused: {_OF_NODES}, and those of the nodes alone, such as
+`lockstep`.
 """
 
 _YAML_HEAD = """\

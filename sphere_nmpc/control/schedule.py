@@ -15,9 +15,9 @@ import numpy as np
 from sphere_nmpc.control.timing import ClockWatch, PlanningTime, SampleGrid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 
-_NANOSECONDS = 1_000_000_000
 _AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
 
 
@@ -327,7 +327,7 @@ class LockstepSchedule(Schedule):
         The simulator repeats the pose while it waits. The plan of an instant is made once, its
         command is then sent again.
         """
-        if pose.stamp % round(self._period * _NANOSECONDS):
+        if pose.stamp % round(self._period * NANOSECONDS):
             return NOTHING
         if pose.stamp == self._answered:
             return Actions(repeat=True)

@@ -11,13 +11,13 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.quantity import NANOSECONDS
 
 FASTEST = 1e6
 """Largest rotor speed [rad/s]; far beyond it differences over short times overflow."""
 _SHORTEST = 1e-6
 """Shortest interval between two knots of a command [s]: a thousand times the resolution of a
 stamp."""
-_NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class FirstOrderHold:
             return cls.constant(time, np.zeros(INPUT_SIZE))
         # Rounded up to nanoseconds, as stamps are: a shorter ramp would exceed the limit.
         shortest = fastest / max_acceleration
-        end = time + max(_SHORTEST, math.ceil(shortest * _NANOSECONDS) / _NANOSECONDS)
+        end = time + max(_SHORTEST, math.ceil(shortest * NANOSECONDS) / NANOSECONDS)
         if end - time < shortest:  # on a clock that counts from 1970 a float resolves 2e-7 s
             end = math.nextafter(end, math.inf)
         times = np.array([time, end])
@@ -165,7 +165,7 @@ class FirstOrderHold:
 
         A receiver that reads the stamps then finds the accelerations that `limited` has set.
         """
-        times = np.rint(self.times * _NANOSECONDS) / _NANOSECONDS
+        times = np.rint(self.times * NANOSECONDS) / NANOSECONDS
         knots, kept = times.tolist(), [0]
         for i, time in enumerate(knots):
             if time - knots[kept[-1]] >= _SHORTEST:

@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-from sphere_nmpc.ros.conversions import stamp_to_ros
+from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.messages import stamp_to_ros
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
@@ -40,19 +39,12 @@ PERIOD = 0.5
 class Diagnostics:
     """Publisher of the reports of a node's tasks on ``/diagnostics``, every `PERIOD` of wall time.
 
-    Parameters
-    ----------
-    node : Node
-        The node that reports.
-    now : callable
-        Returns the stamp [ns] of the message.
-    tasks : dict of str to callable
-        Each returns level, message and values.
+    `now` returns the stamp [ns] of a message, each task its level, message and values.
     """
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         now: Callable[[], int],
         tasks: dict[str, Callable[[], tuple[bytes, str, Mapping[str, Any]]]],
     ) -> None:
@@ -60,9 +52,7 @@ class Diagnostics:
         self._now = now
         self._tasks = tasks
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Wall time: that a simulated clock stands still has to be reported too.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(PERIOD, self.publish, clock=wall)
+        self._timer = node.create_wall_timer(PERIOD, self.publish)
 
     def publish(self) -> None:
         """Publish the reports of all tasks."""

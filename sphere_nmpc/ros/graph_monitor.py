@@ -1,11 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Monitor of the ROS graph around a node, which logs each fault when it begins and ends."""
+"""Monitor of the ROS graph around a node: its faults, each with its remedy, and their log."""
 
 import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
 from itertools import product
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -14,14 +15,7 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
-from sphere_nmpc.ros.graph_faults import (
-    GraphFault,
-    further_publishers,
-    incompatible_qos,
-    network_fault,
-)
-from sphere_nmpc.ros.loopback import reaches_other_machines
-from sphere_nmpc.ros.network import network_addresses
+from sphere_nmpc.ros.network import network_addresses, reaches_other_machines
 
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -35,18 +29,25 @@ _NAME = re.compile(r"(?=.{1,200}\Z)(/[A-Za-z_][A-Za-z0-9_]*)+")
 NAMED_WITHIN = 3.0
 """Longest wait for the name of a node that was found [s, wall]; it mostly follows within one."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
+_USE_NAMESPACE = "start a further robot in a namespace, -r __ns:=/second"
+_MOST_NAMES = 8
+"""Names of nodes in a message."""
+_KILLED = "a node that was killed is counted for up to 20 s"
+
+
+@dataclass(frozen=True)
+class GraphFault:
+    """A fault in the ROS graph: what is wrong, and what was given, expected and helps."""
+
+    kind: str
+    """In a few words that do not change."""
+    message: str
+    severe: bool = True
+    """Whether it prevents the node from doing its work."""
 
 
 class GraphMonitor:
-    """Monitor of the present faults, which logs the beginning and the end of each.
-
-    Parameters
-    ----------
-    node : Node
-        The node whose surroundings are monitored.
-    fault_log : FaultLog
-        Where faults are logged and counted.
-    """
+    """Monitor of the present faults, which logs the beginning and the end of each."""
 
     def __init__(self, node: Node, fault_log: FaultLog) -> None:
         self._node = node
@@ -114,7 +115,13 @@ class GraphMonitor:
                 fit, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
                 if fit == QoSCompatibility.ERROR:
                     other = ", ".join(ends - {own}) or own
-                    found[topic] = incompatible_qos(topic, other, reason)
+                    given = reason.removeprefix("ERROR: ").rstrip(";").lower()
+                    found[topic] = GraphFault(
+                        f"incompatible QoS on {topic}",
+                        f"given {given} ({other}), expected qualities of service that fit; no "
+                        f"message passes; 'ros2 topic info -v {topic}' shows both sides",
+                        severe=False,
+                    )
         return list(found.values())
 
 
@@ -127,3 +134,51 @@ def full_name(info: TopicEndpointInfo) -> str:
         return UNKNOWN
     name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
     return name if _NAME.fullmatch(name) else INVALID
+
+
+def further_publishers(
+    pose_topic: str, poses: Sequence[str], clock_topic: str, clocks: Sequence[str]
+) -> list[GraphFault]:
+    """Return the faults of several nodes `clocks` or `poses` that publish clock or pose."""
+    return [
+        *several_publishers(clock_topic, clocks, "time jumps between them"),
+        *several_publishers(pose_topic, poses, "the pose jumps between them"),
+    ]
+
+
+def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[GraphFault]:
+    """Return the fault of a topic that more than one of `nodes` publishes, with its effect."""
+    if len(nodes) < 2:
+        return []
+    return [
+        GraphFault(
+            f"other publisher of {topic}",
+            f"given {len(nodes)} ({names_of(nodes)}), expected one; {effect}; "
+            f"{_USE_NAMESPACE}; {_KILLED}",
+            severe=False,
+        )
+    ]
+
+
+def names_of(nodes: Sequence[str]) -> str:
+    """Return the names of nodes for a message, a few of them if there are many."""
+    more = ["..."] if len(nodes) > _MOST_NAMES else []
+    return ", ".join([*sorted(nodes)[:_MOST_NAMES], *more])
+
+
+def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:
+    """Return the fault of a node that other machines are not told the right address of.
+
+    `announced` are the addresses of this machine when the node started, which Fast DDS announces
+    as long as the node runs, `present` those that it has now.
+    """
+    if not present or announced & present:
+        return []
+    before, now = (", ".join(sorted(some)) or "none" for some in (announced, present))
+    return [
+        GraphFault(
+            "network", f"given the address {now}, expected the one that this node announces since "
+            f"its start ({before}); nodes on other machines cannot find it: restart it",
+            severe=False,
+        )
+    ]

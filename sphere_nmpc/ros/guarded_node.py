@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock as NodeClock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -18,10 +21,14 @@ from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
 from sphere_nmpc.errors import InvalidValueError, SphereNmpcError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.ros.serialised import clock_stamp, message_object
+from sphere_nmpc.ros.messages import clock_stamp, message_object
 
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For topics of which only the newest message counts: a lost one does not delay it."""
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""For topics whose last message is sent to later subscribers, too."""
 _TYPE_HASH = re.compile("RIHS01_[0-9a-f]{64}")
 FAILED = "callback failed"
 """Kind of fault of a timer, or of work beside the callbacks, that raised an error."""
@@ -39,6 +46,7 @@ class GuardedNode(Node):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         # Before the node is made, as rclpy creates services with it.
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
+        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         super().__init__(*arguments, **options)
         for service in self.services:
             if service.srv_type is GetTypeDescription:  # rclpy makes this one in another way
@@ -75,6 +83,11 @@ class GuardedNode(Node):
         return super().create_timer(
             timer_period_sec, self.guarded(FAILED, callback), *more, **options
         )
+
+    def create_wall_timer(self, period: float, callback: Callable[..., Any]) -> Timer:
+        """Create a timer of wall time [s], which runs where simulated time stands still, too."""
+        steady = NodeClock(clock_type=ClockType.STEADY_TIME)
+        return self.create_timer(period, callback, clock=steady)
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any

@@ -8,24 +8,26 @@ a signal only requests the loop to end between two callbacks, and further signal
 """
 
 import contextlib
+import gc
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
 
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from sphere_nmpc.end_signals import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.garbage import GarbageCollection
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
-from sphere_nmpc.ros.loopback import network_reach
-from sphere_nmpc.ros.scheduling import refused_message, schedule
+from sphere_nmpc.ros.network import network_reach
+from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
 
 _LONGEST_WAIT = 0.1
@@ -34,15 +36,36 @@ _AFTER_FAILURE = 1e-3
 """Pause after work that failed [s], which may fail each time; shorter than a control tick."""
 _SWITCH_INTERVAL = 5e-4
 """Longest time for which another thread keeps the interpreter from the control loop [s]."""
+_YOUNG_EVERY = 0.25
+"""Time between two collections of new objects [s], each of which takes some 0.1 ms."""
+_ALL_EVERY = 300.0
+"""Time between two collections of all objects made since the start [s]."""
+_MIDDLE, _OLDEST = 1, 2
+"""Generations of objects, as the garbage collector counts them."""
+_NICENESS = 5
+"""Niceness of a process that only displays."""
+_TASKS = Path("/proc/self/task")
+_OF_SESSION = Path("/proc/self/autogroup")
 _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 """In a namespace a robot has its own clock; a remapping given by the user takes precedence."""
 
 
 class RunnableNode(GuardedNode):
-    """Node with work of its own beside callbacks, or with final messages to send."""
+    """Node with work of its own beside callbacks, or with final messages to send.
+
+    `parameter_overrides` are parameters as given on a command line, for use within a program.
+    """
 
     uses_events_executor = False
     """Whether rclpy's events executor is preferred, for callbacks at a high rate."""
+
+    def __init__(self, name: str, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__(
+            name, parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        self.parameters = Parameters(self)
+        """Where the node declares its settings."""
 
     @property
     def thread_priority(self) -> int:
@@ -122,7 +145,11 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
                     if node.thread_priority != priority:
                         priority = node.thread_priority
                         if not schedule(priority):
-                            node.get_logger().warning(refused_message(priority))
+                            node.get_logger().warning(
+                                f"thread_priority: given {priority}, but this user may not "
+                                "schedule in real time, expected root, CAP_SYS_NICE or rtprio in "
+                                "/etc/security/limits.conf; continuing with ordinary scheduling"
+                            )
                     _serve(node, executor)
                     garbage.collect_if_due(time.monotonic())
         finally:
@@ -212,6 +239,70 @@ def _make_executor(by_events: bool) -> Executor:
 
             return EventsExecutor()
     return SingleThreadedExecutor()
+
+
+class GarbageCollection:
+    """Collector that runs when it is called and due, and not otherwise within its context.
+
+    Almost everything is freed by its reference count; the collector only finds cycles. Left to
+    itself it looks at all objects made since the start every few seconds, in the middle of a
+    sample, for longer than a control period of 2 ms. `now` is the steady clock at the start [s].
+    """
+
+    def __init__(self, now: float) -> None:
+        self._young_at = self._all_at = now
+
+    def __enter__(self) -> "GarbageCollection":
+        # Objects that exist as long as the process are excluded: with them a full collection
+        # takes tens of milliseconds.
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        gc.enable()
+        gc.unfreeze()
+
+    def collect_if_due(self, now: float) -> None:
+        """Collect new objects or all, whatever is due at `now` [s, steady clock]."""
+        if now < self._young_at + _YOUNG_EVERY:
+            return
+        self._young_at = now
+        if now < self._all_at + _ALL_EVERY:
+            gc.collect(_MIDDLE)
+        else:
+            self._all_at = now
+            gc.collect(_OLDEST)
+
+
+def schedule(priority: int) -> bool:
+    """Schedule all threads with a priority of SCHED_FIFO, 1 to 99, or ordinarily, 0.
+
+    It needs Linux and root, CAP_SYS_NICE or `rtprio` in limits.conf; otherwise nothing changes.
+    Returns whether it was allowed.
+    """
+    try:
+        policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+        wanted = os.sched_param(priority)
+        # Each thread has its own policy, and the middleware has started some.
+        for task in _TASKS.iterdir():
+            os.sched_setscheduler(int(task.name), policy, wanted)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+def lower_priority() -> None:
+    """Give this process a lower priority than the nodes in the control loop.
+
+    Within a session the niceness of the process decides; between sessions Linux divides processor
+    time by the niceness of the session.
+    """
+    os.nice(_NICENESS)
+    with contextlib.suppress(OSError):
+        if os.getsid(0) == os.getpid():
+            _OF_SESSION.write_text(str(_NICENESS))
 
 
 def _do_nothing(number: int, frame: FrameType | None) -> None:

@@ -1,29 +1,233 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Addresses of this machine that Fast DDS announces to nodes on other machines.
+"""Environment of nodes: what ROS reads from it, what they can be reached from, and its network.
 
-A node announces the addresses that interfaces in operation have when it starts, 127.0.0.1 where
-there are none, and keeps to them as long as it runs. Nodes on other machines that hear 127.0.0.1
-answer to themselves, and neither side ever discovers the other.
+`prepare_environment` is called before ROS starts. For a value that they cannot use, ROS and Fast
+DDS raise an error of an inner library, abort the process, or ignore the variable, even one that
+should have restricted a node to this machine. So values are checked here first, and
+
+- ``ROS_LOCALHOST_ONLY=1`` is applied strictly: ROS itself reads it as the discovery range
+  ``LOCALHOST``, with which Fast DDS discovers nodes on this machine only, but still opens its
+  ports on all interfaces, where any machine can send to them;
+- where other machines are named, a node waits for a network interface: Fast DDS announces the
+  addresses of the start as long as a node runs, 127.0.0.1 where there are none, so that nodes on
+  other machines would answer to themselves;
+- where nodes of other users use shared memory, UDP is selected: Fast DDS offers shared memory all
+  the same, so that such nodes discover each other but exchange no messages.
 """
 
 import os
+import re
 import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
+from pathlib import Path
+from xml.etree import ElementTree
 
-from sphere_nmpc.ros.loopback import other_machines
+from sphere_nmpc.errors import InvalidValueError
 
+DOMAIN = "ROS_DOMAIN_ID"
+DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
 NETWORK_TIMEOUT = 10.0
 """Longest wait for an interface where the environment names other machines [s]."""
+_MIDDLEWARE, _LOG_FOLDER = "RMW_IMPLEMENTATION", "ROS_LOG_DIR"
+_STATIC_PEERS, _DISCOVERY_SERVER = "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
+_BUILTIN_TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Variables that name the XML profiles of Fast DDS, up to version 2 and from version 3 on."""
+_TRANSPORT_VARIABLES = (
+    _STATIC_PEERS, _DISCOVERY_SERVER, _BUILTIN_TRANSPORTS, *_PROFILE_VARIABLES
+)
+"""Variables with which users choose discovery or transports themselves."""
+_LOOPBACK_PROFILES = Path(__file__).with_name("loopback.xml")
+"""Profiles that restrict Fast DDS to the loopback interface."""
+_FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+_HIGHEST_DOMAIN = 232
+"""Largest domain id for which the port numbers of DDS are valid."""
+_FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250
+"""Port numbering of DDS: first port of domain 0, and distance to that of the next domain."""
+_SEGMENTS = Path("/dev/shm")
+"""Where the operating system keeps shared memory."""
+_OWN = re.compile(r"localhost|(?<![\w.])127\.")
+"""Names of this machine in lists of hosts."""
+_REACH = {
+    "SUBNET": f"from every machine of the network; {LOCALHOST_ONLY}=1 keeps it on this machine",
+    "LOCALHOST": "from this machine only; its ports are open on all interfaces, "
+    f"{LOCALHOST_ONLY}=1 closes them",
+    "OFF": "from this process only",
+    "SYSTEM_DEFAULT": "as the middleware is configured",
+}
 _POLL = 0.05
 """Interval between two looks at the interfaces [s]."""
 _GET_FLAGS, _GET_ADDRESS = 0x8913, 0x8915
 """Requests SIOCGIFFLAGS and SIOCGIFADDR of netdevice(7)."""
 _LOOPBACK, _RUNNING = 0x8, 0x40
 """Flags of an interface; one that is switched on is in operation (running) only with a carrier."""
+
+
+class RosEnvironmentError(InvalidValueError):
+    """Environment variable with a value that ROS cannot use."""
+
+
+def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> list[str]:
+    """Check the environment of this process and adapt it; return what to tell, in one line each.
+
+    Raises
+    ------
+    RosEnvironmentError
+        If a variable has a value that ROS cannot use.
+    """
+    apply_localhost_only(environment)
+    waited = wait_for_network(environment)  # first: names of peers may need it to be resolved
+    check_environment(environment)
+    return [line for line in (waited, avoid_foreign_shared_memory(environment)) if line]
+
+
+def check_environment(environment: Mapping[str, str] = os.environ) -> None:
+    """Raise if ROS cannot start with this environment.
+
+    Raises
+    ------
+    RosEnvironmentError
+        If a variable has a value that ROS cannot use.
+    """
+    domain_id(environment)
+    for name in _PROFILE_VARIABLES:
+        if path := environment.get(name):
+            _check_profiles(name, path)
+    for peer in environment.get(_STATIC_PEERS, "").split(";"):
+        try:
+            socket.getaddrinfo(peer or None, 0)
+        except (OSError, UnicodeError):
+            raise RosEnvironmentError(
+                _STATIC_PEERS, peer, "names or addresses of machines, separated by ;"
+            ) from None
+    chosen = environment.get(_LOG_FOLDER)
+    if chosen and not _is_writable(Path(chosen).expanduser()):
+        raise RosEnvironmentError(_LOG_FOLDER, chosen, "a folder that can be created and written")
+
+
+def domain_id(environment: Mapping[str, str] = os.environ) -> int | None:
+    """Return the ROS domain id that the environment sets; None where it sets none.
+
+    Raises
+    ------
+    RosEnvironmentError
+        If the value is not a valid domain id.
+    """
+    given = environment.get(DOMAIN)
+    if not given:
+        return None
+    # ROS would read a leading 0 as octal, and a negative number as a very large one.
+    if not re.fullmatch(r"0|[1-9][0-9]{0,2}", given) or int(given) > _HIGHEST_DOMAIN:
+        raise RosEnvironmentError(DOMAIN, given, f"a whole number from 0 to {_HIGHEST_DOMAIN}")
+    return int(given)
+
+
+def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
+    """Raise if the selected middleware is not installed; call it before rclpy is imported.
+
+    Importing rclpy with a middleware that is not there aborts the process.
+
+    Raises
+    ------
+    RosEnvironmentError
+        If it is not installed; the message names those that are.
+    """
+    given = environment.get(_MIDDLEWARE)
+    if not given:
+        return
+    prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    index = Path("share/ament_index/resource_index/rmw_typesupport")
+    folders = [folder for prefix in prefixes if (folder := Path(prefix) / index).is_dir()]
+    installed = {entry.name for folder in folders for entry in folder.iterdir()}
+    installed.discard("rmw_implementation")  # only selects one of the others
+    if installed and given not in installed:
+        raise RosEnvironmentError(_MIDDLEWARE, given, " or ".join(sorted(installed)))
+
+
+def unwritable_log_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Return ROS's default log folder if it cannot be written; None if it can.
+
+    Returns None for a folder that the user has set; `check_environment` checks that one.
+    """
+    if environment.get(_LOG_FOLDER):
+        return None
+    home = environment.get("ROS_HOME")
+    try:
+        folder = (Path(home).expanduser() if home else Path.home() / ".ros") / "log"
+    except RuntimeError:  # this user has no home folder
+        return Path("~/.ros/log")
+    # ROS itself reads the variables only, not the user database.
+    has_home = bool(home or environment.get("HOME"))
+    return None if has_home and _is_writable(folder) else folder
+
+
+def use_loopback_only(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Restrict nodes that start from now on to the loopback interface.
+
+    The environment is unchanged where it sets discovery or transports, or a discovery range other
+    than this machine.
+    """
+    if any(environment.get(name) for name in _TRANSPORT_VARIABLES):
+        return
+    if environment.get(DISCOVERY_RANGE, "LOCALHOST").upper() != "LOCALHOST":
+        return
+    # With this variable set, ROS would add its own transports to those of the profiles.
+    environment.pop(LOCALHOST_ONLY, None)
+    if environment.get(_MIDDLEWARE, "") not in _FAST_DDS:
+        environment[DISCOVERY_RANGE] = "LOCALHOST"
+        return
+    # ROS adds transports in every other discovery range too.
+    environment[DISCOVERY_RANGE] = "SYSTEM_DEFAULT"
+    for name in _PROFILE_VARIABLES:
+        environment[name] = str(_LOOPBACK_PROFILES)
+
+
+def apply_localhost_only(environment: MutableMapping[str, str] = os.environ) -> bool:
+    """Apply ``ROS_LOCALHOST_ONLY=1``; return whether nodes use the loopback interface only."""
+    if environment.get(LOCALHOST_ONLY) == "1":
+        environment.pop(DISCOVERY_RANGE, None)  # in ROS too, LOCALHOST_ONLY overrides the range
+        use_loopback_only(environment)
+    return _uses_loopback_only(environment)
+
+
+def network_reach(environment: Mapping[str, str] = os.environ) -> str:
+    """Return one line that says from where nodes with this environment can be reached."""
+    if _uses_loopback_only(environment):
+        source = "from this machine only, over the loopback"
+    elif server := environment.get(_DISCOVERY_SERVER):
+        source = f"from the nodes of the discovery server {server}"
+    else:
+        # ROS treats an unknown range as LOCALHOST.
+        source = _REACH.get(_range(environment), _REACH["LOCALHOST"])
+        if profiles := _profiles(environment):
+            source += f"; transports as in {profiles}"
+        if peers := environment.get(_STATIC_PEERS):
+            source += f"; also from {peers}"
+    if environment.get("ROS_SECURITY_ENABLE") == "true":
+        source += "; SROS 2 is on"
+    return f"ROS domain {environment.get(DOMAIN) or '0'}: reachable {source}"
+
+
+def other_machines(environment: Mapping[str, str] = os.environ) -> str:
+    """Return the variable that names other machines to be discovered; empty without any."""
+    reach = _range(environment)
+    peers = "" if reach in ("OFF", "SYSTEM_DEFAULT") else environment.get(_STATIC_PEERS, "")
+    named = {_STATIC_PEERS: peers, _DISCOVERY_SERVER: environment.get(_DISCOVERY_SERVER, "")}
+    for variable, hosts in named.items():
+        if any(host and not _OWN.search(host) for host in hosts.split(";")):
+            return variable
+    return ""
+
+
+def reaches_other_machines(environment: Mapping[str, str] = os.environ) -> bool:
+    """Return whether nodes with this environment are to be found by those of other machines."""
+    wide = _range(environment) in ("SUBNET", "SYSTEM_DEFAULT")
+    return bool(other_machines(environment)) or (wide and not _uses_loopback_only(environment))
 
 
 def network_addresses() -> frozenset[str]:
@@ -56,19 +260,8 @@ def wait_for_network(
 ) -> str:
     """Wait until an interface is in operation, where the environment names other machines.
 
-    Parameters
-    ----------
-    environment : mapping, optional
-        Environment of this process.
-    addresses : callable, optional
-        Returns the addresses of this machine.
-    timeout : float, optional
-        Longest wait [s].
-
-    Returns
-    -------
-    str
-        Message in one line if there is none after that time; empty otherwise.
+    `addresses` returns those of this machine. Returned is a message in one line if there is none
+    after `timeout` [s], empty otherwise.
     """
     variable = other_machines(environment)
     if not variable or not sys.platform.startswith("linux"):
@@ -83,3 +276,81 @@ def wait_for_network(
             )
         time.sleep(_POLL)
     return ""
+
+
+def avoid_foreign_shared_memory(
+    environment: MutableMapping[str, str] = os.environ, segments: Path = _SEGMENTS
+) -> str:
+    """Select UDP only where nodes of other users in this domain use shared memory.
+
+    The environment is unchanged where it selects transports itself. Returns a message about the
+    change in one line, empty where nothing was changed.
+    """
+    if any(environment.get(name) for name in _TRANSPORT_VARIABLES):
+        return ""
+    if environment.get(_MIDDLEWARE, "") not in ("", "rmw_fastrtps_cpp"):
+        return ""
+    others = _owners(segments, domain_id(environment) or 0) - {os.geteuid()}
+    if not others:
+        return ""
+    if environment.get(DISCOVERY_RANGE, "").upper() == "LOCALHOST":
+        # In this range ROS adds its own transports, among them shared memory.
+        use_loopback_only(environment)
+        replacement = "the loopback alone"
+    else:
+        environment[_BUILTIN_TRANSPORTS] = "UDPv4"
+        replacement = f"{_BUILTIN_TRANSPORTS}=UDPv4"
+    users = ", ".join(map(str, sorted(others)))
+    return (
+        f"shared memory: given segments of other users (uid {users}) in this domain, which this "
+        f"user cannot open, expected only segments of this user; continuing with {replacement}"
+    )
+
+
+def _owners(segments: Path, domain: int) -> set[int]:
+    """Return the user ids that own Fast DDS segments of a domain."""
+    first = _FIRST_PORT + _PORTS_PER_DOMAIN * domain
+    owners = set()
+    try:
+        for entry in os.scandir(segments):
+            found = re.fullmatch(r"fastrtps_port([0-9]+)", entry.name)
+            if found and first <= int(found[1]) < first + _PORTS_PER_DOMAIN:
+                owners.add(entry.stat(follow_symlinks=False).st_uid)
+    except OSError:  # another operating system, or a segment removed meanwhile
+        pass
+    return owners
+
+
+def _range(environment: Mapping[str, str]) -> str:
+    """Return the discovery range in force, as ROS reads it."""
+    if environment.get(LOCALHOST_ONLY) == "1":
+        return "LOCALHOST"
+    return environment.get(DISCOVERY_RANGE, "").upper() or "SUBNET"
+
+
+def _uses_loopback_only(environment: Mapping[str, str]) -> bool:
+    reach = environment.get(DISCOVERY_RANGE, "").upper()
+    return _profiles(environment) == str(_LOOPBACK_PROFILES) and reach == "SYSTEM_DEFAULT"
+
+
+def _profiles(environment: Mapping[str, str]) -> str:
+    """Return the path of the Fast DDS profiles in use; empty without any."""
+    return next(filter(None, map(environment.get, _PROFILE_VARIABLES)), "")
+
+
+def _check_profiles(name: str, path: str) -> None:
+    try:
+        ElementTree.parse(path)
+    except OSError as error:
+        reason = f"a file that can be read ({error.strerror})"
+        raise RosEnvironmentError(name, path, reason) from None
+    except ElementTree.ParseError as error:
+        raise RosEnvironmentError(name, path, f"XML ({error})") from None
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)

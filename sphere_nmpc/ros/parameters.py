@@ -3,9 +3,8 @@
 """Settings dataclasses as ROS parameters, declared from the description of each quantity."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
-from weakref import WeakKeyDictionary
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -22,12 +21,48 @@ from sphere_nmpc.quantity import Quantity, quantities
 
 S = TypeVar("S")
 
-_OF_NODE: WeakKeyDictionary[Node, list[Any]] = WeakKeyDictionary()
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 class DeclaredSettings(Generic[S]):
-    """Settings dataclass whose fields are declared as parameters of a node.
+    """Settings dataclass whose fields are parameters of a node; see `Parameters.declare`."""
+
+    def __init__(self, default: S, prefix: str, on_change: Callable[[S], object] | None) -> None:
+        self._default: Any = default
+        self._on_change = on_change
+        self._prefix = f"{prefix}." if prefix else ""
+        self.fields = {f"{self._prefix}{field}": field for field in quantities(default)}
+        """Fields by the full names of their parameters."""
+        self.settings = default
+        """The present values."""
+
+    def typed(self, name: str, value: Any) -> Any:
+        """Return a value as the type of its field if that loses no information."""
+        default = getattr(self._default, self.fields[name])
+        if isinstance(default, tuple):
+            items = value if hasattr(value, "__iter__") else (value,)
+            return tuple(map(float, items)) if all(map(_is_number, items)) else value
+        return float(value) if isinstance(default, float) and _is_number(value) else value
+
+    def changed(self, values: dict[str, Any]) -> S:
+        """Return the settings with other values, by full name."""
+        changes = {self.fields[name]: self.typed(name, value) for name, value in values.items()}
+        try:
+            return dataclasses.replace(self.settings, **changes)  # type: ignore[type-var]
+        except InvalidParameterError as error:
+            raise InvalidParameterError(
+                self._prefix + error.name, error.given, error.expected
+            ) from None
+
+    def apply(self, values: dict[str, Any]) -> None:
+        """Take over values that were accepted."""
+        self.settings = self.changed(values)
+        if self._on_change is not None:
+            self._on_change(self.settings)
+
+
+class Parameters:
+    """Parameters of a node that are declared from settings dataclasses.
 
     The node must be made with ``automatically_declare_parameters_from_overrides=True``, so that
     values from a file or the command line can be read before they are given a type.
@@ -36,112 +71,92 @@ class DeclaredSettings(Generic[S]):
     ----------
     node : Node
         Where the parameters are declared.
-    default : dataclass instance
-        Defaults; its quantities give types, ranges and descriptions.
-    prefix : str, optional
-        Prefix of each name, before a dot: ``robot`` gives ``robot.shell_mass``.
-    on_change : callable, optional
-        Called with the new settings after a live change.
-
-    Raises
-    ------
-    InvalidParameterError
-        Naming the parameter whose given value is not accepted.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        default: S,
-        prefix: str = "",
-        on_change: Callable[[S], object] | None = None,
-    ) -> None:
-        self._prefix = f"{prefix}." if prefix else ""
-        self._about = quantities(default)
-        self._default: Any = default
-        self._on_change = on_change
-        given = {field: _take(node, self._prefix + field) for field in self._about}
-        self.settings: S = self._with(default, {k: v for k, v in given.items() if v is not None})
-        """The present values."""
-        for field, about in self._about.items():
-            value = _plain(getattr(self.settings, field))
-            node.declare_parameter(
-                self._prefix + field, value, describe(about, value), ignore_override=True
-            )
-        self._register_conversion(node)
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._owners: dict[str, DeclaredSettings[Any]] = {}
+        # One for all settings: rclpy passes the same list to each callback and joins the results.
+        node.add_pre_set_parameters_callback(self._convert)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    @property
-    def names(self) -> list[str]:
-        """Full names of the parameters."""
-        return [self._prefix + field for field in self._about]
+    def declare(
+        self, default: S, prefix: str = "", on_change: Callable[[S], object] | None = None
+    ) -> DeclaredSettings[S]:
+        """Declare the fields of a settings dataclass, and return its values as they are given.
 
-    def _with(self, settings: S, changes: dict[str, Any]) -> S:
-        typed = {k: _typed(v, getattr(self._default, k)) for k, v in changes.items()}
-        try:
-            return dataclasses.replace(settings, **typed)  # type: ignore[type-var]
-        except InvalidParameterError as error:
-            full_name = self._prefix + error.name
-            raise InvalidParameterError(full_name, error.given, error.expected) from None
+        Parameters
+        ----------
+        default : dataclass instance
+            Defaults; its quantities give types, ranges and descriptions.
+        prefix : str, optional
+            Prefix of each name, before a dot: ``robot`` gives ``robot.shell_mass``.
+        on_change : callable, optional
+            Called with the new settings after a live change.
 
-    def _own(self, parameters: list[Parameter]) -> dict[str, Any]:
-        start = len(self._prefix)
-        return {p.name[start:]: p.value for p in parameters if p.name in self.names}
-
-    def _register_conversion(self, node: Node) -> None:
-        """Convert values given to the node, so that ``5`` is accepted for ``5.0``.
-
-        One callback for all settings of a node: rclpy passes the same list to each callback and
-        joins their results.
+        Raises
+        ------
+        InvalidParameterError
+            Naming the parameter whose given value is not accepted.
         """
-        siblings = _OF_NODE.setdefault(node, [])
-        siblings.append(self)
-        if len(siblings) > 1:
-            return
+        declared = DeclaredSettings(default, prefix, on_change)
+        given = {name: _take(self._node, name) for name in declared.fields}
+        values = {name: value for name, value in given.items() if value is not None}
+        declared.settings = declared.changed(values)
+        about = quantities(default)
+        for name, field in declared.fields.items():
+            value = _plain(getattr(declared.settings, field))
+            self._node.declare_parameter(
+                name, value, describe(about[field], value), ignore_override=True
+            )
+        self._owners |= dict.fromkeys(declared.fields, declared)
+        return declared
 
-        def coerce(parameters: list[Parameter]) -> list[Parameter]:
-            for settings in siblings:
-                parameters = [settings._coerce(parameter) for parameter in parameters]
-            return parameters
+    def warn_of_unknown(self, *others: str) -> None:
+        """Warn of given parameters that the node does not have, and undeclare them.
 
-        node.add_pre_set_parameters_callback(coerce)
+        `others` are parameters that it has beside the declared settings.
+        """
+        node, known = self._node, {*self._owners, *others}
+        names = set(node.list_parameters([], depth=0).names) - known
+        unknown = sorted(name for name in names if name.split(".")[0] not in _OF_RCLPY)
+        for name in unknown:
+            node.undeclare_parameter(name)
+        if unknown:
+            node.get_logger().warning(
+                f"unknown parameters, ignored: {shown(', '.join(unknown))}; "
+                f"'ros2 param list {node.get_fully_qualified_name()}' lists the known ones"
+            )
 
-    def _coerce(self, parameter: Parameter) -> Parameter:
-        if parameter.name not in self.names or parameter.value is None:
-            return parameter
-        default = getattr(self._default, parameter.name[len(self._prefix) :])
-        return Parameter(parameter.name, value=_plain(_typed(parameter.value, default)))
+    def _convert(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Convert values given to the node, so that ``5`` is accepted for ``5.0``."""
+        return [
+            Parameter(p.name, value=_plain(self._owners[p.name].typed(p.name, p.value)))
+            if p.name in self._owners and p.value is not None else p
+            for p in parameters
+        ]
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        changes = self._own(parameters)
         try:
-            if changes:
-                self._with(self.settings, changes)
+            for owner, values in self._by_owner(parameters).items():
+                owner.changed(values)
         except InvalidParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        changes = self._own(parameters)
-        if changes:
-            self.settings = self._with(self.settings, changes)
-            if self._on_change is not None:
-                self._on_change(self.settings)
+        for owner, values in self._by_owner(parameters).items():
+            owner.apply(values)
 
-
-def warn_of_unknown(node: Node, known: Iterable[str]) -> None:
-    """Warn of given parameters that the node does not have, and undeclare them."""
-    declared = set(node.list_parameters([], depth=0).names)
-    unknown = sorted(n for n in declared - set(known) if n.split(".")[0] not in _OF_RCLPY)
-    for name in unknown:
-        node.undeclare_parameter(name)
-    if unknown:
-        names = shown(", ".join(unknown))
-        node.get_logger().warning(
-            f"unknown parameters, ignored: {names}; "
-            f"'ros2 param list {node.get_fully_qualified_name()}' lists the known ones"
-        )
+    def _by_owner(
+        self, parameters: list[Parameter]
+    ) -> dict[DeclaredSettings[Any], dict[str, Any]]:
+        found: dict[DeclaredSettings[Any], dict[str, Any]] = {}
+        for parameter in parameters:
+            if owner := self._owners.get(parameter.name):
+                found.setdefault(owner, {})[parameter.name] = parameter.value
+        return found
 
 
 def describe(about: Quantity, value: Any) -> ParameterDescriptor:
@@ -170,14 +185,6 @@ def _take(node: Node, name: str) -> Any:
     value = node.get_parameter(name).value
     node.undeclare_parameter(name)
     return value
-
-
-def _typed(value: Any, default: Any) -> Any:
-    """Return `value` as the type of `default` if that loses no information."""
-    if isinstance(default, tuple):
-        items = value if hasattr(value, "__iter__") else (value,)
-        return tuple(map(float, items)) if all(map(_is_number, items)) else value
-    return float(value) if isinstance(default, float) and _is_number(value) else value
 
 
 def _is_number(value: Any) -> bool:

@@ -13,10 +13,7 @@ from rclpy.utilities import remove_ros_args
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign_text import printable_line
-from sphere_nmpc.ros.environment import check_environment, unwritable_log_folder
-from sphere_nmpc.ros.loopback import apply_localhost_only
-from sphere_nmpc.ros.network import wait_for_network
-from sphere_nmpc.ros.shared_memory import avoid_foreign_shared_memory
+from sphere_nmpc.ros.network import prepare_environment, unwritable_log_folder
 
 _WITHOUT_LOG_FILE = ("--ros-args", "--disable-external-lib-logs")
 _BEFORE_ASSIGNMENTS = ("-p", "--param", "-r", "--remap", "--log-level")
@@ -74,10 +71,7 @@ def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
     RosStartError
         If rclpy fails, with its reason.
     """
-    apply_localhost_only()
-    messages = [wait_for_network()]  # first: names of peers may need a network to be resolved
-    check_environment()
-    messages.append(avoid_foreign_shared_memory())
+    messages = prepare_environment()
     unwritable = unwritable_log_folder()
     if unwritable is not None:
         args = [*args, *_WITHOUT_LOG_FILE]
@@ -86,7 +80,7 @@ def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
             "continuing without a log file, set ROS_LOG_DIR to choose another folder"
         )
     for message in messages:
-        if message and not quiet:
+        if not quiet:
             print(message, file=sys.stderr)
     try:
         rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)

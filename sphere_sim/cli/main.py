@@ -84,7 +84,7 @@ def _run(argv: Sequence[str], signals: Signals) -> int:
 
     def call() -> int:
         if os.environ.get("RMW_IMPLEMENTATION") and verb not in _WITHOUT_ROS:
-            from sphere_nmpc.ros.environment import check_middleware
+            from sphere_nmpc.ros.network import check_middleware
 
             check_middleware()  # before rclpy is loaded, which ends the process with a wrong one
         module = import_module(VERBS[verb][0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantities
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -36,7 +37,8 @@ def compute_other(plan: DemoPlan, recorded: Run) -> Run:
         The computed run, with the fields of a recorded one.
     """
     prefix = "robot."
-    own = {k: v for k, v in plan.simulator.items() if not k.startswith(prefix)}
+    known = quantities(SimulatorSettings)  # without those of the node, such as its pace
+    own = {k: v for k, v in plan.simulator.items() if k in known}
     true = {k.removeprefix(prefix): v for k, v in plan.simulator.items() if k.startswith(prefix)}
     controller = ControllerSettings(strategy=plan.other_strategy)
     settings = dataclasses.replace(

@@ -12,8 +12,9 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.disturbances import Push
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 AT_PUSH_SIZE = 11
 """Size of `Trajectory.at_push` after a push."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.recording.message_fields import NANOSECONDS
+from sphere_nmpc.quantity import NANOSECONDS
 
 _TOLERANCE = 1.0
 """Largest plausible time between a stamp and the log time of its message, on either clock [s]."""

@@ -12,9 +12,8 @@ import numpy as np
 from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
-"""Nanoseconds in a second."""
 LARGEST = 1e30
 """Largest magnitude of a number that is believed [SI units]: its square is one, too."""
 HOLDING = "holding"

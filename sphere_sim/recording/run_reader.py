@@ -3,7 +3,7 @@
 """Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`.
 
 Messages are accessed by attribute as ``rosbags`` decodes them, so that a bag can be read where no
-ROS is installed; ``sphere_nmpc.ros.conversions`` is the counterpart for ROS messages.
+ROS is installed; ``sphere_nmpc.ros.messages`` is the counterpart for ROS messages.
 """
 
 import dataclasses

@@ -16,14 +16,8 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 
 _SCENARIO_SETTINGS = ("initial_state", "seed")
-OF_NODES = {
-    "simulator": (
-        "clock", "frame_prefix", "real_time_factor", "lockstep", "lockstep_timeout",
-        "sample_period", "pose_rate", "command_timeout", "start_paused",
-    ),
-    "controller": ("goal_memory", "command_rate", "lockstep"),
-}
-"""Settings that only nodes read, by kind: they have no effect on a run of a study."""
+OF_NODES = {"simulator": ("pose_rate", "command_timeout")}
+"""Settings that have no effect on a run of a study, by kind."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 
 import math
 
-NANOSECONDS = 1_000_000_000
+from sphere_nmpc.quantity import NANOSECONDS
+
 _CATCH_UP_SPACING = 0.5
 """Smallest spacing of two instants while catching up, over the nominal one."""
 _LARGEST_DELAY = 0.1

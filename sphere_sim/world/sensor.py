@@ -8,9 +8,8 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.settings import SimulatorSettings
-
-NANOSECONDS = 1_000_000_000
 
 
 class PoseSensor:

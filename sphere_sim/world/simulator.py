@@ -6,10 +6,11 @@ import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, as_state
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.drives import CommandFollower
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.plant.factory import make_plant
-from sphere_sim.world.sensor import NANOSECONDS, PoseSensor
+from sphere_sim.world.sensor import PoseSensor
 from sphere_sim.world.settings import SimulatorSettings
 
 _LONGEST_STEP = 10_000_000

@@ -31,8 +31,8 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.drift import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import NANOSECONDS, pose_to_ros
-from sphere_nmpc.ros.serialised import pose_message, pose_of_message
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
 
 if TYPE_CHECKING:
     from trial import CampaignSession

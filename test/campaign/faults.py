@@ -28,7 +28,7 @@ from tries import TRIES
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.environment import DOMAIN, RosEnvironmentError
+from sphere_nmpc.ros.network import DOMAIN, RosEnvironmentError
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import number, whole
 from sphere_sim.output.result_folder import prepare_folder

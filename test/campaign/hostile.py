@@ -16,7 +16,7 @@ from rcl_interfaces.msg import ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 
 NUMBERS = (
     float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 5e-324, 1e-300, 1.0, -1.0, 100.0, 1e6,

@@ -15,8 +15,8 @@ from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import NANOSECONDS
-from sphere_nmpc.ros.serialised import (
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.messages import (
     clock_stamp,
     header_stamp,
     hold_and_stamp,

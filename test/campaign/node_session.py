@@ -32,7 +32,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import QUATERNION, Vector, upright_state
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.process_set import ProcessSet

@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.ros.conversions import NANOSECONDS
+from sphere_nmpc.quantity import NANOSECONDS
 
 REMAPPED = {
     "simulator": {name: f"true/{name.strip('/')}" for name in ("pose", "joint_states", "/clock")},

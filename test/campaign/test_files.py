@@ -18,9 +18,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.serialised import pose_message
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.ros.messages import pose_message
+from sphere_nmpc.ros.settings import ControllerNodeSettings
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run_reader import read_run
@@ -103,7 +102,7 @@ def test_any_damage_to_a_bag_is_read_or_refused(bag, tmp_path, name, seed) -> No
 
 
 NAMES = st.sampled_from(
-    [*quantities(ControllerSettings()), *(f"robot.{n}" for n in quantities(RobotParameters())),
+    [*quantities(ControllerNodeSettings()), *(f"robot.{n}" for n in quantities(RobotParameters())),
      "robot", "use_sim_time", "unheard_of", "a.b.c", "qos_overrides", "''", "~", "1", "sphere:"]
 )
 VALUES = st.one_of(
@@ -121,10 +120,10 @@ class ShortNode(RunnableNode):
     """Node with the parameters of the controller, which ends as soon as it runs."""
 
     def __init__(self) -> None:
-        super().__init__("controller", automatically_declare_parameters_from_overrides=True)
-        both = [DeclaredSettings(self, ControllerSettings()),
-                DeclaredSettings(self, RobotParameters(), prefix="robot")]
-        warn_of_unknown(self, [name for settings in both for name in settings.names])
+        super().__init__("controller")
+        self.parameters.declare(ControllerNodeSettings())
+        self.parameters.declare(RobotParameters(), "robot")
+        self.parameters.warn_of_unknown()
 
     def work(self, executor) -> None:
         signal.raise_signal(signal.SIGTERM)

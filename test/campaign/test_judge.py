@@ -29,7 +29,7 @@ from trajectory_msgs.msg import JointTrajectory
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import make_state
-from sphere_nmpc.ros.serialised import (
+from sphere_nmpc.ros.messages import (
     clock_message,
     pose_message,
     pose_of_message,

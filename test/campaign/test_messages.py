@@ -23,7 +23,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.serialised import (
+from sphere_nmpc.ros.messages import (
     hold_and_stamp,
     pose_message,
     speeds_message,

@@ -29,8 +29,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from sphere_nmpc.model.state import make_state
-from sphere_nmpc.ros.conversions import NANOSECONDS, pose_to_ros
-from sphere_nmpc.ros.serialised import clock_message
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.messages import clock_message, pose_to_ros
 from sphere_sim.ros.session.child_process import verb_command
 
 if TYPE_CHECKING:

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign_text import shown
@@ -42,41 +40,21 @@ def test_quantities_are_listed_in_order_and_without_plain_fields() -> None:
     assert quantities(Settings)["switch"].live
 
 
-@given(value=st.floats(0.5, 2.0))
-def test_any_number_in_range_is_accepted(value: float) -> None:
-    assert Settings(length=value).length == value
-
-
-@given(value=st.floats().filter(lambda v: not 0.5 <= v <= 2.0))
-def test_any_number_out_of_range_is_refused_with_field_value_and_unit(value: float) -> None:
-    with pytest.raises(InvalidParameterError) as caught:
-        Settings(length=value)
-    assert caught.value.name == "length"
-    assert caught.value.given is value or caught.value.given == value
-    assert "[m]" in caught.value.expected
-    if not math.isnan(value):
-        assert caught.value.expected == "0.5 to 2 [m]"
-
-
 @pytest.mark.parametrize(
     ("name", "bad", "expected"),
     [
         ("length", "1", "a finite number [m]"),
-        ("length", None, "a finite number [m]"),
+        ("length", math.nan, "a finite number [m]"),
+        ("length", 0.49, "0.5 to 2 [m]"),
+        ("length", 2.01, "0.5 to 2 [m]"),
         ("length", True, "a finite number [m]"),
         ("count", 2.5, "a whole number"),
-        ("count", 2.0, "a whole number"),
-        ("count", False, "a finite number [-]"),
         ("switch", 1, "true or false"),
-        ("switch", "yes", "true or false"),
         ("colour", "blue", "red or green"),
-        ("colour", 7, "red or green"),
         ("name", 7, "a text"),
-        ("place", (0.0,), "2 numbers [m]"),
         ("place", (0.0, 0.0, 0.0), "2 numbers [m]"),
         ("place", (0.0, math.nan), "a finite number [m]"),
         ("place", (0.0, 6.0), "-5 to 5 [m]"),
-        ("place", 3.0, "2 numbers [m]"),
         ("place", None, "2 numbers [m]"),
         ("place", "ab", "2 numbers [m]"),
         ("free", math.inf, "-inf to inf [s]"),
@@ -88,6 +66,6 @@ def test_wrong_value_is_refused_with_what_was_given_and_expected(
 ) -> None:
     with pytest.raises(InvalidParameterError) as caught:
         Settings(**{name: bad})
-    assert (caught.value.name, caught.value.given) == (name, bad)
+    assert caught.value.name == name and caught.value.given is bad
     assert caught.value.expected == expected
     assert str(caught.value) == f"{name}: given {shown(bad)}, expected {expected}"

@@ -18,7 +18,7 @@ from parameter_tables import NODES, PARTS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
-from sphere_nmpc.ros.conversions import FrameSettings
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.cli import benchmark, demo, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.recording.recorder_settings import RecorderSettings

@@ -12,7 +12,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.serialised import speeds_message, trajectory_message
+from sphere_nmpc.ros.messages import speeds_message, trajectory_message
 
 _COPIES = 2
 """Number of copies that are sent, one with each sample of `command_rate`."""
@@ -25,17 +25,9 @@ class CommandSender:
 
     After a hold has ended nothing is published, so that another node may drive the robot.
 
-    Parameters
-    ----------
-    node : Node
-        Node of the publishers and of the timer, which runs on the node's clock.
-    command_rate : float
-        Rate of ``rotor_commands`` [Hz].
-    now : callable
-        Returns control time [s], None while nothing may be sent.
-    depth : int, optional
-        Holds that are kept for reliable subscribers. With one, a hold that was lost does not
-        delay a newer one until it has been sent again.
+    `now` returns control time [s], None while nothing may be sent; `depth` is the number of holds
+    that are kept for reliable subscribers. With one, a hold that was lost does not delay a newer
+    one until it has been sent again.
     """
 
     def __init__(

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from time import monotonic
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
+from rclpy.node import Node
 from rclpy.time import Time
-from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.control.timing import ClockWatch
-from sphere_nmpc.ros.conversions import seconds
-from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.serialised import clock_stamp
+from sphere_nmpc.ros.messages import clock_stamp, seconds
 
 _RESOLVED = 10**15
 """Time [ns] up to which a float of seconds resolves a nanosecond: the knots of commands keep their
@@ -25,13 +23,11 @@ class ControlClock:
 
     In simulated time control time is the time on ``/clock``, less a multiple of a million seconds
     where that is later, as when a bag is played; otherwise it begins with the node.
-    rclpy's subscription of ``/clock`` is taken over, as reading message objects with it takes as
-    long as a solve.
 
     Parameters
     ----------
-    node : GuardedNode
-        The node whose clock it is.
+    node : Node
+        The node whose clock it is; it passes the messages on ``/clock`` to `hear`.
     on_jump : callable
         Called when the clock has jumped, when it has become steady again, and, with True, after a
         change between system and simulated clock (``use_sim_time``).
@@ -40,9 +36,8 @@ class ControlClock:
     """
 
     def __init__(
-        self, node: GuardedNode, on_jump: Callable[[bool], object], has_pace: bool = True
+        self, node: Node, on_jump: Callable[[bool], object], has_pace: bool = True
     ) -> None:
-        self._node = node
         self._has_pace = has_pace
         clock = node.get_clock()
         if not isinstance(clock, ROSClock):
@@ -52,9 +47,7 @@ class ControlClock:
         self._heard: int | None = None
         changes = JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True)
         self._jumps = clock.create_jump_callback(changes, post_callback=self._changed)
-        self._take = node.guarded(f"{node.resolve_topic_name('/clock')} refused", self._hear)
         self._begin()
-        self.listen()
 
     def stamp(self) -> int:
         """Return the present stamp [ns]; 0 before the first message on ``/clock``."""
@@ -86,13 +79,8 @@ class ControlClock:
         """Return the control time [s] of a stamp [ns]."""
         return seconds(stamp, self.epoch)
 
-    def listen(self) -> None:
-        """Take over rclpy's subscription of ``/clock``, which it makes anew at each change."""
-        for subscription in self._node.subscriptions if self.simulated else ():
-            if subscription.msg_type is Clock and subscription.callback is not self._take:
-                subscription.raw, subscription.callback = True, self._take
-
-    def _hear(self, message: bytes) -> None:
+    def hear(self, message: bytes) -> None:
+        """Set the node's clock to that of a serialised message on ``/clock``."""
         stamp = clock_stamp(message)
         if self._heard is None:
             self._set_epoch(stamp)

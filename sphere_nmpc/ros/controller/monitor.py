@@ -4,38 +4,33 @@
 
 import math
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from rclpy.node import Node
 
 from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.control.timing import MissedSamples
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.graph_faults import (
-    NO_POSE,
-    OTHER_CLOCK_AGE,
+from sphere_nmpc.ros.graph_monitor import (
     GraphFault,
-    GraphState,
-    clock_jumped,
-    find_faults,
-    missed_samples,
+    GraphMonitor,
+    further_publishers,
     several_publishers,
 )
-from sphere_nmpc.ros.graph_monitor import GraphMonitor
 
+SILENCE_LIMIT = 1.25
+"""Silence after which a topic counts as missing [s, wall]. Nodes that start together have
+discovered each other by then, and with checks every half second faults are logged within two."""
+_NO_POSE = "no pose"
+_OTHER_CLOCK_AGE = 1e6
+"""Age of a pose beyond which its stamp is of another kind of clock, not merely late [s]."""
 _COMPARE_EVERY = 1.0
 """Wall time between two comparisons of all profiles [s]; each takes longer than a tick."""
 
 
 class ControllerMonitor:
-    """Monitor of the silence of clock and poses, which logs the faults around a controller.
-
-    Parameters
-    ----------
-    node : Node
-        The controller node.
-    fault_log : FaultLog
-        Where faults are logged and counted.
-    """
+    """Monitor of the silence of clock and poses, which logs the faults around a controller."""
 
     def __init__(self, node: Node, fault_log: FaultLog) -> None:
         self._fault_log = fault_log
@@ -70,10 +65,7 @@ class ControllerMonitor:
         self.pose_link.received(time, age)
 
     def sampled(self, used: int, missed: int, period: float) -> None:
-        """Record the numbers of sampling instants with and without a plan so far.
-
-        `period` is the time between them [s].
-        """
+        """Record the numbers of sampling instants, `period` [s] apart, with a plan and without."""
         self._counted = (used, missed, period)
 
     def pose_refused(self, ahead: float, pose_timeout: float) -> None:
@@ -81,7 +73,7 @@ class ControllerMonitor:
 
         A stamp of another kind of clock is logged as such by `check`.
         """
-        if ahead < OTHER_CLOCK_AGE:
+        if ahead < _OTHER_CLOCK_AGE:
             self._fault_log.report(
                 "pose refused",
                 f"given a stamp {ahead:.6g} s ahead of this node's clock, expected at "
@@ -93,16 +85,8 @@ class ControllerMonitor:
     ) -> None:
         """Update the faults at control time `now` [s], None before the first message on /clock.
 
-        Parameters
-        ----------
-        now : float or None
-            Control time [s].
-        follows_clock : bool
-            Whether the node runs with ``use_sim_time``.
-        jump : float
-            Step of the clock [s] that was no more than 0.2 s ago; 0 without any.
-        pose_timeout : float
-            Largest accepted age of a pose [s].
+        `jump` is the step of the clock [s] if there was one no more than 0.2 s ago, or 0, and
+        `pose_timeout` the largest accepted age of a pose [s].
         """
         wall, graph = time.monotonic(), self._graph
         self.is_steady = jump == 0.0
@@ -124,17 +108,129 @@ class ControllerMonitor:
                 graph.publishers(self._pose_topic), self._clock_topic, self._pose_topic, others,
             )
         )
-        used, missed, period = self._counted
-        self._samples.read(wall, used, missed)
-        found += missed_samples(self._samples.share, self._samples.span, period)
+        found += self._missed_samples(wall)
         senders = graph.publishers(self._command_topic)
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
         )
         if jump:
-            found.append(clock_jumped(jump))
+            found.append(GraphFault(
+                "clock jumped", f"given a step of {jump:+.6g} s, expected a clock that runs on; "
+                "nothing is sent until it does",
+            ))
         if wall >= self._compared_at + _COMPARE_EVERY:
             self._compared_at, self._incompatible = wall, graph.incompatible()
         if any(fault.kind.endswith(f" {self._pose_topic}") for fault in self._incompatible):
-            found = [fault for fault in found if fault.kind != NO_POSE]
+            found = [fault for fault in found if fault.kind != _NO_POSE]
         graph.update(self._incompatible + found)
+
+    def _missed_samples(self, wall: float) -> list[GraphFault]:
+        used, missed, period = self._counted
+        self._samples.read(wall, used, missed)
+        if not self._samples.share:
+            return []
+        return [
+            GraphFault(
+                "missed samples", f"given {100.0 * self._samples.share:.3g} % of the sampling "
+                f"instants of the last {self._samples.span:.0f} s without a plan, at "
+                f"{1.0 / period:.4g} Hz, expected none; a lower control_rate, thread_priority: 1 "
+                "or a free processor core helps",
+                severe=False,
+            )
+        ]
+
+
+@dataclass(frozen=True)
+class GraphState:
+    """Observations of the ROS graph by a controller at one moment."""
+
+    follows_clock: bool
+    """Whether the node runs with ``use_sim_time``."""
+    time: float
+    """Control time [s]; nan before the first message on /clock."""
+    clock_silence: float
+    """Wall time since control time last changed [s]."""
+    pose_silence: float
+    """Wall time since the last pose was received [s]."""
+    pose_age: float
+    """Age of the newest pose on the node's clock when it was received [s]; nan before it."""
+    pose_timeout: float
+    """Largest accepted age of a pose [s]."""
+    clocks: Sequence[str]
+    """Names of the nodes that publish the clock."""
+    poses: Sequence[str]
+    """Names of the nodes that publish the pose."""
+    clock_topic: str = "/clock"
+    pose_topic: str = "/pose"
+    other_clocks: Sequence[str] = ()
+    """Other topics on which a clock is published."""
+
+
+def find_faults(seen: GraphState) -> list[GraphFault]:
+    """Return the faults of clock and poses around a controller, the most severe first."""
+    found = _no_time(seen) or _no_pose(seen) or _wrong_clock(seen)
+    clocks = seen.clocks if seen.follows_clock else ()
+    further = further_publishers(seen.pose_topic, seen.poses, seen.clock_topic, clocks)
+    return [GraphFault(*found), *further] if found else further
+
+
+def _no_time(seen: GraphState) -> tuple[str, str] | None:
+    """Return the fault of a clock that is not published or has stopped."""
+    if not seen.follows_clock or seen.clock_silence < SILENCE_LIMIT:
+        return None
+    topic, stopped = seen.clock_topic, f"since t = {seen.time:.3f} s, expected"
+    if math.isnan(seen.time):
+        if seen.clocks:
+            return "no clock", (
+                f"given a publisher of {topic} ({seen.clocks[0]}) that has sent nothing for "
+                f"{SILENCE_LIMIT:g} s, expected its messages; restart it"
+            )
+        remedy = "start a simulator, or on a real robot -p use_sim_time:=false"
+        if seen.other_clocks:
+            other = f"-r /clock:={seen.other_clocks[0]} follows the clock that is there"
+            remedy = f"{other}, or {remedy}"
+        return "no clock", (
+            f"given use_sim_time: true and no publisher of {topic}, expected one; {remedy}"
+        )
+    if seen.pose_silence < SILENCE_LIMIT:
+        # A simulator that is paused, or waits in lockstep, repeats its last pose.
+        return ("clock stopped", (
+            f"given poses but no message on {topic} {stopped} both from one simulator; find out "
+            f"what blocks {topic}"
+        )) if seen.pose_age < -seen.pose_timeout else None
+    cause = "its publisher hangs or was killed" if seen.clocks else "its publisher is gone"
+    return "clock stopped", (
+        f"given nothing on {topic} and {seen.pose_topic} {stopped} a running simulator; {cause}: "
+        "restart it"
+    )
+
+
+def _no_pose(seen: GraphState) -> tuple[str, str] | None:
+    """Return the fault of poses that are not published or not received."""
+    if seen.pose_silence < SILENCE_LIMIT:
+        return None
+    given = f"no publisher of {seen.pose_topic}"
+    remedy = "start the simulator or the robot's estimator, or remap, -r pose:=/its/topic"
+    if seen.poses:
+        given = f"a publisher of {seen.pose_topic} ({seen.poses[0]}) but none of its messages"
+        remedy = f"'ros2 topic info -v {seen.pose_topic}' shows its quality of service"
+    return _NO_POSE, f"given {given} for {SILENCE_LIMIT:g} s, expected 20 Hz or more; {remedy}"
+
+
+def _wrong_clock(seen: GraphState) -> tuple[str, str] | None:
+    """Return the fault of poses that are stamped on another clock than the node's."""
+    age = seen.pose_age
+    # A single pose ahead of the clock is refused and logged by itself; nan is before the first.
+    if not (age > seen.pose_timeout or age < -_OTHER_CLOCK_AGE):
+        return None
+    if seen.follows_clock and seen.clock_silence >= SILENCE_LIMIT:
+        return None  # paused
+    remedy = "synchronise the clocks of the machines (chrony), or raise pose_timeout"
+    if not seen.follows_clock and age > _OTHER_CLOCK_AGE:
+        remedy = "they are in simulated time: start this node with -p use_sim_time:=true"
+    elif seen.follows_clock and age < -_OTHER_CLOCK_AGE:
+        remedy = "they are on the system clock: start this node with -p use_sim_time:=false"
+    return "wrong clock", (
+        f"given poses with stamps {abs(age):.3g} s {'behind' if age > 0.0 else 'ahead of'} this "
+        f"node's clock, expected at most {seen.pose_timeout:g} s; {remedy}"
+    )

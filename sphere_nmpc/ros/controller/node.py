@@ -9,16 +9,16 @@ services    ~/enable
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -32,7 +32,6 @@ from sphere_nmpc.control.schedule import (
     TimedPose,
 )
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -41,14 +40,13 @@ from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
-from sphere_nmpc.ros.conversions import FrameSettings, framed_pose_from_ros
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.scheduling import SchedulingSettings
-from sphere_nmpc.ros.serialised import header_stamp, pose_of_message
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.ros.messages import framed_pose_from_ros, header_stamp, pose_of_message
+from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
+from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
 
 _CHECK_EVERY = 0.25
@@ -73,22 +71,16 @@ class ControllerNode(RunnableNode):
     uses_events_executor = True
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            "controller",
-            parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
-        own = ControllerSettings().of(robot.settings)
-        declared = DeclaredSettings(self, own, on_change=self._change)
-        self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        frames = DeclaredSettings(self, FrameSettings())
-        parts = (declared, robot, self._scheduling, frames)
-        warn_of_unknown(self, [name for part in parts for name in part.names])
+        super().__init__("controller", parameter_overrides)
+        declare = self.parameters.declare
+        robot = declare(RobotParameters(), "robot").settings
+        settings = self._settings = declare(
+            ControllerNodeSettings().of(robot), on_change=self._change
+        ).settings
+        self._scheduling = declare(SchedulingSettings())
+        self._frame = declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
         self.add_on_set_parameters_callback(self._refuse)
-        settings = self._settings = declared.settings
-        self._frame = frames.settings.world_frame
-        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
         self._schedule: Schedule = (
             LockstepSchedule(settings) if settings.lockstep
@@ -97,21 +89,20 @@ class ControllerNode(RunnableNode):
         self._worker: WorkerProcess | None = None
         if self._schedule.is_real_time:
             self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
-        self.controller = Controller(settings, robot.settings, worker=self._worker)
+        self.controller = Controller(settings, robot, worker=self._worker)
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._stored_goal = StoredGoal(
             self, settings.goal_memory, self._control_clock, self._fault_log
         )
         # Before the publisher of commands, so that nobody finds that one alone.
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._period_publisher = self.create_publisher(Float64, "control_period", latched)
+        self._period_publisher = self.create_publisher(Float64, "control_period", LATCHED)
         self._period_publisher.publish(Float64(data=settings.control_period))
         self._sender = CommandSender(
             self, settings.command_rate, self._control_clock.steady_now,
             depth=1 if self._schedule.is_real_time else 10,
         )
         self._reports = ControllerReports(
-            self, self.controller, self._schedule, self._fault_log, robot.settings, settings,
+            self, self.controller, self._schedule, self._fault_log, robot, settings,
             self._monitor, self._event_log, self._frame,
         )
         self._rotor_receiver = RotorReceiver(
@@ -120,13 +111,11 @@ class ControllerNode(RunnableNode):
         self._subscribe()
         self._timer: Timer | None = None
         self._set_timer()
-        # Wall time: faults have to be reported also where simulated time stands still.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._wall_timers = [
-            self.create_timer(_CHECK_EVERY, self._check, clock=wall),
-            self.create_timer(_SAVE_EVERY, self._save_goal, clock=wall),
+            self.create_wall_timer(_CHECK_EVERY, self._check),
+            self.create_wall_timer(_SAVE_EVERY, self._save_goal),
         ]
-        self._found_timer = self.create_timer(_FOUND_EVERY, self._use_found, clock=wall)
+        self._found_timer = self.create_wall_timer(_FOUND_EVERY, self._use_found)
         self._found_timer.cancel()
         tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
         self._diagnostics = Diagnostics(self, self._control_clock.stamp, tasks)
@@ -135,6 +124,22 @@ class ControllerNode(RunnableNode):
     def thread_priority(self) -> int:
         """Real-time priority as set, and none in lockstep, where time waits for this node."""
         return self._scheduling.settings.thread_priority if self._schedule.is_real_time else 0
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any,
+        **options: Any,
+    ) -> Subscription:
+        """Create a subscription; rclpy's own one of ``/clock`` is served by `ControlClock`.
+
+        rclpy makes it with the node and whenever ``use_sim_time`` is set. Its callback takes
+        message objects, each of which takes as long as a solve.
+        """
+        if msg_type is Clock:
+            callback, options = self._receive_clock, {**options, "raw": True}
+        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
+
+    def _receive_clock(self, message: bytes) -> None:
+        self._control_clock.hear(message)
 
     def finish(self) -> None:
         """Send a ramp to rest, on both command topics."""
@@ -155,11 +160,7 @@ class ControllerNode(RunnableNode):
     def _subscribe(self) -> None:
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before
         # simulated time stops, so that a depth of one keeps it.
-        newest = QoSProfile(
-            depth=1,
-            reliability=ReliabilityPolicy.BEST_EFFORT if self._schedule.is_real_time
-            else ReliabilityPolicy.RELIABLE,
-        )
+        newest = NEWEST if self._schedule.is_real_time else 1
         self._inputs = [
             self.create_subscription(
                 PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS,
@@ -179,7 +180,6 @@ class ControllerNode(RunnableNode):
         self._timer = None if period is None else self.create_timer(period, self._tick)
 
     def _check(self) -> None:
-        self._control_clock.listen()
         clock = self._control_clock
         now, watch = clock.now(), clock.watch
         jump = 0.0 if watch.is_steady else watch.step
@@ -251,7 +251,7 @@ class ControllerNode(RunnableNode):
         if not self.controller.searches:
             self._found_timer.cancel()
 
-    def _receive_pose(self, message: bytes | PoseStamped) -> None:
+    def _receive_pose(self, message: bytes) -> None:
         now = self._control_clock.steady_now()
         try:
             stamp = header_stamp(message)
@@ -299,7 +299,7 @@ class ControllerNode(RunnableNode):
         self._event_log.report("enable", response.message)
         return response
 
-    def _change(self, settings: ControllerSettings) -> None:
+    def _change(self, settings: ControllerNodeSettings) -> None:
         if settings.control_period != self._settings.control_period:
             self._period_publisher.publish(Float64(data=settings.control_period))
         if settings.strategy != self._settings.strategy:

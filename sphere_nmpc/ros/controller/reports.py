@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool
 
 from sphere_nmpc.control.controller import Controller
@@ -25,8 +24,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus
-from sphere_nmpc.ros.conversions import path_to_ros, pose_to_ros
 from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
+from sphere_nmpc.ros.guarded_node import LATCHED
+from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
 
 _LEVELS = {
@@ -55,29 +55,7 @@ _LONGEST_SILENCE = 0.4
 
 
 class ControllerReports:
-    """Publisher of goal, arrival, predicted path and status, and source of the diagnostics.
-
-    Parameters
-    ----------
-    node : Node
-        Node of the publishers.
-    controller : Controller
-        The controller that is reported on.
-    schedule : Schedule
-        Counts missed sampling instants.
-    fault_log : FaultLog
-        Logs and counts faults.
-    robot : RobotParameters
-        Nominal parameters of the robot.
-    settings : ControllerSettings
-        Strategy, weights and rates.
-    monitor : ControllerMonitor
-        Source of the faults around the node.
-    event_log : FaultLog
-        Log of arrivals.
-    frame : str
-        Frame of goal and path.
-    """
+    """Publisher of goal, arrival, path and status, in `frame`; source of the diagnostics."""
 
     def __init__(
         self,
@@ -100,19 +78,17 @@ class ControllerReports:
         self._frame = frame
         self._period = settings.control_period
         self._strategy = settings.strategy
-        self._status_values = ControllerStatus(controller, robot, settings)
+        self._status_values = ControllerStatus(controller, robot, settings, monitor.pose_link)
         self._solve_times: deque[float] = deque(maxlen=_KEPT)
         self._tick_times: deque[float] = deque(maxlen=_KEPT)
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
         self._ticks = self._ticks_reported = 0
-        self._failures_reported = self._jumps_reported = 0
         self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._last_tick = float("nan")
         self._last_status = (float("-inf"), Mode.NO_POSE)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._goal = node.create_publisher(PoseStamped, "~/active_goal", latched)
-        self._at_goal = node.create_publisher(Bool, "~/at_goal", latched)
+        self._goal = node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
+        self._at_goal = node.create_publisher(Bool, "~/at_goal", LATCHED)
         self._at_goal_published: bool | None = None
         self._path = node.create_publisher(Path, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
@@ -204,8 +180,6 @@ class ControllerReports:
             return
         self._last_status = (time, decision.mode)
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
-        link = self._monitor.pose_link
-        self._values |= {"pose_delay_s": link.delay, "pose_loss": link.loss}
         self._message = plan.message or plan.status.value
         if decision.mode is Mode.POSE_JUMPED:
             self._message = f"{decision.mode.value}: {self._controller.last_jump}"
@@ -220,14 +194,14 @@ class ControllerReports:
 
     def _log_failure(self, decision: Decision) -> None:
         """Log what has failed since the last tick: the solve, a pose or a command."""
-        failures, self._failures_reported = self._failures_reported, self._controller.failures
+        log, controller = self._fault_log, self._controller
+        failed = log.has_risen("controller failed", controller.failures)
         if decision.mode is Mode.FALLBACK:
-            self._fault_log.report("solve failed", decision.plan.message)
-        elif self._controller.failures > failures:
-            self._fault_log.report("controller failed", self._controller.last_failure)
-        jumps, self._jumps_reported = self._jumps_reported, self._controller.pose_jumps
-        if self._controller.pose_jumps > jumps:
-            self._fault_log.report("pose jumped", self._controller.last_jump)
+            log.report("solve failed", decision.plan.message)
+        elif failed:
+            log.report("controller failed", controller.last_failure)
+        if log.has_risen("pose jumped", controller.pose_jumps):
+            log.report("pose jumped", controller.last_jump)
 
     def _warnings(self, decision: Decision) -> dict[str, str]:
         """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""

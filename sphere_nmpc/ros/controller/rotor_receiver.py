@@ -15,7 +15,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
-from sphere_nmpc.ros.serialised import rotor_speeds_and_stamp
+from sphere_nmpc.ros.messages import rotor_speeds_and_stamp
 
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _SPACING = 8e-3
@@ -29,17 +29,6 @@ class RotorReceiver:
 
     Without a link all commands soon turn out to take effect in time; the subscription then ends,
     as at a high rate its messages would take time from the control loop.
-
-    Parameters
-    ----------
-    node : Node
-        Node of the subscription.
-    controller : Controller
-        Is given the measured speeds.
-    clock : ControlClock
-        Conversion from stamps to control times.
-    on_window : callable
-        Called with the commitment window [s] when it may have changed.
     """
 
     def __init__(

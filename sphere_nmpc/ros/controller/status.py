@@ -2,16 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values of the controller's status: decision, plant, drift, stability, controllability."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
+from sphere_nmpc.model.drift import (
+    Drift,
+    angle_of_slope,
+    offset_of_imbalance,
+    time_to_saturation,
+)
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.controller.drift_values import drift_values
+from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5
@@ -20,21 +28,16 @@ _CONSTANTS = ("shell_radius_m", "c1", "r1", "r3")
 
 
 class ControllerStatus:
-    """Source of the status values of a sampling instant.
-
-    Parameters
-    ----------
-    controller : Controller
-        Controller that is reported on.
-    robot : RobotParameters
-        Robot as built.
-    settings : ControllerSettings
-        Strategy and weights.
-    """
+    """Source of the status values of a sampling instant."""
 
     def __init__(
-        self, controller: Controller, robot: RobotParameters, settings: ControllerSettings
+        self,
+        controller: Controller,
+        robot: RobotParameters,
+        settings: ControllerSettings,
+        pose_link: PoseLink,
     ) -> None:
+        self._pose_link = pose_link
         self._controller = controller
         self._robot = robot
         self._settings = settings
@@ -102,6 +105,8 @@ class ControllerStatus:
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
+            "pose_delay_s": self._pose_link.delay,
+            "pose_loss": self._pose_link.loss,
         }
 
     def _plant_values(self) -> dict[str, float]:
@@ -138,3 +143,34 @@ class ControllerStatus:
                 settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
             )
         )
+
+
+def drift_values(drift: Drift, robot: RobotParameters, goal: Vector | None) -> dict[str, float]:
+    """Return the status values of an estimated drift.
+
+    Speeds and saturation of the resting rotors are those at the goal, shape (6,); nan without one.
+    """
+    momentum = robot.rotor_axial_inertia * drift.momentum
+    offset = 1e3 * offset_of_imbalance(robot, drift.imbalance)
+    speeds, saturation = (math.nan, math.nan), math.nan
+    if goal is not None:
+        first, second = drift.rest_speeds(goal[QUATERNION]).tolist()
+        speeds = first, second
+        saturation = time_to_saturation(drift, goal[QUATERNION], robot.max_rotor_speed)
+    return {
+        **{f"momentum_{axis}": value
+           for axis, value in zip("xyz", momentum.tolist(), strict=True)},
+        "slope_deg": math.degrees(angle_of_slope(robot, drift.slope)),
+        "slope_direction_deg": math.degrees(_downhill(drift.slope)),
+        **{f"mass_offset_{axis}_mm": value
+           for axis, value in zip("xyz", offset.tolist(), strict=True)},
+        "rest_speed_1": speeds[0],
+        "rest_speed_2": speeds[1],
+        "saturation_s": saturation,
+    }
+
+
+def _downhill(slope: Vector) -> float:
+    """Return the downhill direction [rad from the x axis] of a slope's torque; 0 without one."""
+    # The torque is perpendicular to it. Subtracted from 0, as -0.0 gives an angle of -0.
+    return math.atan2(0.0 - float(slope[0]), float(slope[1]))

@@ -17,18 +17,8 @@ from sphere_nmpc.ros.controller.control_clock import ControlClock
 class StoredGoal:
     """File with the goal in force; the goal of the last run is restored from it once.
 
-    It is written by a thread of its own, since a disk may take longer than a control period.
-
-    Parameters
-    ----------
-    node : Node
-        The controller node.
-    keep : float
-        How long after the end of a run its goal is restored [s, wall].
-    clock : ControlClock
-        Clock on which the goal is in force.
-    fault_log : FaultLog
-        Log of a file that cannot be written.
+    It is restored if that run ended at most `keep` [s, wall] ago, and written by a thread of its
+    own, since a disk may take longer than a control period.
     """
 
     def __init__(self, node: Node, keep: float, clock: ControlClock, fault_log: FaultLog) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rclpy.node import Node
 
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.ros.graph_faults import GraphFault
+from sphere_nmpc.ros.graph_monitor import GraphFault
 from sphere_sim.recording.recorder_settings import DEFAULT_TOPICS, absolute, matches_any
 
 _WITHIN = 5.0

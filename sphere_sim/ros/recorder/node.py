@@ -19,8 +19,6 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
@@ -32,7 +30,6 @@ from std_srvs.srv import Trigger
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.graph_monitor import INVALID, UNKNOWN, GraphMonitor, full_name
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.recorder_settings import (
     DEFAULT_TOPICS,
@@ -79,15 +76,11 @@ class RecorderNode(RunnableNode):
     """
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            "recorder",
-            parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        declared = DeclaredSettings(self, RecorderSettings())
+        super().__init__("recorder", parameter_overrides)
+        settings = self.parameters.declare(RecorderSettings()).settings
         self._clock_topic = self.resolve_topic_name("/clock")
         self._patterns = self._declare_topics()
-        warn_of_unknown(self, [*declared.names, "topics"])
+        self.parameters.warn_of_unknown("topics")
         self._monitor = GraphMonitor(self, self._fault_log)
         self._missing = MissingTopics(self, self.get_parameter("topics").value)
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
@@ -95,7 +88,7 @@ class RecorderNode(RunnableNode):
         self._inbox: list[tuple[int, str, bytes]] = []
         self._snapshots = ParameterSnapshots(self)
         self._session = RecordingSession(
-            declared.settings.output,
+            settings.output,
             self._clock_topic if self._uses_sim_time else "",
             self._offered_qos,
             self._fault_log,
@@ -107,12 +100,10 @@ class RecorderNode(RunnableNode):
             topic = self._full_name(name)
             if matches_any(topic, self._patterns):
                 self._subscribe(topic, msgtype, compatible_qos((), name in LATCHED))
-        if declared.settings.record_on_start:
+        if settings.record_on_start:
             self._start()
-        # Discovery and commits must go on while simulated time is paused.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady)
-        self.create_timer(declared.settings.commit_period, self._session.commit, clock=steady)
+        self.create_wall_timer(_DISCOVERY_PERIOD, self._discover)
+        self.create_wall_timer(settings.commit_period, self._session.commit)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/is_recording", self._on_is_recording)

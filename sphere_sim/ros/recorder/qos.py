@@ -14,9 +14,10 @@ from rosbags.interfaces import (
     QosTime,
 )
 
+from sphere_nmpc.quantity import NANOSECONDS
+
 _DEPTH = 2000
 """Queue length of a subscription: a simulation in lockstep does not wait for the recorder."""
-_NANOSECONDS = 1_000_000_000
 
 
 def compatible_qos(offered: Sequence[QoSProfile], latched: bool = False) -> QoSProfile:
@@ -55,7 +56,7 @@ def same_requests(one: QoSProfile, other: QoSProfile) -> bool:
 def qos_for_bag(profile: QoSProfile) -> Qos:
     """Return a profile in the form in which a bag stores it."""
     deadline, lifespan, lease = (
-        QosTime(*divmod(duration.nanoseconds, _NANOSECONDS))
+        QosTime(*divmod(duration.nanoseconds, NANOSECONDS))
         for duration in (profile.deadline, profile.lifespan, profile.liveliness_lease_duration)
     )
     return Qos(

@@ -19,13 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError, SphereNmpcError
 from sphere_nmpc.model.state import angle_error, position_error
-from sphere_nmpc.ros.conversions import (
-    joint_states_from_ros,
-    pose_from_ros,
-    seconds,
-    stamp_from_ros,
-)
 from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.messages import joint_states_from_ros, pose_from_ros, seconds, stamp_from_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.goal_run import GoalRun
 from sphere_sim.ros.session.goal_sender import GoalSender

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.environment import DOMAIN, check_environment, domain_id
-from sphere_nmpc.ros.loopback import use_loopback_only
+from sphere_nmpc.ros.network import DOMAIN, check_environment, domain_id, use_loopback_only
 from sphere_sim.ros.session.other_publishers import DomainInUseError, find_publishers
 
 _DOMAINS = range(101, 0, -1)

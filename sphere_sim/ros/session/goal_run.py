@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, seconds, stamp_from_ros
+from sphere_nmpc.ros.messages import pose_from_ros, seconds, stamp_from_ros
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.ros.session.serving import serve_until
 

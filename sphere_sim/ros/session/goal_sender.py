@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_sim.ros.session.serving import serve_until
 
 _SAME = 1e-9

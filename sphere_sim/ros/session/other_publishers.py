@@ -15,10 +15,8 @@ import rclpy
 from rclpy.node import Node
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.environment import DOMAIN
-from sphere_nmpc.ros.graph_faults import names_of
-from sphere_nmpc.ros.graph_monitor import NAMED_WITHIN, UNKNOWN, full_name
-from sphere_nmpc.ros.loopback import apply_localhost_only
+from sphere_nmpc.ros.graph_monitor import NAMED_WITHIN, UNKNOWN, full_name, names_of
+from sphere_nmpc.ros.network import DOMAIN, apply_localhost_only
 from sphere_nmpc.ros.startup import start_ros
 
 TOPICS = ("clock", "pose", "rotor_trajectory", "rotor_commands")

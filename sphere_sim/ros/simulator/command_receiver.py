@@ -12,7 +12,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.serialised import hold_and_stamp, speeds_of_message
+from sphere_nmpc.ros.messages import hold_and_stamp, speeds_of_message
 from sphere_sim.world.simulator import Simulator
 
 _NEGLIGIBLE_SPEED = 0.1
@@ -76,7 +76,7 @@ class CommandReceiver:
             Float64MultiArray, "rotor_commands", self._receive_speeds, 10, raw=True
         )
 
-    def _receive_trajectory(self, message: bytes | JointTrajectory) -> None:
+    def _receive_trajectory(self, message: bytes) -> None:
         self.received += 1
         simulator = self._simulator
         try:
@@ -112,23 +112,22 @@ class CommandReceiver:
                 "rotor_trajectory late",
                 f"given an end {simulator.time - hold.end:.6g} s ago; the rotors ramp to rest",
             )
-        self._count_clamped(lambda: simulator.follower.follow_trajectory(hold))
+        simulator.follower.follow_trajectory(hold)
+        self._report_clamped()
         self._on_trajectory(stamp)
 
-    def _receive_speeds(self, message: bytes | Float64MultiArray) -> None:
+    def _receive_speeds(self, message: bytes) -> None:
         self.received += 1
         simulator = self._simulator
         try:
             speeds = speeds_of_message(message)
-            self._count_clamped(lambda: simulator.follower.follow_speeds(speeds, simulator.time))
+            simulator.follower.follow_speeds(speeds, simulator.time)
+            self._report_clamped()
         except InvalidInputError as error:
             self._fault_log.report("rotor_commands refused", str(error))
 
-    def _count_clamped(self, follow: Callable[[], None]) -> None:
-        follower = self._simulator.follower
-        before = follower.clamped
-        follow()
-        if follower.clamped > before:
+    def _report_clamped(self) -> None:
+        if self._fault_log.has_risen("command limited", self._simulator.follower.clamped):
             self._fault_log.report(
                 "command limited",
                 f"given more than the largest rotor speed, expected at most "

@@ -17,33 +17,31 @@ from typing import Any
 
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
-from sphere_nmpc.ros.conversions import BODY_FRAME, FrameSettings
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
-from sphere_nmpc.ros.graph_faults import GraphFault
-from sphere_nmpc.ros.graph_monitor import GraphMonitor
+from sphere_nmpc.ros.graph_monitor import GraphFault, GraphMonitor
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.scheduling import SchedulingSettings
+from sphere_nmpc.ros.messages import BODY_FRAME
+from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
 from sphere_sim.ros.simulator.awaited_controller import AwaitedController
 from sphere_sim.ros.simulator.command_receiver import CommandReceiver
 from sphere_sim.ros.simulator.controller_limits import ControllerLimits
 from sphere_sim.ros.simulator.push_receiver import PushReceiver
+from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.drives import beyond
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.world.settings import PushSettings, SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
@@ -74,26 +72,23 @@ class SimulatorNode(RunnableNode):
     uses_events_executor = True
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            "simulator",
-            parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        declared = DeclaredSettings(self, SimulatorSettings(), on_change=self._change)
-        robot = DeclaredSettings(self, RobotParameters(), prefix="robot")
-        body = DeclaredSettings(self, RigidBodySettings(), prefix="rigid_body")
-        disturbances = DeclaredSettings(self, DisturbanceSettings(), on_change=self._tilt)
-        pushes = DeclaredSettings(self, PushSettings())
-        self._scheduling = DeclaredSettings(self, SchedulingSettings())
-        frames = DeclaredSettings(self, FrameSettings())
-        parts = (declared, robot, body, disturbances, pushes, self._scheduling, frames)
-        warn_of_unknown(self, [name for part in parts for name in part.names])
-        settings = self._settings = declared.settings
+        super().__init__("simulator", parameter_overrides)
+        declare = self.parameters.declare
+        settings = self._settings = declare(
+            SimulatorNodeSettings(), on_change=self._change
+        ).settings
+        robot = declare(RobotParameters(), "robot").settings
+        body = declare(RigidBodySettings(), "rigid_body").settings
+        disturbances = declare(DisturbanceSettings(), on_change=self._tilt).settings
+        pushes = declare(PushSettings())
+        self._scheduling = declare(SchedulingSettings())
+        frame = declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
         start = as_state(settings.initial_state)
         plant = make_plant(
-            settings.plant, robot.settings, start, body.settings, disturbances.settings
+            settings.plant, robot, start, body, disturbances
         )
-        self.simulator = Simulator(settings, robot.settings, plant)
+        self.simulator = Simulator(settings, robot, plant)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / self._settings.pose_rate),
             round(NANOSECONDS * self._settings.sample_period),
@@ -106,35 +101,33 @@ class SimulatorNode(RunnableNode):
         self._epoch = self._set_at = 0
         self._monitor = GraphMonitor(self, self._fault_log)
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
-        self._robot, self._body = robot.settings, body.settings
+        self._robot, self._body = robot, body
         self._limits = ControllerLimits(
             self,
             lambda: self._monitor.known_publishers(self.resolve_topic_name("rotor_trajectory")),
         )
         self._awaited = AwaitedController(self) if settings.lockstep else None
         self._state_publisher = StatePublisher(
-            self, robot.settings.shell_radius, prefix + BODY_FRAME,
-            frames.settings.world_frame, clocked=not settings.is_on_system_clock,
+            self, robot.shell_radius, prefix + BODY_FRAME,
+            frame, clocked=not settings.is_on_system_clock,
         )
         self._receiver = CommandReceiver(
-            self, self.simulator, robot.settings.max_rotor_speed,
+            self, self.simulator, robot.max_rotor_speed,
             self._settings.command_timeout, self._fault_log, self._settings.lockstep,
             self._command_received, lambda: self._epoch,
         )
         self._period_told = False
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._period_subscription = self.create_subscription(
-            Float64, "control_period", self._receive_period, latched
+            Float64, "control_period", self._receive_period, LATCHED
         )
         self._command_services = [
             self.create_service(Trigger, "~/reset", self._reset),
             self.create_service(SetBool, "~/pause", self._pause),
             self.create_service(Trigger, "~/step", self._step),
         ]
-        self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
         self._push_receiver = PushReceiver(
             self, self.simulator, self._fault_log, self._event_log, lambda: pushes.settings,
-            lambda: self._epoch, frames.settings.world_frame,
+            lambda: self._epoch, frame,
         )
         self._diagnostics = Diagnostics(
             self, lambda: self._epoch + self.simulator.now,
@@ -155,9 +148,8 @@ class SimulatorNode(RunnableNode):
     def work(self, executor: Executor) -> None:
         """Advance to the next instant if it is due, and call the executor at intervals."""
         wall = time.monotonic()
-        timeouts = self._simulated_clock.timeouts
         wait = self._simulated_clock.wait(self.simulator.now, wall, self._controller_found)
-        if self._simulated_clock.timeouts > timeouts:
+        if self._fault_log.has_risen("lockstep time-out", self._simulated_clock.timeouts):
             self._report_timeout()
         if wait <= 0.0:
             self._advance()
@@ -255,7 +247,7 @@ class SimulatorNode(RunnableNode):
             f"{self._awaited.cause(self._limits.free_running, timeout)}",
         )
 
-    def _change(self, settings: SimulatorSettings) -> None:
+    def _change(self, settings: SimulatorNodeSettings) -> None:
         if settings.real_time_factor != self._settings.real_time_factor:
             now = self.simulator.now
             self._simulated_clock.set_pace(settings.real_time_factor, now, time.monotonic())

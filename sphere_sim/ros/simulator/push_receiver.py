@@ -10,8 +10,8 @@ from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.conversions import stamp_to_ros
-from sphere_sim.world.settings import PushSettings
+from sphere_nmpc.ros.messages import stamp_to_ros
+from sphere_sim.ros.simulator.settings import PushSettings
 from sphere_sim.world.simulator import Simulator
 
 

@@ -13,7 +13,7 @@ import rclpy
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.parameters import DeclaredSettings
+from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.world.robot_description import make_urdf
 
@@ -26,7 +26,7 @@ def main(args: Sequence[str]) -> int:
             "simulator", automatically_declare_parameters_from_overrides=True,
             enable_rosout=False, start_parameter_services=False,
         )
-        robot = DeclaredSettings(node, RobotParameters(), prefix="robot").settings
+        robot = Parameters(node).declare(RobotParameters(), "robot").settings
     except (SphereNmpcError, ValueError, RuntimeError) as error:
         print(error, file=sys.stderr)
         return 2

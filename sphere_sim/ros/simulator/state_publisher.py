@@ -12,8 +12,16 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from sphere_nmpc.ros import conversions
-from sphere_nmpc.ros.serialised import clock_message, joint_states_message, pose_message
+from sphere_nmpc.ros.messages import (
+    BODY_FRAME,
+    WORLD_FRAME,
+    clock_message,
+    joint_states_message,
+    odometry_to_ros,
+    pose_message,
+    pose_to_ros,
+    transform_from_pose,
+)
 from sphere_sim.world.simulator import Simulator
 
 try:
@@ -42,8 +50,8 @@ class StatePublisher:
     """
 
     def __init__(
-        self, node: Node, shell_radius: float, body_frame: str = conversions.BODY_FRAME,
-        world_frame: str = conversions.WORLD_FRAME, clocked: bool = True,
+        self, node: Node, shell_radius: float, body_frame: str = BODY_FRAME,
+        world_frame: str = WORLD_FRAME, clocked: bool = True,
     ) -> None:
         self._radius = shell_radius
         self._body, self._world = body_frame, world_frame
@@ -68,7 +76,7 @@ class StatePublisher:
         ]
         # At 2000 instants a second, messages without a subscriber would take too much time.
         if self._odometry.get_subscription_count() > 0:
-            odometry = conversions.odometry_to_ros(
+            odometry = odometry_to_ros(
                 measured, plant.velocity, plant.body_rate, now, self._radius, self._body,
                 self._world,
             )
@@ -79,8 +87,8 @@ class StatePublisher:
             )
             self._last.append((self._joints, joints))
         if self._transforms and self._transforms.get_subscription_count() > 0:
-            pose = conversions.pose_to_ros(measured, now, self._radius, self._world)
-            transform = conversions.transform_from_pose(pose, self._body)
+            pose = pose_to_ros(measured, now, self._radius, self._world)
+            transform = transform_from_pose(pose, self._body)
             self._last.append((self._transforms, TFMessage(transforms=[transform])))
         # The clock comes last, so that a node that acts on it has the pose of that instant.
         if self._clock is not None:

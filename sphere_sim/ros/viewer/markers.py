@@ -13,18 +13,16 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PoseStamped
 from nav_msgs.msg import Path
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.conversions import FrameSettings, pose_from_ros
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
+from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.frame import radius_at
@@ -48,27 +46,18 @@ class MarkerNode(RunnableNode):
     """
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            "markers",
-            parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        frames = DeclaredSettings(self, FrameSettings())
-        warn_of_unknown(self, frames.names)
-        self._frame = frames.settings.world_frame
-        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        super().__init__("markers", parameter_overrides)
+        self._frame = self.parameters.declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
         self._pose: PoseStamped | None = None
         self._goal: PoseStamped | None = None
         self._plan = Path()
         self._path: deque[tuple[float, float]] = deque(maxlen=_PATH_POINTS)
-        self.create_subscription(PoseStamped, "pose", self._take_pose, newest)
-        self.create_subscription(PoseStamped, "controller/active_goal", self._take_goal, latched)
-        self.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
+        self.create_subscription(PoseStamped, "pose", self._take_pose, NEWEST)
+        self.create_subscription(PoseStamped, "controller/active_goal", self._take_goal, LATCHED)
+        self.create_subscription(Path, "controller/predicted_path", self._take_plan, NEWEST)
         self._markers = self.create_publisher(MarkerArray, "markers", 1)
-        # Wall time: markers are needed while simulated time is paused, too.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_PERIOD, self._publish, clock=wall)
+        self.create_wall_timer(_PERIOD, self._publish)
 
     def _take_pose(self, message: PoseStamped) -> None:
         if not _is_valid(message):

@@ -13,10 +13,8 @@ from collections.abc import Sequence
 
 from rclpy.executors import Executor
 
-from sphere_nmpc.ros.conversions import FrameSettings
-from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.parameters import DeclaredSettings, warn_of_unknown
-from sphere_nmpc.ros.scheduling import lower_priority
+from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.viewer.topic_source import TopicSource
 from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
@@ -35,10 +33,10 @@ class ViewerNode(RunnableNode):
     """
 
     def __init__(self, port: int) -> None:
-        super().__init__("viewer", automatically_declare_parameters_from_overrides=True)
-        frames = DeclaredSettings(self, FrameSettings())
-        warn_of_unknown(self, frames.names)
-        self._source = TopicSource(self, frames.settings.world_frame)
+        super().__init__("viewer")
+        frame = self.parameters.declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
+        self._source = TopicSource(self, frame)
         self._viewer = Viewer(self._source, port, live=True)
         self._due = time.monotonic()
         # Not logged: every node can read /rosout, and the address holds the access token.

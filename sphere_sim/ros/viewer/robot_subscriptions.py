@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
-from sphere_nmpc.ros.conversions import (
+from sphere_nmpc.ros.messages import (
     framed_pose_from_ros,
     joint_states_from_ros,
     pose_from_ros,

@@ -11,8 +11,9 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.conversions import WORLD_FRAME, pose_to_ros
+from sphere_nmpc.ros.messages import WORLD_FRAME, pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
 from sphere_sim.viewer.frame import Capabilities, Drive, Frame
@@ -25,7 +26,6 @@ from sphere_sim.viewer.source import (
     SetSpeed,
     SetStrategy,
 )
-from sphere_sim.world.settings import SimulatorSettings
 
 _DRIVE = ("rotor_axial_inertia", "max_rotor_speed", "max_rotor_acceleration")
 """Parameters of the controller's robot that are the fields of `Drive`."""
@@ -52,7 +52,7 @@ class TopicSource:
         self._notices: list[str] = []
         notify = self._notices.append
         self._speed = RemoteParameter(
-            node, "simulator", "real_time_factor", SimulatorSettings, notify
+            node, "simulator", "real_time_factor", SimulatorNodeSettings, notify
         )
         self._strategy = RemoteParameter(
             node, "controller", "strategy", ControllerSettings, notify,

@@ -87,7 +87,7 @@ def closed_loop(
     kind: type[Simulator] = Simulator, robot: RobotParameters = ROBOT,
 ) -> Trajectory:
     period = settings.control_period
-    world = SimulatorSettings(initial_state=tuple(START), sample_period=period)
+    world = SimulatorSettings(initial_state=tuple(START))
     return run_closed_loop(kind(world, robot), controller, GOAL, duration, period, 0.1)
 
 

@@ -58,7 +58,7 @@ def schedule() -> ClockedSchedule:
 
 @pytest.fixture
 def lockstep() -> LockstepSchedule:
-    return LockstepSchedule(ControllerSettings(strategy="paper", lockstep=True))
+    return LockstepSchedule(ControllerSettings(strategy="paper"))
 
 
 def test_late_ticks_plan_for_their_instants_and_for_what_is_left_of_their_share(schedule) -> None:

@@ -2,22 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node goes on after any error, with one line, for each kind of callback and both executors."""
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from type_description_interfaces.srv import GetTypeDescription
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.lifetime import _make_executor, spin_for
+from sphere_nmpc.ros.lifetime import RunnableNode, _make_executor, spin_for
 
 DAMAGED = b"\x00\x01\x00\x00\x07"
 
@@ -28,7 +26,7 @@ def pose(number: int) -> PoseStamped:
     return message
 
 
-class Wanting(GuardedNode):
+class Wanting(RunnableNode):
     """Node each callback of which raises on demand."""
 
     def __init__(self) -> None:
@@ -42,6 +40,9 @@ class Wanting(GuardedNode):
             self.create_timer(0.01, self._tick),
             self.create_service(SetBool, "switch", self._switch),
         ]
+
+    def work(self, executor: Executor) -> None:
+        spin_for(executor, 0.01)
 
     def _take(self, message: PoseStamped) -> None:
         if message.header.frame_id:
@@ -63,45 +64,15 @@ class Wanting(GuardedNode):
         return response
 
 
-class Served:
-    """The node with an executor of its own."""
-
-    def __init__(self, graph: Any, by_events: bool) -> None:
-        self._graph = graph
-        self.node = Wanting()
-        self._executor = _make_executor(by_events)
-        assert isinstance(self._executor, SingleThreadedExecutor) is not by_events
-        self._executor.add_node(self.node)
-
-    def until(self, condition: Callable[[], Any]) -> None:
-        def holds() -> Any:
-            spin_for(self._executor, 0.01)
-            return condition()
-
-        self._graph.until(holds)
-
-    def publisher(self, kind: type, topic: str) -> Any:
-        publisher = self._graph.probe.create_publisher(kind, topic, 10)
-        self.until(lambda: publisher.get_subscription_count() > 0)
-        return publisher
-
-    def call(self, kind: type, name: str, request: Any) -> Any:
-        client = self._graph.probe.create_client(kind, name)
-        self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-
-
 @pytest.fixture(params=[True, False], ids=["events executor", "single-threaded executor"])
-def served(graph, request) -> Iterator[Served]:
-    served = Served(graph, request.param)
-    yield served
-    served.close()
+def wanting(graph, request) -> Wanting:
+    """Return the node, which is served by an executor of its own."""
+    node, executor = Wanting(), _make_executor(request.param)
+    assert isinstance(executor, SingleThreadedExecutor) is not request.param
+    executor.add_node(node)
+    graph._nodes.append(node)
+    graph._busy[node] = executor
+    return node
 
 
 def warnings(capfd) -> list[str]:
@@ -111,19 +82,19 @@ def warnings(capfd) -> list[str]:
     return [line.partition("[wanting]: ")[2] for line in lines]
 
 
-def test_messages_after_those_that_fail_are_taken_at_once(served, capfd) -> None:
+def test_messages_after_those_that_fail_are_taken_at_once(graph, wanting, capfd) -> None:
     bad = pose(0)
     bad.header.frame_id = "a\n[FATAL] forged" + "x" * 200
-    publisher, raw = served.publisher(PoseStamped, "pose"), served.publisher(PoseStamped, "raw")
-    served.until(lambda: served.node.ticks >= 12)
+    publisher, raw = graph.publisher(PoseStamped, "pose"), graph.publisher(PoseStamped, "raw")
+    graph.until(lambda: wanting.ticks >= 12)
     messages = [bad, DAMAGED, bad, DAMAGED, pose(1), DAMAGED, pose(2)]
     for message in messages:  # several at a time, as after a pause of the executor
         publisher.publish(message)
     raw.publish(serialize_message(bad)[:100])
-    served.until(lambda: served.node.heard == [1, 2])
+    graph.until(lambda: wanting.heard == [1, 2])
     publisher.publish(pose(3))
-    served.until(lambda: served.node.heard == [1, 2, 3])
-    served.until(lambda: served.node._fault_log.counts["raw refused"] == 1)
+    graph.until(lambda: wanting.heard == [1, 2, 3])
+    graph.until(lambda: wanting._fault_log.counts["raw refused"] == 1)
     printed = warnings(capfd)
     (failed,) = (line for line in printed if line.startswith("callback failed: "))
     assert failed.startswith("callback failed: KeyError \"'tick'\" (test_guarded_node.py, line ")
@@ -131,28 +102,28 @@ def test_messages_after_those_that_fail_are_taken_at_once(served, capfd) -> None
     assert of_pose.startswith("pose refused: ValueError 'a\\n[FATAL] forgedxxx")
     assert len(of_pose) < 200
     assert "raw refused: raw: given 100 bytes, expected none" in printed
-    counts = served.node._fault_log.counts
+    counts = wanting._fault_log.counts
     assert counts["pose refused"] == 5 and counts["callback failed"] == 9
 
 
-def test_request_that_fails_is_answered_with_the_reason(served, capfd) -> None:
-    refused = served.call(SetBool, "switch", SetBool.Request(data=False))
+def test_request_that_fails_is_answered_with_the_reason(graph, wanting, capfd) -> None:
+    refused = graph.call(SetBool, "switch", SetBool.Request(data=False))
     assert (refused.success, refused.message) == (False, "RuntimeError 'stuck'")
-    assert served.call(SetBool, "switch", SetBool.Request(data=True)).success
+    assert graph.call(SetBool, "switch", SetBool.Request(data=True)).success
     good = Parameter(name="number", value=ParameterValue(type=2, integer_value=7))
     unknown = Parameter(name="number", value=ParameterValue(type=99))
     request = SetParameters.Request(parameters=[good, unknown, unknown])
-    results = served.call(SetParameters, "wanting/set_parameters", request).results
+    results = graph.call(SetParameters, "wanting/set_parameters", request).results
     assert [result.successful for result in results] == [True, False, False]
     assert "99 is not a valid Parameter.Type" in results[1].reason
     assert results[2].reason == "one before it was refused"
-    assert served.node.get_parameter("number").value == 7
+    assert wanting.get_parameter("number").value == 7
     request = SetParametersAtomically.Request(parameters=[unknown])
-    result = served.call(
+    result = graph.call(
         SetParametersAtomically, "wanting/set_parameters_atomically", request
     ).result
     assert not result.successful and "99 is not a valid" in result.reason
-    described = served.call(
+    described = graph.call(
         GetTypeDescription, "wanting/get_type_description",
         GetTypeDescription.Request(type_hash="a\n[FATAL] forged"),
     )
@@ -164,16 +135,19 @@ def test_request_that_fails_is_answered_with_the_reason(served, capfd) -> None:
     ]
 
 
-def test_clock_that_cannot_be_is_refused_and_time_goes_on(served, capfd) -> None:
+def test_clock_that_cannot_be_is_refused_and_time_goes_on(graph, wanting, capfd) -> None:
     on = Parameter(name="use_sim_time", value=ParameterValue(type=1, bool_value=True))
     request = SetParameters.Request(parameters=[on])
-    assert served.call(SetParameters, "wanting/set_parameters", request).results[0].successful
-    clock = served.publisher(Clock, "/clock")
-    before, negative, now = Clock(), Clock(), Clock()
-    before.clock.sec, negative.clock.sec, now.clock.sec = 1, -5, 2
-    for message in (before, DAMAGED, negative, now):
-        clock.publish(message)
-        served.until(lambda: True)
-    served.until(lambda: served.node.get_clock().now().nanoseconds == 2 * 10**9)
+    assert graph.call(SetParameters, "wanting/set_parameters", request).results[0].successful
+    clock = graph.publisher(Clock, "/clock")
+    negative, now = Clock(), Clock()
+    negative.clock.sec, now.clock.sec = -5, 2
+    counts = wanting._fault_log.counts
+    clock.publish(DAMAGED)
+    graph.until(lambda: counts["/clock refused"] == 1)
+    clock.publish(negative)
+    graph.until(lambda: counts["/clock refused"] == 2)
+    clock.publish(now)
+    graph.until(lambda: wanting.get_clock().now().nanoseconds == 2 * 10**9)
     assert any(line.startswith("/clock refused: ") for line in warnings(capfd))
-    assert served.call(SetBool, "switch", SetBool.Request(data=True)).success
+    assert graph.call(SetBool, "switch", SetBool.Request(data=True)).success

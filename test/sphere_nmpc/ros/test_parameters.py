@@ -3,6 +3,7 @@
 """What the nodes declare, what may change while they run, and what is refused."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from parameter_tables import NODES, PARTS
@@ -13,7 +14,8 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.parameters import DeclaredSettings
+from sphere_nmpc.ros.parameters import DeclaredSettings, Parameters
+from sphere_nmpc.ros.settings import ControllerNodeSettings
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
@@ -30,10 +32,11 @@ def controller(graph) -> ControllerNode:
 def test_node_declares_each_quantity_with_unit_range_and_description(graph, name) -> None:
     node = CLASSES[name]()
     graph.add(node)
-    expected = dict(quantities(NODES[name]))
-    expected |= {f"robot.{key}": about for key, about in quantities(RobotParameters()).items()}
-    for prefix, _, settings in PARTS[name]:
-        expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(settings).items()}
+    expected = {}
+    for prefix, part in [
+        ("", NODES[name]), ("robot", RobotParameters()), *((p, part) for p, _, part in PARTS[name])
+    ]:
+        expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(part).items()}
     declared = set(node.list_parameters([], depth=0).names)
     assert declared - expected.keys() <= {"use_sim_time", "start_type_description_service"}
     for key, about in expected.items():
@@ -104,8 +107,8 @@ class Band:
             raise InvalidParameterError("low", self.low, f"less than high = {self.high:g}")
 
 
-@pytest.mark.parametrize("band", [{"low": 5.0, "high": 6.0}, {"low": -3.0, "high": -2.0}])
-def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, band) -> None:
+def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph) -> None:
+    band = {"low": -3.0, "high": -2.0}
     given = [Parameter("low", value=7.0), Parameter("high", value=8.0)]
     for turn in (1, -1):
         node = Node(
@@ -113,7 +116,7 @@ def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, b
             parameter_overrides=given[::turn],
             automatically_declare_parameters_from_overrides=True,
         )
-        declared = DeclaredSettings(node, Band())
+        declared = Parameters(node).declare(Band())
         assert declared.settings == Band(7.0, 8.0)
         changes = [Parameter(name, value=value) for name, value in band.items()][::turn]
         result = node.set_parameters_atomically(changes)
@@ -124,27 +127,18 @@ def test_settings_that_depend_on_each_other_change_at_once_in_any_order(graph, b
         node.destroy_node()
 
 
-def test_change_of_several_is_all_or_nothing(controller) -> None:
-    both = [Parameter("pose_timeout", value=0.7), Parameter("input_weight", value=-1.0)]
-    assert not controller.set_parameters_atomically(both).successful
-    assert controller.get_parameter("pose_timeout").value == 0.5
-
-
-def test_settings_follow_what_was_given(graph) -> None:
-    given = {"initial_state": [1, 2, 1, 0, 0, 0], "seed": 7, "robot.shell_mass": 2}
-    node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
-    graph.add(node)
-    assert node.simulator.plant.state.tolist() == [1.0, 2.0, 1.0, 0.0, 0.0, 0.0]
-    assert node.get_parameter("seed").value == 7
-    assert node.get_parameter("robot.shell_mass").value == 2.0
-
-
 @pytest.mark.parametrize(
     "name, value", [("seed", -1), ("plant", "cube"), ("initial_state", [1.0, 2.0]), ("seed", 1.5)]
 )
 def test_wrong_value_at_the_start_is_named(graph, name, value) -> None:
     with pytest.raises(InvalidParameterError, match=f"{name}: given .*, expected"):
         SimulatorNode([Parameter(name, value=value)])
+
+
+@pytest.mark.parametrize("setting", ["sensor_rate", "sensor_latency", "sensor_dropout"])
+def test_lockstep_refuses_a_sensor_with_rate_latency_or_losses(graph, setting) -> None:
+    with pytest.raises(InvalidParameterError, match="lockstep: given True, expected false"):
+        SimulatorNode([Parameter("lockstep", value=True), Parameter(setting, value=0.5)])
 
 
 def test_unknown_names_are_logged_in_one_warning(graph, capfd) -> None:
@@ -154,3 +148,41 @@ def test_unknown_names_are_logged_in_one_warning(graph, capfd) -> None:
     lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
     assert len(lines) == 1 and "'robot.mass, sed'" in lines[0]
     assert not node.has_parameter("sed")
+
+
+def text(value: Any) -> str:
+    """Return a value as YAML has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.17e}" if isinstance(value, float) else str(value)
+
+
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
+def test_extreme_values_are_in_force_from_a_file_or_set_live(graph, tmp_path, end) -> None:
+    default, about = ControllerNodeSettings(), quantities(ControllerNodeSettings())
+    given = {
+        name: type(getattr(default, name))(getattr(of, end))
+        for name, of in about.items() if of.minimum is not None
+    }
+    given |= {"learning": end == "maximum", "strategy": "plan_keeping"}
+    path = tmp_path / "values.yaml"
+    lines = ["controller:", "  ros__parameters:", "    use_sim_time: false"]
+    path.write_text("\n".join([*lines, *(f"    {n}: {text(v)}" for n, v in given.items())]))
+
+    def declared(*arguments: str) -> tuple[Node, DeclaredSettings[ControllerNodeSettings]]:
+        node = Node(
+            "controller", cli_args=["--ros-args", *arguments],
+            automatically_declare_parameters_from_overrides=True,
+        )
+        graph.add(node)
+        return node, Parameters(node).declare(default)
+
+    node, of_file = declared("--params-file", str(path))
+    assert of_file.settings == ControllerNodeSettings(**given)
+    assert all(node.get_parameter(name).value == value for name, value in given.items())
+    node, of_change = declared()
+    live = {name: value for name, value in given.items() if about[name].live}
+    changes = [Parameter(name, value=value) for name, value in live.items()]
+    result = node.set_parameters_atomically(changes)
+    assert result.successful, result.reason
+    assert of_change.settings == ControllerNodeSettings(**live)

@@ -72,7 +72,7 @@ def run(
     """Return a run from the first scenario on; without a delay it is searched in line."""
     settings = ControllerSettings(control_rate=rate)
     world = SimulatorSettings(
-        initial_state=tuple(FIRST.start), sample_period=settings.control_period
+        initial_state=tuple(FIRST.start)
     )
     simulator = Simulator(world, ROBOT)
     worker = None if delay is None else DelayedWorker(lambda: simulator.time, delay)
@@ -225,7 +225,7 @@ def test_without_a_worker_to_be_had_it_is_searched_in_line(
 ) -> None:
     settings = ControllerSettings()
     world = SimulatorSettings(
-        initial_state=tuple(FIRST.start), sample_period=settings.control_period
+        initial_state=tuple(FIRST.start)
     )
     worker = DelayedWorker(lambda: 0.0, 0.0)
     worker.available = False

@@ -11,6 +11,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
@@ -18,7 +19,7 @@ from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import NANOSECONDS, Simulator
+from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
 PAPER = ControllerSettings(strategy="paper")

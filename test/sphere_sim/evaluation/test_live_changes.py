@@ -67,7 +67,7 @@ class InStep:
 
 def run(controller: Controller, settings: ControllerSettings, robot=ROBOT) -> Trajectory:
     world = SimulatorSettings(
-        initial_state=tuple(CASE.start), sample_period=settings.control_period
+        initial_state=tuple(CASE.start)
     )
     return run_closed_loop(
         Simulator(world, robot), controller, CASE.goal, DURATION, settings.control_period

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.state import state_error
-from sphere_nmpc.ros.conversions import (
+from sphere_nmpc.ros.messages import (
     hold_from_trajectory,
     pose_from_ros,
     pose_to_ros,

@@ -10,7 +10,7 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import stamp_from_ros
+from sphere_nmpc.ros.messages import stamp_from_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 
 from sphere_nmpc.model.state import as_state, state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))

@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros, stamp_from_ros
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import PAPER_CASES

@@ -19,15 +19,10 @@ from trajectory_msgs.msg import JointTrajectory
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import state_error
-from sphere_nmpc.ros.conversions import (
-    hold_to_trajectory,
-    pose_from_ros,
-    pose_to_ros,
-    stamp_from_ros,
-)
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros, trajectory_message
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.scenario.scenarios import PAPER_CASES
-from sphere_sim.world.settings import SimulatorSettings
 
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -65,7 +60,7 @@ def test_command_is_followed_at_its_stamp(graph) -> None:
     graph.until(lambda: joints)
     start = time.time_ns() + 4000 * MS
     hold = FirstOrderHold(np.array([0.0, 0.2, 0.6]), np.array([[0.0, 0.0], [60, -40], [0, 0]]))
-    sender.publish(hold_to_trajectory(hold, start))
+    sender.publish(trajectory_message(hold, start))
     graph.until(lambda: stamp_from_ros(joints[-1].header.stamp) > start + 700 * MS)
     for message in joints:
         since = (stamp_from_ros(message.header.stamp) - start) / 1e9
@@ -106,7 +101,7 @@ def test_requests_to_stop_or_hurry_the_system_clock_are_refused(graph, node) -> 
 )
 def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
     with pytest.raises(InvalidParameterError, match=f"{next(iter(settings))}.*clock: system"):
-        SimulatorSettings(clock="system", **settings)
+        SimulatorNodeSettings(clock="system", **settings)
 
 
 @pytest.mark.slow

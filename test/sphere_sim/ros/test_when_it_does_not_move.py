@@ -20,10 +20,11 @@ from standing import Standing
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros import graph_faults, graph_monitor
+from sphere_nmpc.ros import graph_monitor
+from sphere_nmpc.ros.controller import monitor
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import hold_to_trajectory, pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros, trajectory_message
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.ros.recorder.node import RecorderNode
@@ -344,7 +345,7 @@ def commands_on_another_clock(graph) -> None:
     simulator(graph)
     sender = graph.publisher(JointTrajectory, "rotor_trajectory")
     hold = FirstOrderHold.ramp_to_rest(0.0, CASE.start[:2] + 1.0, 400.0)
-    sender.publish(hold_to_trajectory(hold, time.time_ns()))
+    sender.publish(trajectory_message(hold, time.time_ns()))
 
 
 def drives_too_weak(graph) -> None:
@@ -446,7 +447,7 @@ def test_every_row_of_the_document_is_a_mistake_that_is_made_here() -> None:
 
 
 def test_faults_are_logged_within_two_seconds() -> None:
-    slack = 2.0 - graph_faults.SILENCE_LIMIT - 2.0 * controller_node._CHECK_EVERY
+    slack = 2.0 - monitor.SILENCE_LIMIT - 2.0 * controller_node._CHECK_EVERY
     assert slack > 0.2
 
 

@@ -16,7 +16,8 @@ from visualization_msgs.msg import MarkerArray
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import FrameSettings, pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.topic_source import TopicSource

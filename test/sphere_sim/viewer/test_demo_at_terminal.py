@@ -19,7 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE
 from ros_graph import Graph
 
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

@@ -27,7 +27,7 @@ from verb_process import start, stop
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
-from sphere_nmpc.ros.conversions import pose_from_ros, stamp_from_ros
+from sphere_nmpc.ros.messages import pose_from_ros, stamp_from_ros
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.viewer import colours
 

@@ -28,7 +28,7 @@ from test_access import PROTOCOL
 from verb_process import start, stop, verb_command
 
 from sphere_nmpc.model.state import make_state
-from sphere_nmpc.ros.conversions import pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_sim.viewer.server import LocalServer
 
 pytestmark = pytest.mark.slow

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error
@@ -167,9 +166,3 @@ def test_losses_have_the_given_share_and_do_not_change_other_poses() -> None:
     assert abs(len(seen) / len(whole) - 0.8) < 0.065
     for _, stamp, pose in seen:
         np.testing.assert_array_equal(pose, whole[stamp])
-
-
-def test_lockstep_refuses_a_sensor_with_rate_latency_or_losses() -> None:
-    for setting in ("sensor_rate", "sensor_latency", "sensor_dropout"):
-        with pytest.raises(InvalidParameterError, match="lockstep"):
-            SimulatorSettings(lockstep=True, **{setting: 0.5})

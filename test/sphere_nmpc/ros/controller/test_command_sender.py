@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 from std_msgs.msg import Float64MultiArray
-from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -52,14 +51,3 @@ def test_final_ramp_that_would_take_too_long_is_cut_off_at_rest(graph, slept) ->
     speeds = commands_of_final_ramp(graph, duration=60.0)
     assert sum(slept) < 0.5 * LAUNCH_PATIENCE
     assert not speeds[-1].any()
-
-
-def test_last_hold_can_be_repeated(graph) -> None:
-    received = graph.collect(JointTrajectory, "rotor_trajectory")
-    sender = CommandSender(graph.probe, 100.0, lambda: 0.0)
-    graph.until(lambda: sender._trajectories.get_subscription_count() > 0)
-    sender.repeat()
-    sender.send(FirstOrderHold.constant(0.0, np.zeros(2)), 0)
-    sender.repeat()
-    graph.until(lambda: len(received) == 2)
-    assert received[0] == received[1]

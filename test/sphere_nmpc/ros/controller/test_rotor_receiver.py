@@ -10,8 +10,8 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
-from sphere_nmpc.ros.conversions import joint_states_to_ros, rotor_speeds_from_ros
 from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.messages import joint_states_message
 from sphere_nmpc.settings import ControllerSettings
 
 SPEEDS = np.array([3.0, -4.0])
@@ -28,8 +28,8 @@ class Heard(Controller):
         self.heard.append((time, speeds))
 
 
-def joints(stamp: int, speeds: np.ndarray = SPEEDS) -> JointState:
-    return joint_states_to_ros(np.zeros(2), speeds, np.zeros(2), stamp)
+def joints(stamp: int, speeds: np.ndarray = SPEEDS) -> bytes:
+    return joint_states_message(np.zeros(2), speeds, np.zeros(2), stamp)
 
 
 def test_speeds_are_heard_until_they_are_no_longer_needed_and_again_when_they_are(graph) -> None:
@@ -54,24 +54,3 @@ def test_speeds_are_heard_until_they_are_no_longer_needed_and_again_when_they_ar
     controller.rotor_feedback.resume()
     receiver.update()
     graph.until(lambda: publisher.get_subscription_count() == 1)
-
-
-def test_rotors_are_found_by_name_among_other_joints() -> None:
-    names = ["wheel", "rotor_2_joint", "rotor_1_joint"]
-    message = JointState(name=names, velocity=[9.0, 2.0, 1.0])
-    assert rotor_speeds_from_ros(message).tolist() == [1.0, 2.0]
-
-
-@pytest.mark.parametrize(
-    ("names", "speeds"),
-    [
-        (["rotor_1_joint"], [1.0]),
-        (["rotor_1_joint", "rotor_2_joint"], []),
-        (["rotor_1_joint", "rotor_2_joint"], [1.0, float("nan")]),
-        ([], []),
-    ],
-)
-def test_speeds_that_are_missing_or_not_finite_are_none(
-    names: list[str], speeds: list[float]
-) -> None:
-    assert rotor_speeds_from_ros(JointState(name=names, velocity=speeds)) is None

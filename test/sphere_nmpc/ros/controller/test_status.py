@@ -12,6 +12,7 @@ import pytest
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.model.drift import (
     NO_DRIFT,
     Drift,
@@ -22,55 +23,30 @@ from sphere_nmpc.model.drift import (
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.controller import reports
-from sphere_nmpc.ros.controller.drift_values import drift_values
-from sphere_nmpc.ros.controller.status import ControllerStatus
+from sphere_nmpc.ros.controller.status import ControllerStatus, drift_values
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 ROOT = Path(__file__).parents[4]
 ROBOT = RobotParameters()
 CONSTANTS = ["learnt_shell_radius_m", "learnt_c1", "learnt_r1", "learnt_r3"]
-DEVIATIONS = [f"{name}_deviation" for name in CONSTANTS]
 
 
-def plant_values(**settings: Any) -> dict[str, Any]:
+def status_values(**settings: Any) -> dict[str, Any]:
     chosen = ControllerSettings(**settings)
     controller = Controller(chosen, ROBOT)
-    status = ControllerStatus(controller, ROBOT, chosen)
-    values = status.values(controller.decide(0.0), 0.0, 0.0, 0)
-    return {name: value for name, value in values.items() if name.startswith("learnt_")}
+    status = ControllerStatus(controller, ROBOT, chosen, PoseLink())
+    return status.values(controller.decide(0.0), 0.0, 0.0, 0)
 
 
-def test_exact_poses_give_constants_with_deviations_noise_and_lag() -> None:
-    values = plant_values()
-    assert list(values) == [*CONSTANTS, *DEVIATIONS, "learnt_noise", "learnt_lag_s"]
-    assert values["learnt_c1"] == ROBOT.lumped.input_gain
-    assert values["learnt_c1_deviation"] == pytest.approx(0.1 * ROBOT.lumped.input_gain)
-
-
-def test_delay_and_loss_of_commands_are_reported() -> None:
-    chosen = ControllerSettings()
-    controller = Controller(chosen, ROBOT)
-    feedback = controller.rotor_feedback
-    feedback.window, feedback.delay, feedback.loss = 0.05, 0.04, 0.1
-    values = ControllerStatus(controller, ROBOT, chosen).values(
-        controller.decide(0.0), 0.0, 0.0, 0
-    )
-    names = ("commitment_window_s", "command_delay_s", "command_loss")
-    assert [values[name] for name in names] == [0.05, 0.04, 0.1]
-
-
-def test_noisy_poses_give_constants_and_lag_alone() -> None:
-    values = plant_values(pose_position_noise=0.01)
-    assert list(values) == [*CONSTANTS, "learnt_lag_s"]
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_without_learning_the_constants_as_built_and_the_given_lag_are_reported(
-    noise: float,
-) -> None:
-    values = plant_values(learning=False, drive_lag=0.0123, pose_position_noise=noise)
-    assert [values[name] for name in CONSTANTS] == ROBOT.lumped.as_array().tolist()
-    assert values["learnt_lag_s"] == 0.0123
+@pytest.mark.parametrize(("noise", "deviations"), [(0.0, True), (0.01, False)])
+def test_learnt_constants_have_deviations_where_poses_are_exact(noise, deviations) -> None:
+    found = status_values(pose_position_noise=noise)
+    assert found["learnt_c1"] == ROBOT.lumped.input_gain
+    names = {*(f"{name}_deviation" for name in CONSTANTS), "learnt_noise"}
+    assert names & found.keys() == (names if deviations else set())
+    fixed = status_values(learning=False, drive_lag=0.0123, pose_position_noise=noise)
+    assert [fixed[name] for name in CONSTANTS] == ROBOT.lumped.as_array().tolist()
+    assert fixed["learnt_lag_s"] == 0.0123
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -78,10 +54,7 @@ def test_every_value_is_documented(strategy) -> None:
     table = (ROOT / "msg_docs" / "topics.md").read_text().split("### Status")[1].split("\n### ")[0]
     cells = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
     documented = {key for cell in cells for key in re.findall(r"`(\w+)`", cell)}
-    settings = ControllerSettings(strategy=strategy)
-    controller = Controller(settings, ROBOT)
-    status = ControllerStatus(controller, ROBOT, settings)
-    values = status.values(controller.decide(0.0), 0.0, 0.0, 0)
+    values = status_values(strategy=strategy)
     # The deviations are described with what they belong to.
     assert {key.removesuffix("_deviation") for key in values} <= documented
     assert values["giving_up"] == "" and values["momentum_x"] == 0.0

@@ -23,7 +23,7 @@ from ruamel.yaml import YAML
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.ros.conversions import stamp_to_ros
+from sphere_nmpc.ros.messages import stamp_to_ros
 from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 from sphere_sim.ros.session.child_process import verb_command
 

@@ -20,8 +20,7 @@ from patience import PATIENCE
 from ros_graph import Graph, started
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.ros.environment import RosEnvironmentError
-from sphere_nmpc.ros.loopback import use_loopback_only
+from sphere_nmpc.ros.network import RosEnvironmentError, use_loopback_only
 from sphere_sim.ros.session import other_publishers
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.other_publishers import (

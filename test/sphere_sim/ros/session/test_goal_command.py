@@ -16,7 +16,7 @@ from ros_graph import started
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from sphere_nmpc.ros.conversions import pose_from_ros, pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_to_ros
 from sphere_sim.ros.session.goal_command import main, parse
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from sphere_nmpc.ros.conversions import JOINT_NAMES, pose_from_ros, stamp_from_ros, stamp_to_ros
+from sphere_nmpc.ros.messages import JOINT_NAMES, pose_from_ros, stamp_from_ros, stamp_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 MS = 1_000_000

@@ -22,7 +22,7 @@ from robots import GIANT, PALM
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.conversions import joint_states_to_ros, pose_from_ros, pose_to_ros
+from sphere_nmpc.ros.messages import joint_states_message, pose_from_ros, pose_to_ros
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer import remote_parameter
@@ -184,7 +184,7 @@ def test_viewer_goes_on_with_messages_and_parameters_that_no_robot_has(
         for i in range(40):
             pose = pose_to_ros(START, i, FAR[i % 4])
             poses.publish(pose)
-            joints.publish(joint_states_to_ros(*np.full((3, 2), (1e308, -1e308)[i % 2]), i))
+            joints.publish(joint_states_message(*np.full((3, 2), (1e308, -1e308)[i % 2]), i))
             pose.pose.position.x, pose.pose.orientation.w = FAR[i % 4], FAR[i // 4 % 4]
             poses.publish(pose)
             count = source.subscriptions.message_count

@@ -1,0 +1,60 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that act in nodes: frame, scheduling, and those of the controller node."""
+
+from dataclasses import dataclass
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.ros.messages import WORLD_FRAME
+from sphere_nmpc.settings import ControllerSettings
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """Frame that poses and goals are given in."""
+
+    world_frame: str = quantity(
+        WORLD_FRAME, "-",
+        "Frame of poses, goals and plans; those in another frame are refused, those without one "
+        "are taken to be in it",
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if not self.world_frame or self.world_frame.startswith("/"):  # tf2 refuses both
+            raise InvalidParameterError(
+                "world_frame", self.world_frame, "a name that begins without /"
+            )
+
+
+@dataclass(frozen=True)
+class SchedulingSettings:
+    """Scheduling of the threads of a node."""
+
+    thread_priority: int = quantity(
+        0, "-",
+        "Real-time priority (SCHED_FIFO) while time runs with the wall clock; 0 is ordinary "
+        "scheduling",
+        minimum=0, maximum=99, live=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+@dataclass(frozen=True)
+class ControllerNodeSettings(ControllerSettings):
+    """Settings of the controller, and of its node: commands, lockstep and the stored goal."""
+
+    goal_memory: float = quantity(
+        30.0, "s",
+        "Time after the end of a controller within which a new one resumes its goal; 0 is never",
+        minimum=0.0, maximum=3600.0,
+    )
+    command_rate: float = quantity(
+        100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0
+    )
+    lockstep: bool = quantity(
+        False, "-", "Solve when the pose of the sampling instant arrives, not when a timer fires"
+    )

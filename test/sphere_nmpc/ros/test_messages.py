@@ -1,0 +1,236 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages written and read in their serialised form or as objects, compared with rclpy's."""
+
+import math
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros import messages as ms
+from sphere_sim.scenario.scenarios import draw_scenarios
+
+STATES = [scenario.start for scenario in draw_scenarios(5, seed=1)]
+AT_ORIGIN = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+EPOCHS = st.sampled_from([0, 1_700_000_000_123_456_789])
+STAMPS = st.integers(0, 2_000_000_000_000_000_000)
+SPEEDS = st.tuples(*[st.floats(-100.0, 100.0)] * 2).map(np.array)
+
+
+@st.composite
+def states(draw) -> np.ndarray:
+    place = draw(st.tuples(*[st.floats(-1e6, 1e6)] * 2))
+    turn = np.array(draw(st.tuples(*[st.floats(-1.0, 1.0)] * 4)))
+    size = np.linalg.norm(turn)
+    return np.array([*place, *(turn / size if size > 0.1 else (1.0, 0.0, 0.0, 0.0))])
+
+
+@st.composite
+def holds(draw) -> FirstOrderHold:
+    start = draw(st.floats(0.0, 1e5))
+    gaps = draw(st.lists(st.floats(1e-3, 10.0), max_size=80))
+    speeds = draw(st.lists(SPEEDS, min_size=len(gaps) + 1, max_size=len(gaps) + 1))
+    return FirstOrderHold(start + np.cumsum([0.0, *gaps]), np.array(speeds))
+
+
+@given(stamp=STAMPS)
+def test_clock_is_the_one_of_rclpy_both_ways(stamp) -> None:
+    message = Clock(clock=ms.stamp_to_ros(stamp))
+    assert deserialize_message(ms.clock_message(stamp), Clock) == message
+    assert ms.clock_stamp(serialize_message(message)) == stamp
+
+
+@given(state=states(), stamp=STAMPS, frame=st.sampled_from(["world", "", "a", "robot/map"]))
+def test_pose_is_the_one_of_rclpy_both_ways(state, stamp, frame) -> None:
+    message = ms.pose_to_ros(state, stamp, 0.3, frame)
+    turn = message.pose.orientation
+    assert (turn.w, turn.x, turn.y, turn.z) == tuple(state[2:])
+    written = ms.pose_message(state, stamp, 0.3, frame)
+    assert deserialize_message(written, PoseStamped) == message
+    for given_as in (written, serialize_message(message)):
+        assert ms.header_stamp(given_as) == stamp
+        if frame in ("world", ""):
+            read = ms.pose_of_message(given_as)
+            np.testing.assert_allclose(read, state, rtol=0.0, atol=4e-16)
+            np.testing.assert_array_equal(read, ms.framed_pose_from_ros(message))
+        else:
+            with pytest.raises(InvalidStateError, match=f"frame: given '{frame}', .* 'world'"):
+                ms.pose_of_message(given_as)
+
+
+@given(hold=holds(), epoch=EPOCHS, swapped=st.booleans())
+def test_trajectory_is_read_as_the_hold_that_was_written(hold, epoch, swapped) -> None:
+    written = ms.trajectory_message(hold, epoch)
+    message = deserialize_message(written, JointTrajectory)
+    if swapped:
+        message.joint_names = message.joint_names[::-1]
+        for point in message.points:
+            point.velocities = point.velocities[::-1]
+    expected = ms.hold_from_trajectory(message, 0, epoch)
+    np.testing.assert_allclose(expected.times, hold.times, rtol=0.0, atol=2e-9)
+    np.testing.assert_array_equal(expected.speeds, hold.speeds)
+    for given_as in (written, serialize_message(message)):
+        read, stamp = ms.hold_and_stamp(given_as, 0, epoch)
+        assert stamp == ms.stamp_from_ros(message.header.stamp)
+        np.testing.assert_array_equal(read.times, expected.times)
+        np.testing.assert_array_equal(read.speeds, hold.speeds)
+
+
+@given(speeds=SPEEDS)
+def test_speeds_are_those_of_rclpy_both_ways(speeds) -> None:
+    message = Float64MultiArray(data=speeds.tolist())
+    written = ms.speeds_message(speeds)
+    assert deserialize_message(written, Float64MultiArray) == message
+    for given_as in (written, serialize_message(message)):
+        np.testing.assert_array_equal(ms.speeds_of_message(given_as), speeds)
+
+
+def test_speeds_with_dimensions_or_of_another_number_are_read() -> None:
+    message = Float64MultiArray(data=[1.0, 2.0, 3.0])
+    message.layout.dim = [MultiArrayDimension(label="rotors", size=3, stride=3)]
+    assert ms.speeds_of_message(serialize_message(message)).tolist() == [1.0, 2.0, 3.0]
+    assert ms.speeds_of_message(serialize_message(Float64MultiArray())).size == 0
+
+
+@given(values=st.tuples(SPEEDS, SPEEDS, SPEEDS), stamp=STAMPS)
+def test_joint_states_are_those_of_rclpy_both_ways(values, stamp) -> None:
+    written = ms.joint_states_message(*values, stamp)
+    message = deserialize_message(written, JointState)
+    assert message.name == list(ms.JOINT_NAMES)
+    speeds, when = ms.rotor_speeds_and_stamp(written)
+    assert when == stamp
+    np.testing.assert_array_equal(speeds, values[1])
+    for name in ("name", "position", "velocity", "effort"):
+        setattr(message, name, getattr(message, name)[::-1])
+    for part, expected in zip(ms.joint_states_from_ros(message), values, strict=True):
+        np.testing.assert_array_equal(part, expected)
+
+
+@pytest.mark.parametrize(
+    ("names", "speeds", "read"),
+    [
+        (["wheel", "rotor_2_joint", "rotor_1_joint"], [9.0, 2.0, 1.0], [1.0, 2.0]),
+        (["rotor_1_joint"], [1.0], None),
+        (["rotor_1_joint", "rotor_2_joint"], [], None),
+        (["rotor_1_joint", "rotor_2_joint"], [1.0, math.nan], None),
+    ],
+)
+def test_rotors_are_found_by_name_and_need_finite_speeds(names, speeds, read) -> None:
+    message = JointState(name=names, velocity=speeds)
+    found, _ = ms.rotor_speeds_and_stamp(serialize_message(message))
+    assert found is read if read is None else found.tolist() == read
+
+
+def point(after: int = 0, **fields) -> JointTrajectoryPoint:
+    made = JointTrajectoryPoint(**{"velocities": [1.0, 2.0], **fields})
+    made.time_from_start.sec = after
+    return made
+
+
+@pytest.mark.parametrize("points", [
+    [point(positions=[5.0, 6.0]), point(1)],
+    [point(), point(1, accelerations=[7.0, 8.0])],
+    [point(effort=[1.0] * 3)],
+])
+def test_trajectory_of_another_layout_is_read_all_the_same(points) -> None:
+    message = JointTrajectory(joint_names=list(ms.JOINT_NAMES), points=points)
+    for frame in ("", "base_link"):
+        message.header.frame_id = frame
+        read, _ = ms.hold_and_stamp(serialize_message(message), 2 * NANOSECONDS)
+        assert read.times.tolist() == [2.0, 3.0][: len(points)], "stamp 0 means now"
+        np.testing.assert_array_equal(read.speeds, [[1.0, 2.0]] * len(points))
+
+
+@pytest.mark.parametrize(
+    ("names", "points", "words"),
+    [
+        (["rotor_1_joint", "wheel"], [point()], "given.*wheel.*expected"),
+        (["rotor_1_joint"] * 2, [point()], "given.*expected"),
+        (ms.JOINT_NAMES, [], r"velocities .*: given \[\], expected one"),
+        (ms.JOINT_NAMES, [point(velocities=[1.0])], r"velocities .*: given \[1\], expected one"),
+        (ms.JOINT_NAMES, [point(velocities=[1.0, math.nan])], "nan.*expected finite numbers"),
+        (ms.JOINT_NAMES, [point(1), point(0)], "strictly rising"),
+    ],
+    ids=["unknown", "twice", "empty", "short", "nan", "times"],
+)
+def test_trajectory_that_is_wrong_is_refused_with_what_was_given(names, points, words) -> None:
+    message = JointTrajectory(joint_names=list(names), points=points)
+    with pytest.raises(InvalidInputError, match=words):
+        ms.hold_from_trajectory(message, 0)
+    with pytest.raises(InvalidInputError, match=words):
+        ms.hold_and_stamp(serialize_message(message), 0)
+
+
+@pytest.mark.parametrize(("x", "w"), [(math.nan, 1.0), (1e7, 1.0), (0.0, math.inf), (0.0, 2.0)])
+def test_pose_that_is_no_state_is_refused_in_either_form(x, w) -> None:
+    message = PoseStamped()
+    message.pose.position.x, message.pose.orientation.w = x, w
+    with pytest.raises(InvalidStateError) as expected:
+        ms.framed_pose_from_ros(message)
+    with pytest.raises(InvalidStateError) as error:
+        ms.pose_of_message(serialize_message(message))
+    assert str(error.value) == str(expected.value)
+
+
+def test_pose_of_a_big_endian_machine_is_read() -> None:
+    head = b"\x00\x00\x00\x00" + struct.pack(">iI", 12, 34)
+    name = struct.pack(">I", 6) + b"world\x00" + bytes(6)
+    raw = head + name + struct.pack(">7d", 1.5, 2.0, 0.3, 0.0, 0.0, 0.0, 1.0)
+    assert ms.header_stamp(raw) == 12_000_000_034
+    np.testing.assert_array_equal(ms.pose_of_message(raw), [1.5, 2, 1, 0, 0, 0])
+
+
+@pytest.mark.parametrize("cut", [0, 3, 12, 15, 20, 60])
+@pytest.mark.parametrize(
+    ("message", "read"),
+    [
+        (ms.pose_message(AT_ORIGIN, 1, 0.3), ms.pose_of_message),
+        (
+            ms.trajectory_message(FirstOrderHold.constant(0.0, np.zeros(2))),
+            lambda raw: ms.hold_and_stamp(raw, 0),
+        ),
+        (ms.joint_states_message(*np.zeros((3, 2)), 0), ms.rotor_speeds_and_stamp),
+        (ms.speeds_message(np.zeros(2))[:-4], ms.speeds_of_message),
+    ],
+    ids=["pose", "trajectory", "joint states", "speeds"],
+)
+def test_bytes_that_are_no_message_are_refused(message, read: Callable, cut) -> None:
+    with pytest.raises((InvalidStateError, InvalidInputError), match=r"given b'.*, expected a m"):
+        read(message[:cut])
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_odometry_twist_is_in_the_body_frame(state) -> None:
+    velocity, rate = np.array([0.3, -0.7, 0.0]), np.array([1.0, 2.0, 3.0])
+    twist = ms.odometry_to_ros(state, velocity, rate, 7, 0.3).twist.twist
+    w, x, y, z = state[2:]
+    to_world = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    linear = np.array([twist.linear.x, twist.linear.y, twist.linear.z])
+    np.testing.assert_allclose(to_world @ linear, velocity, atol=1e-12)
+    assert (twist.angular.x, twist.angular.y, twist.angular.z) == tuple(rate)
+
+
+def test_path_stamps_each_pose() -> None:
+    path = ms.path_to_ros([1.0, 1.5], np.array(STATES[:2]), 0.3)
+    assert [ms.stamp_from_ros(pose.header.stamp) for pose in path.poses] == [10**9, 15 * 10**8]
+    assert path.header == path.poses[0].header
+    np.testing.assert_allclose(ms.pose_from_ros(path.poses[1]), STATES[1], atol=1e-15)

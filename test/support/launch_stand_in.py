@@ -21,7 +21,7 @@ KNOWN = {
     },
     "ExecuteProcess": {"cmd", "output"},
     "DeclareLaunchArgument": {"default_value", "description", "choices"},
-    "OpaqueFunction": {"function", "args"},
+    "OpaqueFunction": {"function"},
     "RegisterEventHandler": set(),
     "OnProcessExit": {"on_exit"},
     "OnProcessIO": {"on_stderr"},
@@ -128,7 +128,7 @@ def started(
                 raise RuntimeError(f"{argument.name}: expected one of {choices}")
         configurations = {**given, **value, **({"ros_namespace": pushed} if pushed else {})}
         context = SimpleNamespace(argv=list(words), launch_configurations=configurations)
-        return function["function"](context, *function["args"])
+        return function["function"](context)
 
 
 def declared_arguments() -> list[str]:

@@ -19,7 +19,7 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.conversions import FrameSettings, pose_from_ros, pose_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
-from sphere_sim.ros.viewer.topic_source import TopicSource
+from sphere_sim.ros.viewer.node import TopicSource
 from sphere_sim.viewer.source import SetGoal
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

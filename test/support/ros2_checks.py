@@ -16,23 +16,33 @@ from command_checks import Options, WrongCommandError, check_value, settings_of
 TOPICS = Path(__file__).parents[2] / "msg_docs" / "topics.md"
 
 
+def table() -> list[tuple[str, str, str, str, str]]:
+    """Return node, full name, type, kind and quality of service of each row of the tables."""
+    found = []
+    for section in TOPICS.read_text("utf-8").split("\n## `")[1:]:
+        node = section.partition("`")[0]
+        rows = re.findall(
+            r"^\| `(\S+)` \| (\S+/\S+) \| (\w+) \| ([^|]*)\|", section.partition("\n## ")[0], re.M
+        )
+        found += [
+            (node, f"/{name.replace('~', node).lstrip('/')}", kind, verb, qos.strip())
+            for name, kind, verb, qos in rows
+        ]
+    return found
+
+
 def offered() -> dict[str, dict[str, str]]:
     """Return type and quality of service of the documented topics and services, by full name.
 
     A topic and a service may have the same name.
     """
     found: dict[str, dict[str, str]] = {}
-    node = ""
+    for _, name, kind, _, qos in table():
+        found.setdefault(name, {})[kind] = qos
     # A service may be in the text, followed by its type in brackets.
-    entry = re.compile(
-        r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \|[^|]*\|(?P<qos>[^|]*)|"
-        r"`(?P<name>~/\w+)`\s+\((?P<srv>\S+/srv/\w+)\)", re.MULTILINE,
-    )
-    for match in entry.finditer(TOPICS.read_text("utf-8")):
-        node = match["node"] or node
-        if not match["node"]:
-            name = (match["row"] or match["name"]).replace("~", node).lstrip("/")
-            found.setdefault(f"/{name}", {})[match["type"] or match["srv"]] = match["qos"] or ""
+    for section in TOPICS.read_text("utf-8").split("\n## `")[1:]:
+        for name, kind in re.findall(r"`~(/\w+)`\s+\((\S+/srv/\w+)\)", section):
+            found.setdefault(f"/{section.partition('`')[0]}{name}", {})[kind] = ""
     return found
 
 

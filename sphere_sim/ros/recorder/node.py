@@ -66,12 +66,7 @@ class TopicSubscription(NamedTuple):
 
 
 class RecorderNode(RunnableNode):
-    """Recorder of topics; see the module for its interface.
-
-    Parameters
-    ----------
-    parameter_overrides : list of Parameter, optional
-        Parameters as given on a command line; for use within a program.
+    """Recorder of topics; see the module for its interface, and `SimulatorNode` for the argument.
 
     Raises
     ------

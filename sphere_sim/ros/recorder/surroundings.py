@@ -37,12 +37,7 @@ _SHARED = frozenset(name for name in DEFAULT_TOPICS if name.startswith("/"))
 def compatible_qos(offered: Sequence[QoSProfile], latched: bool = False) -> QoSProfile:
     """Return the strictest profile that is compatible with all publishers of a topic.
 
-    Parameters
-    ----------
-    offered : sequence of QoSProfile
-        Profiles that the publishers offer; may be empty.
-    latched : bool, optional
-        Whether to request kept messages while there is no publisher.
+    While there is no publisher, kept messages are requested if the topic is `latched`.
     """
     reliable = all(qos.reliability is ReliabilityPolicy.RELIABLE for qos in offered)
     kept = all(map(is_latched, offered)) if offered else latched
@@ -138,12 +133,7 @@ def _json_value(value: Any) -> Any:
 class MissingTopics:
     """Search for a publisher of any of the topics to record, until there is one.
 
-    Parameters
-    ----------
-    node : Node
-        The recorder.
-    names : sequence of str
-        Names and patterns of the topics, those without a leading slash in its namespace.
+    These are names and patterns; those without a leading slash are in the node's namespace.
     """
 
     def __init__(self, node: Node, names: Sequence[str]) -> None:
@@ -166,14 +156,11 @@ class MissingTopics:
             return []
         more = " or its other topics" if len(wanted) > 1 else ""
         remedy = "start the robot or a simulator, or name its namespace, -r __ns:=/second"
-        for name in self._names:
-            others = [topic for topic in sorted(published) if topic.endswith(f"/{name}")]
-            if others:
-                namespace = others[0].removesuffix(f"/{name}") or "/"
-                remedy = (
-                    f"there is {', '.join(map(shown, others[:3]))}: start this node with "
-                    f"-r __ns:={shown(namespace)}"
-                )
-                break
+        same = ((it, name) for name in self._names for it in sorted(published)
+                if it.endswith(f"/{name}"))
+        if found := next(same, None):
+            topic, name = found
+            namespace = topic.removesuffix(f"/{name}") or "/"
+            remedy = f"there is {shown(topic)}: start this node with -r __ns:={shown(namespace)}"
         given = f"given no publisher of {wanted[0]}{more}, expected one"
         return [GraphFault("nothing to record", f"{given}; {remedy}")]

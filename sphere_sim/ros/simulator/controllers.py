@@ -26,21 +26,14 @@ _RECENT = 1.0
 class Controllers:
     """Parameters of each node that sends commands, requested once and without waiting.
 
-    Parameters
-    ----------
-    node : GuardedNode
-        Node that sends the requests, in the namespace of the controller.
-    senders : callable
-        Returns the full names of the nodes that send commands, as far as they are known.
-    lockstep : bool
-        Whether simulated time waits for commands, so that the status matters as well.
+    `senders` returns the full names of these nodes, as far as they are known. In lockstep
+    simulated time waits for commands, so that the status of the controller matters as well.
     """
 
     def __init__(
         self, node: GuardedNode, senders: Callable[[], list[str]], lockstep: bool
     ) -> None:
-        self._node = node
-        self._senders = senders
+        self._node, self._senders = node, senders
         self._clients: dict[str, Client] = {}
         self._requested: set[str] = set()
         self.limits: dict[str, dict[str, float]] = {}

@@ -163,7 +163,11 @@ class SimulatorNode(RunnableNode):
             )
         self._spin(executor, min(wait, _REPEAT_EVERY))
         if wait >= _REPEAT_EVERY and time.monotonic() > self._published_at + _REPEAT_EVERY:
-            self._look_for_controller()
+            self._controller_found |= self.count_publishers("rotor_trajectory") > 0
+            if self._simulated_clock.awaited is not None and not self._controller_found:
+                self._fault_log.report(
+                    "lockstep", "given no publisher of rotor_trajectory, expected one; time waits"
+                )
             self._state_publisher.repeat()
             self._published_at = time.monotonic()
 
@@ -220,13 +224,6 @@ class SimulatorNode(RunnableNode):
         self._period_told = True
         self._simulated_clock.set_sample_period(round(NANOSECONDS * period), time.monotonic())
         self.get_logger().info(f"lockstep: every {period:g} s, as the controller samples")
-
-    def _look_for_controller(self) -> None:
-        self._controller_found |= self.count_publishers("rotor_trajectory") > 0
-        if self._simulated_clock.awaited is not None and not self._controller_found:
-            self._fault_log.report(
-                "lockstep", "given no publisher of rotor_trajectory, expected one; time waits"
-            )
 
     def _report_timeout(self) -> None:
         timeout = self._settings.lockstep_timeout

@@ -26,31 +26,14 @@ _NEGLIGIBLE_SPEED = 0.1
 class CommandReceiver:
     """Subscriber of both command topics; a message that is not valid has no effect.
 
-    Parameters
-    ----------
-    node : Node
-        Node of the subscriptions.
-    simulator : Simulator
-        Simulator that follows the commands. In lockstep stamp 0 means its first instant rather
-        than "now"; a trajectory may start ahead of its time by the time-out of commands.
-    max_speed : float
-        Largest rotor speed of the drives [rad/s].
-    fault_log : FaultLog
-        Log of refused commands.
-    on_trajectory : callable
-        Called with the stamp [ns] of each trajectory that was accepted.
-    epoch : callable
-        Returns the stamp [ns] of simulated time 0.
+    In lockstep stamp 0 means the first instant of the simulator rather than "now". A trajectory
+    may start ahead of simulated time by the time-out of commands. `on_trajectory` is called with
+    the stamp [ns] of each that was accepted; `epoch` returns the stamp [ns] of simulated time 0.
     """
 
     def __init__(
-        self,
-        node: Node,
-        simulator: Simulator,
-        max_speed: float,
-        fault_log: FaultLog,
-        on_trajectory: Callable[[int], object],
-        epoch: Callable[[], int],
+        self, node: Node, simulator: Simulator, max_speed: float, fault_log: FaultLog,
+        on_trajectory: Callable[[int], object], epoch: Callable[[], int],
     ) -> None:
         self._simulator = simulator
         self._max_speed = max_speed
@@ -137,38 +120,17 @@ class CommandReceiver:
 class PushReceiver:
     """Subscriber of ``~/push`` and server of the service of that name; publishes ``~/pushed``.
 
-    Parameters
-    ----------
-    node : Node
-        Node of subscription, service and publisher.
-    simulator : Simulator
-        Simulator whose plant is pushed.
-    fault_log, event_log : FaultLog
-        Logs of refused pushes and of the others.
-    settings : callable
-        Returns the present settings, which have the impulse of the service.
-    epoch : callable
-        Returns the stamp [ns] of simulated time 0.
-    frame : str
-        Frame of the impulses.
+    `settings` returns the present ones, which have the impulse of the service; `epoch` the stamp
+    [ns] of simulated time 0. Impulses are given and published in `frame`.
     """
 
     def __init__(
-        self,
-        node: Node,
-        simulator: Simulator,
-        fault_log: FaultLog,
-        event_log: FaultLog,
-        settings: Callable[[], PushSettings],
-        epoch: Callable[[], int],
-        frame: str,
+        self, node: Node, simulator: Simulator, fault_log: FaultLog, event_log: FaultLog,
+        settings: Callable[[], PushSettings], epoch: Callable[[], int], frame: str,
     ) -> None:
         self._simulator = simulator
-        self._fault_log = fault_log
-        self._event_log = event_log
-        self._settings = settings
-        self._epoch = epoch
-        self._frame = frame
+        self._fault_log, self._event_log = fault_log, event_log
+        self._settings, self._epoch, self._frame = settings, epoch, frame
         self._pushed = node.create_publisher(Vector3Stamped, "~/pushed", 10)
         node.create_subscription(Vector3, "~/push", self._receive, 10)
         node.create_service(Trigger, "~/push", self._serve)

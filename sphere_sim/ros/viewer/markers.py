@@ -36,13 +36,7 @@ _SPACING = 1.0 / 15.0
 
 
 class MarkerNode(RunnableNode):
-    """Node that publishes markers while they have a subscriber.
-
-    Parameters
-    ----------
-    parameter_overrides : list of Parameter, optional
-        Parameters as given on a command line; for use within a program.
-    """
+    """Node that publishes markers while they have a subscriber."""
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(

@@ -49,15 +49,7 @@ _DRIVE = ("rotor_axial_inertia", "max_rotor_speed", "max_rotor_acceleration")
 
 
 class TopicSource:
-    """`Source` of frames from topics; it sends requests without waiting for the answers.
-
-    Parameters
-    ----------
-    node : Node
-        Owner of subscriptions, publisher and clients, in the namespace of the robot.
-    frame : str, optional
-        Frame of the poses.
-    """
+    """`Source` of frames of a robot; it sends requests without waiting for the answers."""
 
     def __init__(self, node: Node, frame: str = WORLD_FRAME) -> None:
         self.subscriptions = RobotSubscriptions(node, frame)
@@ -146,13 +138,7 @@ class TopicSource:
 
 
 class ViewerNode(RunnableNode):
-    """Node that shows frames of live topics at a constant rate.
-
-    Parameters
-    ----------
-    port : int
-        Port of the page on this machine; a free port is used if it is taken.
-    """
+    """Node that shows frames of live topics at a constant rate, at `port` or another free one."""
 
     def __init__(self, port: int) -> None:
         super().__init__("viewer", automatically_declare_parameters_from_overrides=True)

@@ -35,16 +35,8 @@ class RobotSubscriptions:
     They are best effort with a depth of 1: messages that arrive between two frames cost nothing,
     and no publisher waits for the viewer.
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the subscriptions, in the namespace of the robot.
-    frame : str
-        Frame of the poses.
-    scene_only : bool, optional
-        Whether pose, goal and plan are enough: no rotor speeds and nothing about the controller.
-    on_pose : callable, optional
-        Called after each pose that was accepted.
+    With `scene_only` pose, goal and plan are enough: no rotor speeds and nothing about the
+    controller. `on_pose` is called after each pose that was accepted in the given frame.
     """
 
     def __init__(

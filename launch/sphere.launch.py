@@ -84,14 +84,12 @@ ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
                       "empty: as in params_file"),
     "world_frame": (WORLD_FRAME, None, "Frame of poses, goals and plans, in place of that in "
                     "params_file, and fixed frame of RViz"),
-    "namespace": ("", None, "Namespace of the robot: its topics and clock, and prefix of its "
-                  "frames"),
+    "namespace": ("", None, "Namespace of the robot's topics and clock, and prefix of its frames"),
     "params_file": (str(SHARE / "config" / "sphere.yaml"), None, "Parameters of both nodes"),
     "record": ("false", BOOLEAN, "Write a bag"),
     "rviz": ("false", BOOLEAN, "Start RViz"),
     "viewer": ("false", BOOLEAN, "Serve the page of the viewer"),
-    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch with "
-                "them"),
+    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch"),
 }
 """Default, choices and description of each argument."""
 
@@ -169,12 +167,8 @@ def actions(context: LaunchContext) -> list:
 class Ending:
     """End of the launch with one of its processes, and the reason as the last line.
 
-    Simulator and controller end it in whatever way they end, the others by an error.
-
-    Parameters
-    ----------
-    processes : list of Node or ExecuteProcess
-        What is started, simulator and controller first.
+    Simulator and controller, which come first, end it in whatever way they end, the others by an
+    error.
     """
 
     def __init__(self, processes: Sequence[ExecuteProcess]) -> None:
@@ -276,13 +270,11 @@ def valid_namespace(outer: str, namespace: str) -> str:
     return place
 
 
-def follows_clock(clock: str, use_sim_time: str) -> bool:
-    if clock == "system" and use_sim_time in TRUE:
-        raise RuntimeError(
-            f"use_sim_time: given {use_sim_time}, expected false with clock:=system, where no "
-            "node publishes a clock"
-        )
-    return use_sim_time in TRUE if use_sim_time else clock == "simulated"
+def follows_clock(clock: str, given: str) -> bool:
+    if clock == "system" and given in TRUE:
+        expected = "false with clock:=system, where no node publishes a clock"
+        raise RuntimeError(f"use_sim_time: given {given}, expected {expected}")
+    return given in TRUE if given else clock == "simulated"
 
 
 def initial_state(text: str) -> list[float]:

@@ -94,13 +94,9 @@ class SimulatorNode(RunnableNode):
         )
         self.simulator = Simulator(settings, robot.settings, plant)
         self._simulated_clock = SimulatedClock(
-            round(NANOSECONDS / settings.pose_rate),
-            round(NANOSECONDS * settings.sample_period),
-            settings.real_time_factor,
-            settings.lockstep,
-            settings.lockstep_timeout,
-            settings.start_paused,
-            keeps_up=settings.is_on_system_clock,
+            round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
+            settings.real_time_factor, settings.lockstep, settings.lockstep_timeout,
+            settings.start_paused, keeps_up=settings.is_on_system_clock,
         )
         self._monitor = GraphMonitor(self, self._fault_log)
         commands = self.resolve_topic_name("rotor_trajectory")

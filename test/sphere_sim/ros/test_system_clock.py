@@ -14,13 +14,10 @@ from ros_graph import started
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.conversions import (
-    hold_to_trajectory,
     pose_from_ros,
     pose_to_ros,
     stamp_from_ros,
@@ -67,23 +64,6 @@ def test_stamps_are_those_of_the_system_clock_which_nothing_stops(
     monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9)
     graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) > real() + 3500 * 10**9)
     assert "system clock jumped: given a jump of 3600.0" in capfd.readouterr().err
-
-
-def test_command_is_followed_at_its_stamp(graph) -> None:
-    # A command may be stamped ahead by the time-out: by more than a busy machine takes to send it.
-    system = [Parameter("clock", value="system"), Parameter("command_timeout", value=60.0)]
-    graph.add(SimulatorNode(system))
-    joints = graph.collect(JointState, "joint_states")
-    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
-    graph.until(lambda: joints)
-    start = time.time_ns() + 4000 * MS
-    hold = FirstOrderHold(np.array([0.0, 0.2, 0.6]), np.array([[0.0, 0.0], [60, -40], [0, 0]]))
-    sender.publish(hold_to_trajectory(hold, start))
-    graph.until(lambda: stamp_from_ros(joints[-1].header.stamp) > start + 700 * MS)
-    for message in joints:
-        since = (stamp_from_ros(message.header.stamp) - start) / 1e9
-        expected = hold.at(since) if 0.0 < since < 0.6 else np.zeros(2)
-        np.testing.assert_allclose(message.velocity, expected, atol=1e-3, err_msg=f"{since}")
 
 
 @pytest.mark.parametrize(

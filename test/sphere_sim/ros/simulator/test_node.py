@@ -144,9 +144,11 @@ def test_late_trajectory_is_told_where_it_matters_and_then_stops_the_rotors(grap
 
     graph.until(lambda: node.simulator.now > 500 * MS)
     send(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
+    graph.call(SetBool, "simulator/pause", SetBool.Request(data=True))
     ramp = trajectory((0.0, (0.0, 0.0)), (0.1, (40.0, 0.0)), (0.2, (0.0, 0.0)),
                       stamp=node.simulator.now + 200 * MS)
     send(ramp)
+    graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
     graph.until(lambda: node.simulator.now > stamp_from_ros(ramp.header.stamp) + 250 * MS)
     send(ramp)
     assert not node._fault_log.counts, "neither moves anything"

@@ -196,23 +196,15 @@ def test_display_that_is_closed_and_an_interrupt_are_no_faults() -> None:
         assert not run.ends(name, 0)
 
 
-@pytest.mark.parametrize(
-    ("words", "follows"),
-    [
-        ([], True),
-        (["clock:=system"], False),
-        (["use_sim_time:=false"], False),
+def test_all_but_the_simulator_follow_its_clock_if_there_is_one() -> None:
+    for words, follows in (
+        ([], True), (["clock:=system"], False), (["use_sim_time:=false"], False),
         (["clock:=simulated", "use_sim_time:=True"], True),
-    ],
-)
-def test_all_but_the_simulator_follow_its_clock_if_there_is_one(words, follows) -> None:
-    found = nodes(started(*ALL, *words, installed=OTHERS[:2]))
-    for executable, node in found.items():
-        # Viewer and markers use wall time, so that they also show a stopped clock.
-        if executable in ("simulator", "viewer", "markers"):
-            assert "use_sim_time" not in parameters(node)
-        else:
-            assert parameters(node)["use_sim_time"] is follows
+    ):
+        for executable, node in nodes(started(*ALL, *words, installed=OTHERS[:2])).items():
+            # Viewer and markers use wall time, so that they also show a stopped clock.
+            expected = None if executable in ("simulator", "viewer", "markers") else follows
+            assert parameters(node).get("use_sim_time") is expected
 
 
 @pytest.mark.parametrize(
@@ -321,11 +313,10 @@ PALM_FILE = """/**:
 """
 
 
-@pytest.mark.parametrize(("place", "radius"), [("second", 0.0365), ("third", 0.3)])
-def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path, place, radius) -> None:
-    file = tmp_path / "palm.yaml"
+def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path) -> None:
+    file, radius = tmp_path / "palm.yaml", 0.0365
     file.write_text(PALM_FILE)
-    words = (f"namespace:={place}", f"params_file:={file}", "rviz:=true")
+    words = ("namespace:=second", f"params_file:={file}", "rviz:=true")
     found = nodes(started(*words, installed=OTHERS, looks=True))
     description = parameters(found["robot_state_publisher"])["robot_description"]
     assert description["value_type"] is str, "a text to launch"
@@ -338,7 +329,7 @@ def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path, place, radi
     floor, plan = (
         next(it for it in view["Displays"] if it["Name"] == name) for name in ("Floor", "Plan")
     )
-    assert floor["Cell Size"] == pytest.approx(0.5 if radius == 0.3 else 0.05)
+    assert floor["Cell Size"] == pytest.approx(0.05)
     assert plan["Offset"]["Z"] == pytest.approx(-0.29 * radius / 0.3), "on the floor"
 
 

@@ -23,7 +23,7 @@ GOAL = make_state((0.5, -0.5), (math.cos(0.4), 0.0, 0.0, math.sin(0.4)))
 @pytest.mark.slow
 def test_pushed_sphere_returns_and_the_status_has_its_momentum(graph) -> None:
     start = [0.4, -0.5, *GOAL[2:].tolist()]
-    given = {"initial_state": start, "real_time_factor": 0.0, **LOCKSTEP}
+    given = {"initial_state": start, "real_time_factor": 0.0, "pose_rate": 20.0, **LOCKSTEP}
     simulator = SimulatorNode([Parameter(k, value=v) for k, v in given.items()])
     given = {"use_sim_time": True, "lockstep": True, "goal_memory": 0.0}
     node = ControllerNode([Parameter(k, value=v) for k, v in given.items()])

@@ -13,7 +13,8 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -50,6 +51,7 @@ from sphere_sim.ros.viewer.rviz_config import rviz_config
 from sphere_sim.world.settings import PLANTS
 
 PACKAGE = "sphere_nmpc"
+SHARE = Path(get_package_share_directory(PACKAGE))
 STATE_PUBLISHER = "robot_state_publisher"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
@@ -71,88 +73,64 @@ RESPAWN_DELAY = 2.0
 MISSING = 3
 FINDS = f"import importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
 """Program whose exit code tells whether a Python package is installed."""
+ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
+    "strategy": ("", ["", *STRATEGIES], "Strategy of the controller; empty: as in params_file"),
+    "plant": ("", ["", *PLANTS], "Plant of the simulator; empty: as in params_file"),
+    "real_time_factor": ("", None, "Simulated over wall time, 0 is as fast as possible; empty: as "
+                         "in params_file"),
+    "clock": ("simulated", ["simulated", "system"], "Clock of all nodes, in place of that in "
+              "params_file: the simulator's or the system's"),
+    "use_sim_time": ("", ["", *BOOLEAN], "Whether all nodes but the simulator follow its clock; "
+                     "empty: with clock:=simulated"),
+    "initial_state": ("", None, "Start of the sphere: X,Y,YAW [m, rad], or X,Y,QW,QX,QY,QZ; "
+                      "empty: as in params_file"),
+    "world_frame": (WORLD_FRAME, None, "Frame of poses, goals and plans, in place of that in "
+                    "params_file, and fixed frame of RViz"),
+    "namespace": ("", None, "Namespace of the robot's topics and clock, and prefix of its frames"),
+    "params_file": (str(SHARE / "config" / "sphere.yaml"), None, "Parameters of both nodes"),
+    "record": ("false", BOOLEAN, "Write a bag"),
+    "rviz": ("false", BOOLEAN, "Start RViz"),
+    "viewer": ("false", BOOLEAN, "Serve the page of the viewer"),
+    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch"),
+}
+"""Default, choices and description of each argument."""
 
 
 def generate_launch_description() -> LaunchDescription:
-    config = str(Path(get_package_share_directory(PACKAGE), "config", "sphere.yaml"))
     arguments = [
-        DeclareLaunchArgument(
-            "strategy", default_value="", choices=["", *STRATEGIES],
-            description="Strategy of the controller; empty: as in params_file",
-        ),
-        DeclareLaunchArgument(
-            "plant", default_value="", choices=["", *PLANTS],
-            description="Plant of the simulator; empty: as in params_file",
-        ),
-        DeclareLaunchArgument(
-            "real_time_factor", default_value="",
-            description="Simulated over wall time, 0 is as fast as possible; empty: as in "
-            "params_file",
-        ),
-        DeclareLaunchArgument(
-            "clock", default_value="simulated", choices=["simulated", "system"],
-            description="Clock of all nodes, in place of that in params_file: the simulator's "
-            "or the system's",
-        ),
-        DeclareLaunchArgument(
-            "use_sim_time", default_value="", choices=["", *BOOLEAN],
-            description="Whether all nodes but the simulator follow its clock; empty: with "
-            "clock:=simulated",
-        ),
-        DeclareLaunchArgument(
-            "initial_state", default_value="",
-            description="Start of the sphere: X,Y,YAW [m, rad], or X,Y,QW,QX,QY,QZ; empty: as in "
-            "params_file",
-        ),
-        DeclareLaunchArgument(
-            "world_frame", default_value=WORLD_FRAME,
-            description="Frame of poses, goals and plans, in place of that in params_file, and "
-            "fixed frame of RViz",
-        ),
-        DeclareLaunchArgument(
-            "namespace", default_value="",
-            description="Namespace of the robot: its topics and clock, and prefix of its frames",
-        ),
-        DeclareLaunchArgument(
-            "params_file", default_value=config, description="Parameters of both nodes"
-        ),
-        DeclareLaunchArgument(
-            "record", default_value="false", choices=BOOLEAN, description="Write a bag"
-        ),
-        DeclareLaunchArgument(
-            "rviz", default_value="false", choices=BOOLEAN, description="Start RViz"
-        ),
-        DeclareLaunchArgument(
-            "viewer", default_value="false", choices=BOOLEAN,
-            description="Serve the page of the viewer",
-        ),
-        DeclareLaunchArgument(
-            "respawn", default_value="false", choices=BOOLEAN,
-            description="Restart nodes that have ended, rather than end the launch with them",
-        ),
+        DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
+        for name, (default, choices, text) in ARGUMENTS.items()
     ]
-    names = [argument.name for argument in arguments]
-    return LaunchDescription([*arguments, OpaqueFunction(function=actions, args=[names])])
+    return LaunchDescription([*arguments, OpaqueFunction(function=actions)])
 
 
-def actions(context: LaunchContext, names: Sequence[str]) -> list:
+def actions(context: LaunchContext) -> list:
     """Return the actions to start."""
-    refuse_unknown(context.argv, names)
-    value = {name: context.launch_configurations[name] for name in names}
-    params = existing(value["params_file"])
+    refuse_unknown(context.argv)
+    value = {name: context.launch_configurations[name] for name in ARGUMENTS}
+    params = str(Path(value["params_file"]).expanduser())
+    if not Path(params).is_file():
+        raise RuntimeError(f"params_file: given {params}, expected a file that exists")
     # A file that includes this one may have pushed a namespace.
     outer = context.launch_configurations.get("ros_namespace", "")
     place = valid_namespace(outer, value["namespace"])
     prefix = {"frame_prefix": f"{place}/"} if place else {}
     clock = {"use_sim_time": follows_clock(value["clock"], value["use_sim_time"])}
-    frame = world_frame(value["world_frame"])
+    with refusing("world_frame", value["world_frame"], "a name"):
+        frame = {"world_frame": FrameSettings(world_frame=value["world_frame"]).world_frame}
     simulator = {"clock": value["clock"], **frame, **prefix}
-    simulator |= unless_empty("plant", value["plant"])
+    if plant := value["plant"]:
+        simulator["plant"] = plant
     if pace := value["real_time_factor"]:
-        simulator["real_time_factor"] = real_time_factor(pace, value["clock"])
+        with refusing("real_time_factor", pace, "a number"):
+            settings = SimulatorNodeSettings(clock=value["clock"], real_time_factor=float(pace))
+        simulator["real_time_factor"] = settings.real_time_factor
     if start := value["initial_state"]:
-        simulator["initial_state"] = initial_state(start)
-    controller = {**clock, **frame, **unless_empty("strategy", value["strategy"])}
+        with refusing("initial_state", start, "numbers"):
+            simulator["initial_state"] = initial_state(start)
+    controller = {**clock, **frame}
+    if strategy := value["strategy"]:
+        controller["strategy"] = strategy
     record, viewer, shown, respawn = (
         value[name] in TRUE for name in ("record", "viewer", "rviz", "respawn")
     )
@@ -174,7 +152,10 @@ def actions(context: LaunchContext, names: Sequence[str]) -> list:
     ]
     urdf = robot_description(params, place) if shown or is_installed(STATE_PUBLISHER) else ""
     if is_installed(STATE_PUBLISHER):
-        nodes.append(state_publisher(urdf, {**clock, **prefix}, remapped))
+        # Without a type launch reads the text as YAML, which the colon of a comment makes invalid.
+        model = {"robot_description": ParameterValue(urdf, value_type=str), **clock, **prefix}
+        nodes.append(Node(package=STATE_PUBLISHER, executable=STATE_PUBLISHER,
+                          parameters=[model], **remapped))
     if record:
         nodes.append(recording(clock, own, place))
     if viewer:
@@ -188,12 +169,8 @@ def actions(context: LaunchContext, names: Sequence[str]) -> list:
 class Ending:
     """End of the launch with one of its processes, and the reason as the last line.
 
-    Simulator and controller end it in whatever way they end, the others by an error.
-
-    Parameters
-    ----------
-    processes : list of Node or ExecuteProcess
-        What is started, simulator and controller first.
+    Simulator and controller, which come first, end it in whatever way they end, the others by an
+    error.
     """
 
     def __init__(self, processes: Sequence[ExecuteProcess]) -> None:
@@ -229,15 +206,16 @@ class Ending:
         return Shutdown(reason=f"{event.process_name} has ended") if is_first else None
 
 
-def refuse_unknown(given: Sequence[str], known: Sequence[str]) -> None:
+def refuse_unknown(given: Sequence[str]) -> None:
     """Refuse unknown arguments, which ros2 launch ignores without a message."""
     # The command line of a file that includes this one has arguments of its own.
     if not any(is_this_file(*words) for words in pairwise(sys.argv)):
         return
     names = (word.partition(":=")[0] for word in given)
-    unknown = [name for name in names if name not in (*known, *OF_LAUNCH)]
+    unknown = [name for name in names if name not in (*ARGUMENTS, *OF_LAUNCH)]
     if unknown:
-        raise RuntimeError(f"{', '.join(unknown)}: not an argument; known are {', '.join(known)}")
+        known = ", ".join(ARGUMENTS)
+        raise RuntimeError(f"{', '.join(unknown)}: not an argument; known are {known}")
 
 
 def is_this_file(package: str, file: str) -> bool:
@@ -272,15 +250,17 @@ def refuse_other_nodes(place: str, clock: str) -> None:
         )
 
 
-def existing(params_file: str) -> str:
-    path = Path(params_file).expanduser()
-    if not path.is_file():
-        raise RuntimeError(f"params_file: given {params_file}, expected a file that exists")
-    return str(path)
-
-
-def unless_empty(name: str, value: str) -> dict[str, str]:
-    return {name: value} if value else {}
+@contextmanager
+def refusing(name: str, given: str, expected: str) -> Iterator[None]:
+    """Refuse a value that is none of its kind, or none that the nodes accept, in one line."""
+    try:
+        yield
+    except InvalidParameterError as error:
+        raise RuntimeError(str(error)) from None
+    except InvalidStateError as error:
+        raise RuntimeError(f"{name}: given {given}: {error}") from None
+    except ValueError:
+        raise RuntimeError(f"{name}: given {given}, expected {expected}") from None
 
 
 def valid_namespace(outer: str, namespace: str) -> str:
@@ -292,41 +272,18 @@ def valid_namespace(outer: str, namespace: str) -> str:
     return place
 
 
-def follows_clock(clock: str, use_sim_time: str) -> bool:
-    if clock == "system" and use_sim_time in TRUE:
-        raise RuntimeError(
-            f"use_sim_time: given {use_sim_time}, expected false with clock:=system, where no "
-            "node publishes a clock"
-        )
-    return use_sim_time in TRUE if use_sim_time else clock == "simulated"
-
-
-def world_frame(name: str) -> dict[str, str]:
-    try:
-        return {"world_frame": FrameSettings(world_frame=name).world_frame}
-    except InvalidParameterError as error:
-        raise RuntimeError(str(error)) from None
+def follows_clock(clock: str, given: str) -> bool:
+    if clock == "system" and given in TRUE:
+        expected = "false with clock:=system, where no node publishes a clock"
+        raise RuntimeError(f"use_sim_time: given {given}, expected {expected}")
+    return given in TRUE if given else clock == "simulated"
 
 
 def initial_state(text: str) -> list[float]:
     """Return the parameter of the simulator, which may be given as x, y and yaw."""
-    try:
-        numbers = [float(word) for word in text.strip("[] ").replace(",", " ").split()]
-        state = upright_state(*numbers) if len(numbers) == 3 else as_state(numbers)
-    except InvalidStateError as error:
-        raise RuntimeError(f"initial_state: given {text}: {error}") from None
-    except ValueError:
-        raise RuntimeError(f"initial_state: given {text}, expected numbers") from None
+    numbers = [float(word) for word in text.strip("[] ").replace(",", " ").split()]
+    state = upright_state(*numbers) if len(numbers) == 3 else as_state(numbers)
     return state.tolist()
-
-
-def real_time_factor(text: str, clock: str) -> float:
-    try:
-        return SimulatorNodeSettings(clock=clock, real_time_factor=float(text)).real_time_factor
-    except InvalidParameterError as error:
-        raise RuntimeError(str(error)) from None
-    except ValueError:
-        raise RuntimeError(f"real_time_factor: given {text}, expected a number") from None
 
 
 def robot_description(params: str, place: str) -> str:
@@ -339,15 +296,6 @@ def robot_description(params: str, place: str) -> str:
     if done.returncode:
         raise RuntimeError(f"params_file: given {params}: {done.stderr.strip()}")
     return done.stdout
-
-
-def state_publisher(urdf: str, own: dict[str, object], remapped: dict[str, object]) -> Node:
-    # Without a type launch reads the text as YAML, which the colon of a comment makes invalid.
-    text = ParameterValue(urdf, value_type=str)
-    return Node(
-        package=STATE_PUBLISHER, executable=STATE_PUBLISHER,
-        parameters=[{"robot_description": text, **own}], **remapped,
-    )
 
 
 def recording(clock: dict[str, bool], own: dict[str, Any], place: str) -> Node | ExecuteProcess:
@@ -367,9 +315,9 @@ def recording(clock: dict[str, bool], own: dict[str, Any], place: str) -> Node |
 def rviz(urdf: str, clock: dict[str, bool], frame: str, remapped: dict[str, object]) -> Node:
     """Return RViz with a view in the size of the robot."""
     radius = float(next(ElementTree.fromstring(urdf).iter("sphere")).attrib["radius"])
-    shipped = Path(get_package_share_directory(PACKAGE), "rviz", "sphere.rviz")
+    shipped = (SHARE / "rviz" / "sphere.rviz").read_text(encoding="utf-8")
     with tempfile.NamedTemporaryFile("w", suffix=".rviz", delete=False) as config:
-        config.write(rviz_config(shipped.read_text(encoding="utf-8"), radius, frame))
+        config.write(rviz_config(shipped, radius, frame))
     return Node(
         package="rviz2", executable="rviz2", arguments=["-d", config.name], parameters=[clock],
         **remapped,

@@ -5,7 +5,6 @@
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -20,8 +19,7 @@ pathlib.Path(__file__).with_name("executed").touch()
 raise SystemExit(9)
 """
 ROOT = Path(__file__).parents[1]
-CHILDREN = {
-    "worker of the controller": """
+WORKER = """
 import time
 from sphere_nmpc.worker.process import WorkerProcess
 worker = WorkerProcess(print)
@@ -30,40 +28,7 @@ while reply.pending:
     worker.poll()
     time.sleep(0.01)
 assert reply.ready, reply.error
-""",
-    "node of a demo": """
-from pathlib import Path
-from sphere_sim.ros.session.child_process import ChildProcess, verb_command
-child = ChildProcess("report", verb_command("report", "--help"), Path("log"))
-child.start()
-assert child.wait(60.0) == 0, child.output
-""",
-    "process of a study": """
-import math
-from sphere_sim.study.processes import Processes
-with Processes(2) as processes:
-    assert len(list(processes.run(math.sqrt, [(i, (4.0,)) for i in range(4)], "root"))) == 4
-""",
-    "search for other publishers": """
-import subprocess
-from sphere_nmpc.child_command import module_command
-subprocess.run(module_command("sphere_sim.ros.session.other_publishers", "/", "pose"), check=True)
-""",
-    "model of the robot": """
-import subprocess
-from sphere_nmpc.child_command import module_command
-subprocess.run(module_command("sphere_sim.ros.simulator.robot_description"), check=True)
-""",
-    "acados": """
-import sys
-from sphere_sim.benchmark.acados_solver import Acados
-try:
-    Acados("rti", sys.executable)
-except RuntimeError as error:
-    assert "acados" in str(error), error
-""",
-}
-"""Programs that start a child of each kind."""
+"""
 
 
 @pytest.fixture
@@ -85,11 +50,18 @@ def run_in(folder: Path, command: list[str]) -> subprocess.CompletedProcess[str]
     return done
 
 
-@pytest.mark.parametrize("kind", CHILDREN)
-def test_child_imports_nothing_from_the_working_directory(kind, hostile_folder, tmp_path) -> None:
-    if "sphere_sim.ros" in CHILDREN[kind] and find_spec("rclpy") is None:
-        pytest.skip("rclpy is not installed here")
-    (tmp_path / "program.py").write_text(CHILDREN[kind])
+def test_children_of_python_are_started_in_one_place_only() -> None:
+    users = {
+        path.relative_to(ROOT).as_posix() for tree in ("sphere_nmpc", "sphere_sim", "launch")
+        for path in (ROOT / tree).rglob("*.py") if "sys.executable" in path.read_text("utf-8")
+    }
+    assert len(users) == 1, users
+
+
+def test_worker_of_a_controller_imports_nothing_from_the_working_directory(
+    hostile_folder, tmp_path
+) -> None:
+    (tmp_path / "program.py").write_text(WORKER)
     done = run_in(hostile_folder, [sys.executable, str(tmp_path / "program.py")])
     assert done.returncode == 0, done.stderr
 

@@ -13,6 +13,7 @@ from unittest.mock import patch
 
 ROOT = Path(__file__).parents[2]
 LAUNCH = ROOT / "launch" / "sphere.launch.py"
+URDF = ROOT / "urdf" / "sphere.urdf"
 ON_COMMAND_LINE = ("ros2", "launch", "sphere_nmpc", LAUNCH.name)
 KNOWN = {
     "Node": {
@@ -21,7 +22,7 @@ KNOWN = {
     },
     "ExecuteProcess": {"cmd", "output"},
     "DeclareLaunchArgument": {"default_value", "description", "choices"},
-    "OpaqueFunction": {"function", "args"},
+    "OpaqueFunction": {"function"},
     "RegisterEventHandler": set(),
     "OnProcessExit": {"on_exit"},
     "OnProcessIO": {"on_stderr"},
@@ -80,11 +81,8 @@ def _modules(installed: Iterable[str], prefix: str = "") -> dict[str, ModuleType
 
 
 def started(
-    *words: str,
-    installed: Iterable[str] = (),
-    pushed: str = "",
-    command: Sequence[str] = ON_COMMAND_LINE,
-    looks: bool = False,
+    *words: str, installed: Iterable[str] = (), pushed: str = "",
+    command: Sequence[str] = ON_COMMAND_LINE, looks: bool = False,
     python: str | Path = sys.executable,
 ) -> list[Made]:
     """Return what the launch file starts.
@@ -100,7 +98,8 @@ def started(
     command : sequence of str
         Words before the arguments on the command line.
     looks : bool
-        Whether to look for other nodes in the domain, which takes a second.
+        Whether the file looks for other nodes, Python packages and the parameters of the robot,
+        each by a process that takes a second.
     python : str or Path
         Interpreter of the nodes.
 
@@ -118,17 +117,19 @@ def started(
         file = _loaded()
         if not looks:
             file.refuse_other_nodes = lambda place, clock: None
+            file.refuse_missing = lambda needed: None
+            file.robot_description = lambda params, place: URDF.read_text("utf-8")
         *declared, function = file.generate_launch_description()
         given = dict(word.split(":=", 1) for word in words)
         value = {}
         for argument in declared:
             value[argument.name] = given.pop(argument.name, argument["default_value"])
-            choices = argument.named.get("choices")
+            choices = argument["choices"]
             if choices and value[argument.name] not in choices:
                 raise RuntimeError(f"{argument.name}: expected one of {choices}")
         configurations = {**given, **value, **({"ros_namespace": pushed} if pushed else {})}
         context = SimpleNamespace(argv=list(words), launch_configurations=configurations)
-        return function["function"](context, *function["args"])
+        return function["function"](context)
 
 
 def declared_arguments() -> list[str]:

@@ -3,6 +3,7 @@
 """Checks of ros2 commands against the documented topics, services and message types."""
 
 import re
+from argparse import Namespace
 from array import array
 from collections.abc import Sequence
 from functools import reduce
@@ -16,23 +17,33 @@ from command_checks import Options, WrongCommandError, check_value, settings_of
 TOPICS = Path(__file__).parents[2] / "msg_docs" / "topics.md"
 
 
+def table() -> list[tuple[str, str, str, str, str]]:
+    """Return node, full name, type, kind and quality of service of each row of the tables."""
+    found = []
+    for section in TOPICS.read_text("utf-8").split("\n## `")[1:]:
+        node = section.partition("`")[0]
+        rows = re.findall(
+            r"^\| `(\S+)` \| (\S+/\S+) \| (\w+) \| ([^|]*)\|", section.partition("\n## ")[0], re.M
+        )
+        found += [
+            (node, f"/{name.replace('~', node).lstrip('/')}", kind, verb, qos.strip())
+            for name, kind, verb, qos in rows
+        ]
+    return found
+
+
 def offered() -> dict[str, dict[str, str]]:
     """Return type and quality of service of the documented topics and services, by full name.
 
     A topic and a service may have the same name.
     """
     found: dict[str, dict[str, str]] = {}
-    node = ""
+    for _, name, kind, _, qos in table():
+        found.setdefault(name, {})[kind] = qos
     # A service may be in the text, followed by its type in brackets.
-    entry = re.compile(
-        r"^## `(?P<node>\w+)`|^\| `(?P<row>\S+)` \| (?P<type>\S+/\S+) \|[^|]*\|(?P<qos>[^|]*)|"
-        r"`(?P<name>~/\w+)`\s+\((?P<srv>\S+/srv/\w+)\)", re.MULTILINE,
-    )
-    for match in entry.finditer(TOPICS.read_text("utf-8")):
-        node = match["node"] or node
-        if not match["node"]:
-            name = (match["row"] or match["name"]).replace("~", node).lstrip("/")
-            found.setdefault(f"/{name}", {})[match["type"] or match["srv"]] = match["qos"] or ""
+    for section in TOPICS.read_text("utf-8").split("\n## `")[1:]:
+        for name, kind in re.findall(r"`~(/\w+)`\s+\((\S+/srv/\w+)\)", section):
+            found.setdefault(f"/{section.partition('`')[0]}{name}", {})[kind] = ""
     return found
 
 
@@ -96,18 +107,32 @@ def filled(kind: str, values: str) -> Any:
     return message
 
 
-def check_publication(words: Sequence[str]) -> None:
+def parsed(words: Sequence[str], names: str, flags: str = "", options: str = "") -> Namespace:
+    """Return the parsed arguments of a ros2 command.
+
+    Positional `names` may end in ``?``; `flags` and `options` with a value are given as
+    ``-s/--long``.
+    """
     parser = Options()
-    for name in ("topic", "kind"):
-        parser.add_argument(name)
-    parser.add_argument("values", nargs="?", default="{}")
-    parser.add_argument("-1", "--once", action="store_true")
-    for short, name in (("-r", "--rate"), ("-t", "--times"), ("-w", "--wait"), ("-p", "--print")):
-        parser.add_argument(short, name, type=float)
-    for name in ("--qos-reliability", "--qos-durability", "--qos-profile", "--keep-alive"):
-        parser.add_argument(name)
-    given = parser.parse_args(words)
-    filled(check_topic(given.topic, given.kind), given.values)
+    for name in names.split():
+        optional = {"nargs": "?", "default": ""} if name.endswith("?") else {}
+        parser.add_argument(name.rstrip("?"), **optional)
+    for name in flags.split():
+        parser.add_argument(*name.split("/"), action="store_true")
+    for name in options.split():
+        parser.add_argument(*name.split("/"))
+    return parser.parse_args(words)
+
+
+QOS = "--qos-reliability --qos-durability --qos-profile"
+
+
+def check_publication(words: Sequence[str]) -> None:
+    given = parsed(
+        words, "topic kind values?", "-1/--once",
+        f"-r/--rate -t/--times -w/--wait -p/--print --keep-alive {QOS}",
+    )
+    filled(check_topic(given.topic, given.kind), given.values or "{}")
     if given.topic.endswith("goal_pose") and given.once and not given.wait:
         raise WrongCommandError(
             "--once: the goal is sent to the first matched subscription, perhaps before the "
@@ -116,15 +141,10 @@ def check_publication(words: Sequence[str]) -> None:
 
 
 def check_subscription(words: Sequence[str]) -> None:
-    parser = Options()
-    parser.add_argument("topic")
-    parser.add_argument("kind", nargs="?")
-    for name in ("--once", "--no-arr", "--csv", "--verbose", "-v"):
-        parser.add_argument(name, action="store_true")
-    for name in ("--field", "--qos-reliability", "--qos-durability", "--qos-profile", "--window"):
-        parser.add_argument(name)
-    given = parser.parse_args(words)
-    kind = check_topic(given.topic, given.kind)
+    given = parsed(
+        words, "topic kind?", "--once --no-arr --csv --verbose -v", f"--field --window {QOS}"
+    )
+    kind = check_topic(given.topic, given.kind or None)
     message = filled(kind, "{}")
     qos = (given.qos_reliability, given.qos_durability)
     # With any of these options `ros2 topic echo` begins with best effort and volatile.
@@ -143,27 +163,17 @@ def check_subscription(words: Sequence[str]) -> None:
 
 
 def check_service_call(words: Sequence[str]) -> None:
-    parser = Options()
-    for name in ("service", "kind"):
-        parser.add_argument(name)
-    parser.add_argument("values", nargs="?", default="{}")
-    given = parser.parse_args(words)
-    filled(check_topic(given.service, given.kind), given.values)
+    given = parsed(words, "service kind values?")
+    filled(check_topic(given.service, given.kind), given.values or "{}")
 
 
 def check_parameter_set(words: Sequence[str]) -> None:
-    parser = Options()
-    for name in ("node", "name", "value"):
-        parser.add_argument(name)
-    given = parser.parse_args(words)
+    given = parsed(words, "node name value")
     check_value(given.node.split("/")[-1], given.name, given.value, live=True)
 
 
 def check_parameter_get(words: Sequence[str]) -> None:
-    parser = Options()
-    for name in ("node", "name"):
-        parser.add_argument(name)
-    given = parser.parse_args(words)
+    given = parsed(words, "node name")
     if given.name != "use_sim_time":
         settings_of(given.node.split("/")[-1], given.name)
 
@@ -174,8 +184,8 @@ def check_recording(words: Sequence[str]) -> None:
     parser.add_argument("--topics", nargs="+", action="extend", default=[])
     parser.add_argument("-a", "--all", action="store_true")
     parser.add_argument("--use-sim-time", action="store_true")
-    for short, name in (("-s", "--storage"), ("-o", "--output")):
-        parser.add_argument(short, name)
+    for name in ("--storage", "--output"):
+        parser.add_argument(name[1:3], name)
     given = parser.parse_args(words)
     topics = [*given.names, *given.topics]
     if given.all or any(topic.endswith("goal_pose") for topic in topics):

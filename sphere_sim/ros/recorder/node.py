@@ -22,7 +22,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rosbags.interfaces import Qos
 from std_srvs.srv import Trigger
@@ -40,9 +40,13 @@ from sphere_sim.recording.recorder_settings import (
     matches_any,
 )
 from sphere_sim.recording.session import RecordingSession
-from sphere_sim.ros.recorder.missing_topics import MissingTopics
-from sphere_sim.ros.recorder.parameter_snapshots import ParameterSnapshots
-from sphere_sim.ros.recorder.qos import compatible_qos, is_latched, qos_for_bag, same_requests
+from sphere_sim.ros.recorder.surroundings import (
+    MissingTopics,
+    ParameterSnapshots,
+    compatible_qos,
+    is_latched,
+    qos_for_bag,
+)
 
 _DISCOVERY_PERIOD = 0.2
 """Wall time between two inspections of the graph [s]."""
@@ -55,24 +59,16 @@ class TopicSubscription(NamedTuple):
 
     subscription: Subscription
     message_class: type
-    qos: QoSProfile
-    msgtype: str
+    made_for: tuple[str, ReliabilityPolicy, DurabilityPolicy]
 
 
 class RecorderNode(RunnableNode):
-    """Recorder of topics; see the module for its interface.
-
-    Parameters
-    ----------
-    parameter_overrides : list of Parameter, optional
-        Parameters as given on a command line; for use within a program.
+    """Recorder of topics; see the module for its interface, and `SimulatorNode` for the argument.
 
     Raises
     ------
     BagError
         If the first bag cannot be created.
-    InvalidParameterError
-        If a parameter is invalid.
     """
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
@@ -166,10 +162,8 @@ class RecorderNode(RunnableNode):
 
     def _subscribe(self, topic: str, msgtype: str, qos: QoSProfile) -> None:
         existing = self._subscriptions_by_topic.get(topic)
-        if topic in self._session.refused or (
-            existing is not None
-            and existing.msgtype == msgtype and same_requests(existing.qos, qos)
-        ):
+        wanted = (msgtype, qos.reliability, qos.durability)
+        if topic in self._session.refused or (existing and existing.made_for == wanted):
             return
         message_class = _message_class(msgtype)
         if message_class is None:
@@ -189,7 +183,7 @@ class RecorderNode(RunnableNode):
             self._session.refuse(topic, "expected a valid name of a topic")
             return
         self._subscriptions_by_topic[topic] = TopicSubscription(
-            subscription, message_class, qos, msgtype
+            subscription, message_class, wanted
         )
         self._session.set_topic(topic, msgtype, is_latched(qos))
 

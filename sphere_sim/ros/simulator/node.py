@@ -30,10 +30,8 @@ from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import BODY_FRAME
 from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
-from sphere_sim.ros.simulator.awaited_controller import AwaitedController
-from sphere_sim.ros.simulator.command_receiver import CommandReceiver
-from sphere_sim.ros.simulator.controller_limits import ControllerLimits
-from sphere_sim.ros.simulator.push_receiver import PushReceiver
+from sphere_sim.ros.simulator.controllers import Controllers
+from sphere_sim.ros.simulator.receivers import CommandReceiver, PushReceiver
 from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
@@ -74,68 +72,59 @@ class SimulatorNode(RunnableNode):
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__("simulator", parameter_overrides)
         declare = self.parameters.declare
-        settings = self._settings = declare(
-            SimulatorNodeSettings(), on_change=self._change
-        ).settings
-        robot = declare(RobotParameters(), "robot").settings
-        body = declare(RigidBodySettings(), "rigid_body").settings
+        declared = declare(SimulatorNodeSettings(), on_change=self._change)
+        settings = self._settings = declared.settings
+        robot = self._robot = declare(RobotParameters(), "robot").settings
+        body = self._body = declare(RigidBodySettings(), "rigid_body").settings
         disturbances = declare(DisturbanceSettings(), on_change=self._tilt).settings
         pushes = declare(PushSettings())
         self._scheduling = declare(SchedulingSettings())
         frame = declare(FrameSettings()).settings.world_frame
         self.parameters.warn_of_unknown()
         start = as_state(settings.initial_state)
-        plant = make_plant(
-            settings.plant, robot, start, body, disturbances
-        )
+        plant = make_plant(settings.plant, robot, start, body, disturbances)
         self.simulator = Simulator(settings, robot, plant)
         self._simulated_clock = SimulatedClock(
-            round(NANOSECONDS / self._settings.pose_rate),
-            round(NANOSECONDS * self._settings.sample_period),
-            self._settings.real_time_factor,
-            self._settings.lockstep,
-            self._settings.lockstep_timeout,
-            self._settings.start_paused,
-            keeps_up=settings.is_on_system_clock,
+            round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
+            settings.real_time_factor, settings.lockstep, settings.lockstep_timeout,
+            settings.start_paused, keeps_up=settings.is_on_system_clock,
         )
-        self._epoch = self._set_at = 0
         self._monitor = GraphMonitor(self, self._fault_log)
-        prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
-        self._robot, self._body = robot, body
-        self._limits = ControllerLimits(
-            self,
-            lambda: self._monitor.known_publishers(self.resolve_topic_name("rotor_trajectory")),
+        commands = self.resolve_topic_name("rotor_trajectory")
+        self._controllers = Controllers(
+            self, lambda: self._monitor.known_publishers(commands), settings.lockstep
         )
-        self._awaited = AwaitedController(self) if settings.lockstep else None
+        self._controller_found = self._period_told = False
+        prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
         self._state_publisher = StatePublisher(
-            self, robot.shell_radius, prefix + BODY_FRAME,
-            frame, clocked=not settings.is_on_system_clock,
+            self, robot.shell_radius, prefix + BODY_FRAME, frame,
+            clocked=not settings.is_on_system_clock,
         )
         self._receiver = CommandReceiver(
-            self, self.simulator, robot.max_rotor_speed,
-            self._settings.command_timeout, self._fault_log, self._settings.lockstep,
-            self._command_received, lambda: self._epoch,
+            self, self.simulator, settings, robot.max_rotor_speed, self._fault_log,
+            self._command_received, lambda: self._state_publisher.epoch,
         )
-        self._period_told = False
-        self._period_subscription = self.create_subscription(
-            Float64, "control_period", self._receive_period, LATCHED
-        )
-        self._command_services = [
-            self.create_service(Trigger, "~/reset", self._reset),
-            self.create_service(SetBool, "~/pause", self._pause),
-            self.create_service(Trigger, "~/step", self._step),
-        ]
-        self._push_receiver = PushReceiver(
+        self.create_subscription(Float64, "control_period", self._receive_period, LATCHED)
+        self.create_service(Trigger, "~/reset", self._reset)
+        self.create_service(SetBool, "~/pause", self._pause)
+        self.create_service(Trigger, "~/step", self._step)
+        PushReceiver(
             self, self.simulator, self._fault_log, self._event_log, lambda: pushes.settings,
-            lambda: self._epoch, frame,
+            lambda: self._state_publisher.epoch, frame,
         )
-        self._diagnostics = Diagnostics(
-            self, lambda: self._epoch + self.simulator.now,
+        Diagnostics(
+            self, lambda: self._state_publisher.epoch + self.simulator.now,
             {"clock": self._report_clock, "commands": self._report_commands},
         )
-        self._controller_found = False
-        self._spun_at = self._published_at = time.monotonic()
-        self._begin()
+        wall = self._spun_at = self._published_at = time.monotonic()
+        self._simulated_clock.achieved(0, wall)
+        # By how much the system clock was ahead of the steady one when the stamps followed it.
+        self._set_at = time.time_ns() - time.monotonic_ns()
+        if settings.is_on_system_clock:
+            self._state_publisher.epoch = time.time_ns()
+        self._state_publisher.publish(self.simulator)
+        if not self._simulated_clock.paused:
+            self._simulated_clock.resume(0, wall)
 
     @property
     def thread_priority(self) -> int:
@@ -158,28 +147,20 @@ class SimulatorNode(RunnableNode):
             )
         self._spin(executor, min(wait, _REPEAT_EVERY))
         if wait >= _REPEAT_EVERY and time.monotonic() > self._published_at + _REPEAT_EVERY:
-            self._look_for_controller()
+            self._controller_found |= self.count_publishers("rotor_trajectory") > 0
+            if self._simulated_clock.awaited is not None and not self._controller_found:
+                self._fault_log.report(
+                    "lockstep", "given no publisher of rotor_trajectory, expected one; time waits"
+                )
             self._state_publisher.repeat()
             self._published_at = time.monotonic()
-
-    def _begin(self) -> None:
-        wall = time.monotonic()
-        self._simulated_clock.achieved(0, wall)
-        if self._settings.is_on_system_clock:
-            self._set_epoch(time.time_ns() - self.simulator.now)
-        self._state_publisher.publish(self.simulator)
-        if not self._simulated_clock.paused:
-            self._simulated_clock.resume(0, wall)
-
-    def _set_epoch(self, epoch: int) -> None:
-        self._epoch = self._state_publisher.epoch = epoch
-        self._set_at = time.time_ns() - time.monotonic_ns()
 
     def _follow_system_clock(self) -> None:
         """Shift the stamps when the system clock is set."""
         jump = time.time_ns() - time.monotonic_ns() - self._set_at
         if self._settings.is_on_system_clock and abs(jump) > _CLOCK_JUMP:
-            self._set_epoch(self._epoch + jump)
+            self._state_publisher.epoch += jump
+            self._set_at += jump
             self._fault_log.report(
                 "system clock jumped", f"given a jump of {jump * 1e-9:.3f} s, expected a clock "
                 "that is adjusted gradually; stamps jump with it",
@@ -228,23 +209,13 @@ class SimulatorNode(RunnableNode):
         self._simulated_clock.set_sample_period(round(NANOSECONDS * period), time.monotonic())
         self.get_logger().info(f"lockstep: every {period:g} s, as the controller samples")
 
-    def _look_for_controller(self) -> None:
-        if not self._controller_found:
-            self._controller_found = self.count_publishers("rotor_trajectory") > 0
-        if self._simulated_clock.awaited is not None and not self._controller_found:
-            self._fault_log.report(
-                "lockstep", "given no publisher of rotor_trajectory, expected one; time waits"
-            )
-
     def _report_timeout(self) -> None:
-        if self._awaited is None:
-            return
         timeout = self._settings.lockstep_timeout
         self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
             f"{timeout:g} s; time continues without it; "
-            f"{self._awaited.cause(self._limits.free_running, timeout)}",
+            f"{self._controllers.why_silent(timeout)}",
         )
 
     def _change(self, settings: SimulatorNodeSettings) -> None:
@@ -291,7 +262,7 @@ class SimulatorNode(RunnableNode):
 
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
-        self._limits.update()
+        self._controllers.update()
         self._monitor.update(self._monitor.incompatible() + others + self._contradictions())
         clock, wanted = self._simulated_clock, self._settings.real_time_factor
         achieved = clock.achieved(self.simulator.now, time.monotonic())
@@ -323,7 +294,7 @@ class SimulatorNode(RunnableNode):
                 faults.append(GraphFault("limits", own))
             else:
                 torque = self._body.for_robot(self._robot).torque_limit
-        for controller, planned in self._limits.found.items():
+        for controller, planned in self._controllers.limits.items():
             line = beyond(self._robot, planned, controller, torque)
             if line:
                 faults.append(GraphFault(f"limits of {controller}", line))

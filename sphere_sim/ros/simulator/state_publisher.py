@@ -35,19 +35,7 @@ _DEPTH = 1000
 
 
 class StatePublisher:
-    """Publish pose, odometry, joint states and, last of all, the clock.
-
-    Parameters
-    ----------
-    node : Node
-        Node of the publishers.
-    shell_radius : float
-        Height of the centre [m].
-    body_frame, world_frame : str
-        Names of the frames.
-    clocked : bool
-        Whether to publish /clock.
-    """
+    """Publish pose, odometry, joint states and, last of all, the clock unless not `clocked`."""
 
     def __init__(
         self, node: Node, shell_radius: float, body_frame: str = BODY_FRAME,

@@ -11,21 +11,18 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PoseStamped
-from nav_msgs.msg import Path
+from geometry_msgs.msg import Point
 from rclpy.parameter import Parameter
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
+from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.settings import FrameSettings
+from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour
-from sphere_sim.viewer.frame import radius_at
 from sphere_sim.viewer.geometry import great_circle
 
 _PERIOD = 0.1
@@ -37,72 +34,48 @@ _SPACING = 1.0 / 15.0
 
 
 class MarkerNode(RunnableNode):
-    """Node that publishes markers while they have a subscriber.
-
-    Parameters
-    ----------
-    parameter_overrides : list of Parameter, optional
-        Parameters as given on a command line; for use within a program.
-    """
+    """Node that publishes markers while they have a subscriber."""
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__("markers", parameter_overrides)
         self._frame = self.parameters.declare(FrameSettings()).settings.world_frame
         self.parameters.warn_of_unknown()
-        self._pose: PoseStamped | None = None
-        self._goal: PoseStamped | None = None
-        self._plan = Path()
-        self._path: deque[tuple[float, float]] = deque(maxlen=_PATH_POINTS)
-        self.create_subscription(PoseStamped, "pose", self._take_pose, NEWEST)
-        self.create_subscription(PoseStamped, "controller/active_goal", self._take_goal, LATCHED)
-        self.create_subscription(Path, "controller/predicted_path", self._take_plan, NEWEST)
+        self._robot = RobotSubscriptions(self, self._frame, True, self._extend_path)
+        self._path: deque[Vector] = deque(maxlen=_PATH_POINTS)
         self._markers = self.create_publisher(MarkerArray, "markers", 1)
         self.create_wall_timer(_PERIOD, self._publish)
 
-    def _take_pose(self, message: PoseStamped) -> None:
-        if not _is_valid(message):
+    def _extend_path(self) -> None:
+        frame = self._robot.newest()
+        if frame.state is None:
             return
-        self._pose = message
-        place = (message.pose.position.x, message.pose.position.y)
-        spacing = _SPACING * radius_at(message.pose.position.z)
-        if not self._path or np.hypot(*np.subtract(place, self._path[-1])) > spacing:
+        if frame.restarted:
+            self._path.clear()
+        place = frame.state[POSITION]
+        if not self._path or np.hypot(*(place - self._path[-1])) > _SPACING * frame.radius:
             self._path.append(place)
 
-    def _take_goal(self, message: PoseStamped) -> None:
-        if _is_valid(message):
-            self._goal = message
-
-    def _take_plan(self, message: Path) -> None:
-        self._plan = message
-
     def _publish(self) -> None:
-        if self._pose is None or self._markers.get_subscription_count() == 0:
+        frame = self._robot.newest()
+        if frame.state is None or self._markers.get_subscription_count() == 0:
             return
-        radius = radius_at(self._pose.pose.position.z)
+        radius = frame.radius
         markers = [
-            _shell("sphere", self._pose, radius, colours.BLUE, 0.3),
+            _shell("sphere", frame.state, radius, colours.BLUE, 0.3),
             _line("gamma", great_circle(1.005 * radius), 0.02 * radius, colours.GAMMA),
-            _line("path", ((*place, 0.01 * radius) for place in self._path), 0.04 * radius,
+            _line("path", ((*xy, 0.01 * radius) for xy in self._path), 0.04 * radius,
                   colours.PATH),
-            _line("plan", ((p.pose.position.x, p.pose.position.y, 0.02 * radius)
-                           for p in self._plan.poses), radius / 15.0, colours.PLAN),
+            _line("plan", ((*xy, 0.02 * radius) for xy in frame.plan[:, POSITION]), radius / 15.0,
+                  colours.PLAN),
         ]
         # Gamma is given in the body frame, so its marker has the pose of the sphere.
-        markers[1].pose = self._pose.pose
-        if self._goal is not None:
-            markers.append(_shell("goal", self._goal, radius, colours.GOAL, 0.3))
+        markers[1].pose = markers[0].pose
+        if frame.goal is not None:
+            markers.append(_shell("goal", frame.goal, radius, colours.GOAL, 0.3))
         for marker in markers:
             # With stamp 0 RViz uses the newest transform, and never waits for one of that time.
             marker.header.frame_id, marker.header.stamp = self._frame, Time()
         self._markers.publish(MarkerArray(markers=markers))
-
-
-def _is_valid(message: PoseStamped) -> bool:
-    try:
-        pose_from_ros(message)
-    except InvalidStateError:
-        return False
-    return True
 
 
 def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:
@@ -113,9 +86,9 @@ def _marker(name: str, kind: int, colour: Colour, alpha: float) -> Marker:
     return marker
 
 
-def _shell(name: str, at: PoseStamped, radius: float, colour: Colour, alpha: float) -> Marker:
+def _shell(name: str, state: Vector, radius: float, colour: Colour, alpha: float) -> Marker:
     marker = _marker(name, Marker.SPHERE, colour, alpha)
-    marker.pose = at.pose
+    marker.pose = pose_to_ros(state, 0, radius).pose
     marker.scale.x = marker.scale.y = marker.scale.z = 2.0 * radius
     return marker
 

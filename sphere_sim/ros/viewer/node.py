@@ -10,27 +10,134 @@ calls       simulator/pause, simulator/reset and parameters, where available
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
+from geometry_msgs.msg import PoseStamped, Vector3
 from rclpy.executors import Executor
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
+from sphere_nmpc.ros.messages import WORLD_FRAME, pose_to_ros
 from sphere_nmpc.ros.settings import FrameSettings
-from sphere_sim.ros.viewer.topic_source import TopicSource
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
+from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
+from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
+from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.server import announce
+from sphere_sim.viewer.source import (
+    ApplyPush,
+    Pause,
+    Request,
+    Reset,
+    SetGoal,
+    SetSpeed,
+    SetStrategy,
+)
 from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 
 _MOST_CALLBACKS = 40
 """Most callbacks between two frames."""
 
 
-class ViewerNode(RunnableNode):
-    """Node that shows frames of live topics at a constant rate.
+_DRIVE = ("rotor_axial_inertia", "max_rotor_speed", "max_rotor_acceleration")
+"""Parameters of the controller's robot that are the fields of `Drive`."""
 
-    Parameters
-    ----------
-    port : int
-        Port of the page on this machine; a free port is used if it is taken.
-    """
+
+class TopicSource:
+    """`Source` of frames of a robot; it sends requests without waiting for the answers."""
+
+    def __init__(self, node: Node, frame: str = WORLD_FRAME) -> None:
+        self.subscriptions = RobotSubscriptions(node, frame)
+        """Subscriptions to the robot's topics."""
+        self._goals = node.create_publisher(PoseStamped, "goal_pose", 1)
+        self._pause = node.create_client(SetBool, "simulator/pause")
+        self._reset = node.create_client(Trigger, "simulator/reset")
+        self._pushes = node.create_publisher(Vector3, "simulator/push", 10)
+        self._notices: list[str] = []
+        notify = self._notices.append
+        self._speed = RemoteParameter(
+            node, "simulator", "real_time_factor", SimulatorNodeSettings, notify
+        )
+        self._strategy = RemoteParameter(
+            node, "controller", "strategy", ControllerSettings, notify,
+            [f"robot.{name}" for name in _DRIVE],
+        )
+
+    def frames(self) -> Sequence[Frame]:
+        """Return the newest frame."""
+        self._speed.refresh()
+        self._strategy.refresh()
+        frame = replace(
+            self.subscriptions.newest(), capabilities=self._capabilities(),
+            drive=self._drive(), notices=tuple(self._notices),
+        )
+        self._notices.clear()
+        # The parameter is newer than the status, which is not published while time is paused.
+        strategy = self._strategy.value if self._strategy.writable else frame.strategy
+        return [replace(frame, strategy=strategy)]
+
+    def handle(self, request: Request) -> str:
+        """Publish the goal or push, call the service or set the parameter of a request."""
+        if isinstance(request, SetGoal):
+            return self._send_goal(request)
+        if isinstance(request, Pause):
+            return self._call(self._pause, SetBool.Request(data=request.paused))
+        if isinstance(request, Reset):
+            return self._call(self._reset, Trigger.Request())
+        if isinstance(request, ApplyPush):
+            x, y = request.impulse
+            self._pushes.publish(Vector3(x=x, y=y))
+        elif isinstance(request, SetSpeed) and self._speed.writable:
+            self._speed.set(float(request.factor))
+        elif isinstance(request, SetStrategy) and self._strategy.writable:
+            self._strategy.set(request.name)
+        return ""
+
+    def _send_goal(self, request: SetGoal) -> str:
+        if self._goals.get_subscription_count() == 0:
+            return "goal_pose has no subscriber: is a controller running?"
+        # Without a frame it is in that of the controller; stamp 0 means now.
+        self._goals.publish(pose_to_ros(request.goal, 0, self.subscriptions.radius, frame=""))
+        return ""
+
+    def _call(self, client: Any, request: Any) -> str:
+        if not client.service_is_ready():
+            return f"service {client.srv_name} is not available"
+        client.call_async(request).add_done_callback(self._take_answer)
+        return ""
+
+    def _take_answer(self, future: Any) -> None:
+        answer = future.result()
+        if answer is not None and not answer.success:
+            self._notices.append(answer.message)
+
+    def _drive(self) -> Drive:
+        """Return the controller's drive; the default one while it is unknown or not valid."""
+        values = self._strategy.others
+        try:
+            RobotParameters(**dict(zip(_DRIVE, values, strict=True)))
+        except ValueError:  # not valid, or one is missing
+            return Drive()
+        return Drive(*values)
+
+    def _capabilities(self) -> Capabilities:
+        speed, strategy = self._speed, self._strategy
+        return Capabilities(
+            pause=self._pause.service_is_ready(),
+            reset=self._reset.service_is_ready(),
+            push=self._pushes.get_subscription_count() > 0,
+            paused=self.subscriptions.paused,
+            speed=float(speed.value) if speed.writable else None,
+            strategies=strategy.choices if strategy.writable else (),
+        )
+
+
+class ViewerNode(RunnableNode):
+    """Node that shows frames of live topics at a constant rate, at `port` or another free one."""
 
     def __init__(self, port: int) -> None:
         super().__init__("viewer")

@@ -21,30 +21,16 @@ _PERIOD = 2.0
 class RemoteParameter:
     """Parameter of another node; unknown while that node is not running.
 
-    Parameters
-    ----------
-    node : Node
-        Node that sends the requests.
-    remote : str
-        Name of the node that has the parameter.
-    name : str
-        Name of the parameter.
-    settings : type
-        Dataclass with a field of this name. Values that it does not accept are taken as unknown:
-        any node may have this name, and a parameter of any type.
-    on_refusal : callable
-        Called with the reason if the node refuses a value.
-    read_only : sequence of str, optional
-        Names of further parameters that are polled with it.
+    `settings` is a dataclass with a field of this name. Values that it does not accept are taken
+    as unknown: any node may have this name, and a parameter of any type. `on_refusal` is called
+    with the reason if the node refuses a value; parameters in `read_only` are polled with it.
     """
 
     def __init__(
         self, node: Node, remote: str, name: str, settings: type,
         on_refusal: Callable[[str], object], read_only: Sequence[str] = (),
     ) -> None:
-        self._name = name
-        self._settings = settings
-        self._read_only = tuple(read_only)
+        self._name, self._settings, self._read_only = name, settings, tuple(read_only)
         self._on_refusal = on_refusal
         self._client = AsyncParameterClient(node, remote)
         self._polled = -_PERIOD

@@ -1,8 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of the viewer to the topics of one robot."""
+"""Subscriptions to the topics of one robot, for what is drawn of it."""
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -25,6 +26,7 @@ from sphere_sim.viewer.live_frame import LiveFrame
 
 _LONGEST_PLAN = 400
 """Poses of a plan that are converted."""
+_STATUS = "controller/status"
 
 
 class RobotSubscriptions:
@@ -33,34 +35,31 @@ class RobotSubscriptions:
     They are best effort with a depth of 1: messages that arrive between two frames cost nothing,
     and no publisher waits for the viewer.
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the subscriptions, in the namespace of the robot.
-    frame : str
-        Frame of the poses.
-    controller : str
-        Name of the controller node.
+    With `scene_only` pose, goal and plan are enough: no rotor speeds and nothing about the
+    controller. `on_pose` is called after each pose that was accepted in the given frame.
     """
 
-    def __init__(self, node: Node, frame: str, controller: str = "controller") -> None:
+    def __init__(
+        self, node: Node, frame: str, scene_only: bool = False,
+        on_pose: Callable[[], object] = lambda: None,
+    ) -> None:
         self.message_count = 0
         """Number of messages received."""
         self._live = LiveFrame(time.monotonic())
-        self._node, self._frame = node, frame
-        self._diagnostics_prefix = f"{node.get_namespace()}/{controller}:".lstrip("/")
-        self._status_topic = f"{controller}/status"
+        self._node, self._frame, self._on_pose = node, frame, on_pose
+        self._diagnostics_prefix = f"{node.get_namespace()}/controller:".lstrip("/")
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        for kind, topic, take, qos in (
-            (PoseStamped, "pose", self._take_pose, newest),
-            (JointState, "joint_states", self._take_joint_states, newest),
-            (PoseStamped, f"{controller}/active_goal", self._take_goal, latched),
-            (Path, f"{controller}/predicted_path", self._take_plan, newest),
-            (DiagnosticStatus, self._status_topic, self._take_status, newest),
-            (DiagnosticArray, "/diagnostics", self._take_diagnostics, 10),
-        ):
-            node.create_subscription(kind, topic, take, qos)
+        node.create_subscription(PoseStamped, "pose", self._take_pose, newest)
+        node.create_subscription(
+            PoseStamped, "controller/active_goal", self._take_goal, latched
+        )
+        node.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
+        if scene_only:
+            return
+        node.create_subscription(JointState, "joint_states", self._take_joint_states, newest)
+        node.create_subscription(DiagnosticStatus, _STATUS, self._take_status, newest)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
 
     @property
     def paused(self) -> bool:
@@ -74,8 +73,7 @@ class RobotSubscriptions:
 
     def newest(self) -> Frame:
         """Return the newest frame."""
-        controllers = self._node.count_publishers(self._status_topic)
-        return self._live.take(time.monotonic(), controllers)
+        return self._live.take(time.monotonic(), self._node.count_publishers(_STATUS))
 
     def _take_pose(self, message: PoseStamped) -> None:
         now = self._arrival()
@@ -86,6 +84,7 @@ class RobotSubscriptions:
             return
         stamp = seconds(stamp_from_ros(message.header.stamp))
         self._live.add_pose(stamp, state, float(message.pose.position.z), now)
+        self._on_pose()
 
     def _take_joint_states(self, message: JointState) -> None:
         self._arrival()

@@ -1,35 +1,37 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of msg_docs/topics.md against the topics and services of the nodes."""
+"""Tables of msg_docs/topics.md, security policy and configurations of tools against the nodes."""
 
+import contextlib
+import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import pytest
+import rclpy
+import yaml
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from ros2_checks import table
 
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_sim.ros.recorder.node import RecorderNode
+from sphere_sim.ros.session.controller_status import ControllerStatus
+from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.viewer.markers import MarkerNode
 
-DOCUMENT = Path(__file__).parents[3] / "msg_docs" / "topics.md"
+ROOT = Path(__file__).parents[3]
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
-ELSEWHERE = ("/rosout", "/parameter_events", "/tf")
-"""Topics of rclpy, and one that depends on what is installed."""
-ROW = re.compile(r"^\| `(\S+)` \| (\S+) \| (\w+) \| ([^|]*)\|", re.MULTILINE)
-
-
-def documented(node: str) -> set[tuple[str, str, str, str]]:
-    """Return (full name, type, kind, QoS) of each row in the section of a node."""
-    section = DOCUMENT.read_text().split(f"\n## `{node}`\n")[1].split("\n## ")[0]
-    return {
-        (resolved(name, node), kind_of_message, kind, qos.strip())
-        for name, kind_of_message, kind, qos in ROW.findall(section)
-    }
-
-
-def resolved(name: str, node: str) -> str:
-    return name if name.startswith("/") else "/" + name.replace("~", node)
+SHARED = {"/clock", "/diagnostics"}
+"""Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
+ELSEWHERE = re.compile("/rosout|/parameter_events|/tf|.*parameter|.*type_description")
+"""Topics and services of rclpy, and one that depends on what is installed."""
 
 
 def type_name(message) -> str:
@@ -38,10 +40,9 @@ def type_name(message) -> str:
 
 
 def offered(node) -> set[tuple[str, str, str, str]]:
+    """Return (full name, type, kind, QoS) of each topic and service of a node."""
     rows = set()
     for end in (*node.publishers, *node.subscriptions):
-        if end.topic_name in ELSEWHERE:
-            continue
         profile = end.qos_profile
         parts = [
             "reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort",
@@ -51,26 +52,140 @@ def offered(node) -> set[tuple[str, str, str, str]]:
             parts.append("transient local")
         kind = "subscribes" if isinstance(end, Subscription) else "publishes"
         rows.add((end.topic_name, type_name(end.msg_type), kind, ", ".join(parts)))
-    for service in node.services:
-        if "parameter" not in service.service_name:
-            name = service.service_name
-            rows.add((name, type_name(service.srv_type), "service", ""))
-    return rows
-
-
-@pytest.mark.parametrize("name", CLASSES)
-def test_tables_agree_with_the_node(graph, name) -> None:
-    node = CLASSES[name]()
-    graph.add(node)
-    own = {row for row in offered(node) if "type_description" not in row[0]}
-    assert own == documented(name)
+    rows |= {(it.service_name, type_name(it.srv_type), "service", "") for it in node.services}
+    return {row for row in rows if not ELSEWHERE.match(row[0])}
 
 
 @pytest.mark.parametrize("name", CLASSES)
 @pytest.mark.parametrize("graph", [["--ros-args", "-r", "__ns:=/second"]], indirect=True)
-def test_a_namespace_precedes_all_names_but_those_of_every_robot(graph, name) -> None:
+def test_tables_agree_with_the_node_which_may_be_in_a_namespace(graph, name) -> None:
     node = CLASSES[name]()
     graph.add(node)
-    shared = {"/clock", "/diagnostics"}
-    expected = {topic if topic in shared else f"/second{topic}" for topic, *_ in documented(name)}
-    assert {topic for topic, *_ in offered(node) if "type_description" not in topic} == expected
+    documented = {
+        (topic if topic in SHARED else f"/second{topic}", *rest)
+        for owner, topic, *rest in table() if owner == name
+    }
+    assert offered(node) == documented
+
+
+RULES = (
+    ("topics", "publish", "publisher"), ("topics", "subscribe", "subscriber"),
+    ("services", "reply", "service"), ("services", "request", "client"),
+)
+"""Blocks and attributes of the policy, and the name of the same in the ROS graph."""
+SOMETIMES = {"/tf", "/tf_static"}
+"""Published only where tf2_msgs is installed and a subscription exists."""
+Rows = dict[str, set[str]]
+"""Full names by kind."""
+
+
+def allowed() -> dict[str, Rows]:
+    """Return what the policy allows to each node."""
+    nodes = {}
+    for profile in ElementTree.parse(ROOT / "config" / "sros2_policy.xml").iter("profile"):
+        name = profile.attrib["node"]
+        nodes[name] = {
+            kind: {full(e.text, name) for block in profile.findall(tag) if rule in block.attrib
+                   for e in block}
+            for tag, rule, kind in RULES
+        }
+    return nodes
+
+
+def full(name: str, node: str) -> str:
+    return name if name.startswith("/") else "/" + name.replace("~", node)
+
+
+def opened(probe: Node, name: str) -> Rows:
+    """Return what a node has opened, as others see it."""
+    rows = {}
+    for _, _, kind in RULES:
+        try:
+            found = getattr(probe, f"get_{kind}_names_and_types_by_node")(name, "/")
+        except RuntimeError:  # not discovered yet
+            found = []
+        # The recorder requests parameters of all nodes, also of the probe.
+        rows[kind] = {topic for topic, _ in found if not topic.startswith("/probe/")}
+    return rows
+
+
+def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, monkeypatch) -> None:
+    viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
+    monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
+    simulated = Parameter("use_sim_time", value=True)
+    most = {"plant": "rigid_body", "lockstep": True}
+    graph.add(SimulatorNode([Parameter(name, value=value) for name, value in most.items()]))
+    graph.add(ControllerNode([simulated]))
+    followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0)]
+    goal = rclpy.create_node("goal")
+    GoalSender(goal, lambda: None)
+    ControllerStatus(goal, lambda: None)
+    graph._executor.add_node(goal)
+    for node in followers:
+        node.set_parameters([simulated])
+        graph._executor.add_node(node)
+    apart: dict[str, set[str]] = {}
+
+    def agree() -> bool:
+        apart.clear()
+        for name, rows in allowed().items():
+            own = opened(graph.probe, name)
+            if found := {entry for kind in rows for entry in rows[kind] ^ own[kind]} - SOMETIMES:
+                apart[name] = found
+        return not apart
+
+    try:
+        with contextlib.suppress(AssertionError):  # what differs is named below
+            graph.until(agree)
+        assert apart == {}
+    finally:
+        for node in followers:
+            node.finish()
+        for node in (*followers, goal):
+            node.destroy_node()
+    # `ros2 topic pub --once` ends after the first matched subscription.
+    takers = {name for name, rows in allowed().items() if "/goal_pose" in rows["subscriber"]}
+    assert takers == {"controller"}
+
+
+def test_document_has_the_tables_of_the_policy() -> None:
+    text = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+    documented = {
+        name: [{full(t, name) for t in re.findall(r"`([^`]+)`", cell)} for cell in cells]
+        for name, *cells in re.findall(r"^\| `(\w+)` \|(.*)\|(.*)\|(.*)\|(.*)\|$", text, re.M)
+    }
+    of_every_node = re.compile(r"parameter|rosout|type_description")
+    assert documented == {
+        name: [{t for t in row if not of_every_node.search(t)} for row in rows.values()]
+        for name, rows in allowed().items()
+    }
+
+
+OF_TOOLS = {"/markers", "/robot_description", "/clicked_point", "/initialpose"}
+"""Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
+
+
+def strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    for part in (*value, *value.values()) if isinstance(value, dict) else ():
+        yield from strings(part)
+    for part in value if isinstance(value, list) else ():
+        yield from strings(part)
+
+
+def test_rviz_and_foxglove_show_documented_topics() -> None:
+    documented = {topic for _, topic, *_ in table()} | OF_TOOLS
+    manager = yaml.safe_load((ROOT / "rviz" / "sphere.rviz").read_text())["Visualization Manager"]
+    topics = {
+        full(entry[key]["Value"], "") for entry in (*manager["Displays"], *manager["Tools"])
+        for key in ("Topic", "Description Topic") if key in entry
+    }
+    assert topics <= documented
+    assert {"/pose", "/odom", "/markers", "/goal_pose", "/controller/predicted_path"} <= topics
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    layout = json.loads((ROOT / "foxglove" / "sphere.json").read_text())
+    shown = {text.partition(".")[0] for text in strings(layout) if re.match(r"/[a-z]", text)}
+    assert shown <= documented
+    placed = [text for text in strings(layout["layout"]) if text in layout["configById"]]
+    assert sorted(placed) == sorted(layout["configById"]), "every panel has one place"

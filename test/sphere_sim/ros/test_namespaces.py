@@ -1,9 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots in namespaces: clock, frames and names in the diagnostics."""
-
-import time
-from contextlib import ExitStack
+"""Two robots beside each other: clock, frames, names and goals of a namespace."""
 
 import numpy as np
 import pytest
@@ -21,6 +18,8 @@ from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SECOND = ("-r", "__ns:=/second")
+FOLLOW = ("-p", "use_sim_time:=true")
 GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
 
 
@@ -33,59 +32,43 @@ def test_frames_carry_the_prefix_that_is_given(graph) -> None:
 
 
 @pytest.mark.slow
-def test_robot_in_a_namespace_has_a_clock_frames_and_names_of_its_own(graph) -> None:
+def test_robot_in_a_namespace_is_one_of_its_own_and_both_reach_their_goals(graph) -> None:
+    prefixes = ("", "second/")
+    arrivals = [graph.collect(Bool, f"{prefix}controller/at_goal", LATCHED) for prefix in prefixes]
+    poses = [graph.collect(PoseStamped, f"{prefix}pose") for prefix in prefixes]
     clock, odometry = graph.collect(Clock, "second/clock"), graph.collect(Odometry, "second/odom")
     reports = graph.collect(DiagnosticArray, "/diagnostics")
-    place = ("-r", "__ns:=/second")
-    follow = ("-p", "use_sim_time:=true", *place)
-    with started("simulator", *place), ExitStack() as later:
-        graph.until(lambda: clock)  # otherwise a busy machine has a controller without a clock
-        controller = later.enter_context(started("controller", *follow))
 
-        def names() -> set[str]:
-            return {status.name for report in reports for status in report.status}
+    def reported() -> set[str]:
+        return {status.name for report in reports for status in report.status}
 
-        graph.until(lambda: clock and odometry and len(names()) == 4)
-        assert graph.probe.count_publishers("/clock") == 0
-        assert odometry[-1].child_frame_id == "second/base_link"
-        assert names() == {
-            "second/simulator: clock", "second/simulator: commands", "second/controller: solver",
-            "second/controller: loop",
-        }
-        assert {status.hardware_id for status in reports[-1].status} == {"second"}
-        time.sleep(2.0)  # time enough for a warning that something is missing
-    # On a busy machine poses may be late.
-    assert "no publisher of" not in controller.stderr.read()
+    with started("simulator"), started("simulator", *SECOND):
+        graph.until(lambda: clock and all(poses))
+        with started("controller", *FOLLOW) as first, started(
+            "controller", *FOLLOW, *SECOND
+        ) as second:
+            for prefix, goal in zip(prefixes, GOALS, strict=True):
+                message = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
+                graph.publisher(PoseStamped, f"{prefix}goal_pose").publish(message)
+            graph.until(lambda: odometry and len(reported()) == 8)
+            graph.until(lambda: all(received and received[-1].data for received in arrivals))
+            graph.until(
+                lambda: all(
+                    state_error(pose_from_ros(received[-1]), np.array(goal, float)) < 1e-2
+                    for received, goal in zip(poses, GOALS, strict=True)
+                )
+            )
+            assert graph.probe.count_publishers("/clock") == 1
+    assert odometry[-1].child_frame_id == "second/base_link"
+    own = {"simulator: clock", "simulator: commands", "controller: solver", "controller: loop"}
+    assert reported() == own | {f"second/{name}" for name in own}
+    for node in (first, second):
+        output = node.stderr.read()
+        assert "clock jumped" not in output and "other publisher" not in output
 
 
 @pytest.mark.slow
 def test_clock_that_the_user_remaps_precedes_that_of_the_namespace(graph) -> None:
     clock = graph.probe.create_publisher(Clock, "/clock", 10)
-    with started(
-        "controller", "-r", "__ns:=/second", "-r", "/clock:=/clock", "-p", "use_sim_time:=true"
-    ):
+    with started("controller", *SECOND, "-r", "/clock:=/clock", *FOLLOW):
         graph.until(lambda: clock.get_subscription_count() > 0)
-
-
-@pytest.mark.slow
-def test_two_robots_reach_their_goals_at_the_same_time(graph) -> None:
-    places = ((), ("-r", "__ns:=/second"))
-    prefixes = ("", "second/")
-    arrivals = [graph.collect(Bool, f"{prefix}controller/at_goal", LATCHED) for prefix in prefixes]
-    poses = [graph.collect(PoseStamped, f"{prefix}pose") for prefix in prefixes]
-    with started("simulator", *places[0]), started("simulator", *places[1]), started(
-        "controller", "-p", "use_sim_time:=true", *places[0]
-    ) as first, started("controller", "-p", "use_sim_time:=true", *places[1]) as second:
-        for prefix, goal in zip(prefixes, GOALS, strict=True):
-            message = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
-            graph.publisher(PoseStamped, f"{prefix}goal_pose").publish(message)
-        graph.until(lambda: all(received and received[-1].data for received in arrivals))
-        graph.until(
-            lambda: all(
-                state_error(pose_from_ros(received[-1]), np.array(goal, float)) < 1e-2
-                for received, goal in zip(poses, GOALS, strict=True)
-            )
-        )
-    for node in (first, second):
-        output = node.stderr.read()
-        assert "clock jumped" not in output and "other publisher" not in output

@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator and controller as processes: goals are reached, and lockstep runs are repeatable."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from patience import LOCKSTEP
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
-from std_srvs.srv import SetBool
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.control.controller import Controller
@@ -26,81 +29,122 @@ from sphere_sim.world.simulator import Simulator
 
 CASE = PAPER_CASES[1]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+NOISY = {"process_noise": 1e-3, "seed": 5}
+COMPARED_FOR = 4.0
+"""Time over which runs are compared, before any arrival [s]."""
 
 
 @contextmanager
-def processes(**parameters: dict[str, object]) -> Iterator[None]:
-    """Run both nodes; they must end cleanly."""
-    with ExitStack() as nodes:
-        for name, given in parameters.items():
+def nodes(strategy: str, **simulator: object) -> Iterator[None]:
+    """Run simulator and controller, paused at the start; they must end cleanly."""
+    follow = {"use_sim_time": True, "lockstep": simulator.get("lockstep", False)}
+    with ExitStack() as processes:
+        for name, given in (
+            ("simulator", {"start_paused": True, **simulator}),
+            ("controller", {**follow, "strategy": strategy}),
+        ):
             options = [f"{key}:={str(value).lower()}" for key, value in given.items()]
             arguments = (part for item in options for part in ("-p", item))
-            nodes.enter_context(started(name, *arguments))
+            processes.enter_context(started(name, *arguments))
         yield
 
 
-def run(
-    graph, until: float, strategy: str, **simulator: object
-) -> tuple[dict[int, list], dict[int, list]]:
-    """Run case 1 and return poses by stamp [ns], and velocities of each trajectory by stamp."""
-    lockstep = simulator.get("lockstep", False)
-    sample = round(STRATEGIES[strategy].sample_period * 1e9)
-    settings = {"start_paused": True, **simulator}
-    controller = {"use_sim_time": True, "lockstep": lockstep, "strategy": strategy}
-    with processes(simulator=settings, controller=controller):
-        poses = graph.collect(PoseStamped, "pose")
-        trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+class Run:
+    """Poses and trajectories of running nodes, which are given a goal."""
+
+    def __init__(self, graph, strategy: str) -> None:
+        self.graph = graph
+        self.sample = round(STRATEGIES[strategy].sample_period * 1e9)
+        self.poses = graph.collect(PoseStamped, "pose")
+        self.trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+        self.arrivals = graph.collect(Bool, "controller/at_goal", LATCHED)
         goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
         sender = graph.publisher(PoseStamped, "goal_pose")
-        graph.until(lambda: poses)
+        graph.until(lambda: self.poses)
         sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
         graph.until(lambda: goals)
-        graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
-        graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) >= until * 1e9)
-        end = stamp_from_ros(poses[-1].header.stamp) // sample * sample
-    seen = {stamp_from_ros(p.header.stamp): pose_from_ros(p).tolist() for p in poses}
-    sent = {
-        stamp_from_ros(message.header.stamp): [list(point.velocities) for point in message.points]
-        for message in trajectories
-    }
-    return (
-        {stamp: state for stamp, state in seen.items() if stamp <= end and stamp % sample == 0},
-        {stamp: hold for stamp, hold in sent.items() if stamp < end},
-    )
+
+    @property
+    def now(self) -> int:
+        """Stamp of the newest pose [ns]."""
+        return stamp_from_ros(self.poses[-1].header.stamp)
+
+    def step(self) -> None:
+        """Go on to the next sampling instant and its command."""
+        until = (self.now // self.sample + 1) * self.sample
+        assert self.graph.call(Trigger, "simulator/step", Trigger.Request()).success
+        self.graph.until(lambda: self.now == until and max(self.sent(), default=0) == until)
+
+    def resume_until(self, condition: Callable[[], object]) -> None:
+        """Let time run on until a condition holds, for `COMPARED_FOR` at least."""
+        self.graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
+        # At full speed they are received later than they are sent.
+        end = COMPARED_FOR * 1e9
+        self.graph.until(
+            lambda: condition() and self.now >= end and max(self.sent(), default=0) >= end
+        )
+
+    def is_at_goal(self) -> bool:
+        """Return whether the newest pose that was received is at the goal."""
+        return state_error(pose_from_ros(self.poses[-1]), CASE.goal) < 1e-2
+
+    def seen(self) -> dict[int, list]:
+        """Return the poses at sampling instants by stamp [ns]."""
+        found = {stamp_from_ros(p.header.stamp): pose_from_ros(p).tolist() for p in self.poses}
+        return {stamp: state for stamp, state in found.items() if stamp % self.sample == 0}
+
+    def sent(self) -> dict[int, list]:
+        """Return the velocities of each trajectory by stamp [ns]."""
+        return {
+            stamp_from_ros(it.header.stamp): [list(point.velocities) for point in it.points]
+            for it in self.trajectories
+        }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_lockstep_repeats_itself_at_any_pace_and_the_run_without_ros(graph, strategy) -> None:
-    noisy = {"process_noise": 1e-3, "seed": 5}
-    sample = round(STRATEGIES[strategy].sample_period * 1e9)
-    settings = {**LOCKSTEP, "pose_rate": 20.0, **noisy}
-    # As fast as possible, and at three times real time.
-    first, again = (
-        run(graph, 6.0, strategy, real_time_factor=pace, **settings) for pace in (0.0, 3.0)
-    )
-    shared = first[0].keys() & again[0].keys()
-    assert set(range(sample, 6_000_000_001, sample)) <= shared
-    assert all(first[0][stamp] == again[0][stamp] for stamp in shared), "bit for bit"
-    shared = first[1].keys() & again[1].keys()
-    assert len(shared) >= 6_000_000_000 // sample
-    assert all(first[1][stamp] == again[1][stamp] for stamp in shared), "bit for bit"
-
+def test_lockstep_gives_the_run_without_ros(graph, strategy) -> None:
+    with nodes(strategy, **LOCKSTEP, **NOISY, real_time_factor=0.0):
+        run = Run(graph, strategy)
+        run.resume_until(lambda: True)
     robot, assumed = RobotParameters(), ControllerSettings(strategy=strategy)
     alone = run_closed_loop(
-        Simulator(SimulatorSettings(**noisy), robot), Controller(assumed, robot),
-        CASE.goal, 6.0, assumed.control_period, output_period=assumed.control_period,
+        Simulator(SimulatorSettings(**NOISY), robot), Controller(assumed, robot), CASE.goal,
+        COMPARED_FOR, assumed.control_period, output_period=assumed.control_period,
     )
+    seen = run.seen()
     for time, state in zip(alone.times, alone.states, strict=True):
-        np.testing.assert_allclose(first[0][round(time * 1e9)], state, atol=1e-6)
+        np.testing.assert_allclose(seen[round(time * 1e9)], state, atol=1e-6)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("strategy", "duration"), [("time_optimal", 20.0), ("paper", 25.0)])
-def test_goal_is_reached_without_lockstep(graph, strategy, duration) -> None:
-    # In real time: on a busy machine some commands are late, and the motion is another one; at a
-    # faster pace too many would be.
-    poses, _ = run(graph, duration, strategy, real_time_factor=1.0)
-    last = [np.array(state) for stamp, state in poses.items() if stamp > (duration - 1.0) * 1e9]
-    assert last
-    assert max(state_error(state, CASE.goal) for state in last) < 1e-2
+def test_lockstep_repeats_itself_at_any_pace_whatever_parameter_is_set_on_the_way(graph) -> None:
+    def run_to_goal(pace: float, **change: object) -> tuple[dict[int, list], dict[int, list]]:
+        settings = {**LOCKSTEP, "pose_rate": 20.0, "real_time_factor": pace}
+        with nodes("time_optimal", **settings):
+            run = Run(graph, "time_optimal")
+            for _ in range(8):
+                run.step()
+            assert np.any(run.sent()[run.now]), "on the way"
+            given = [Parameter(k, value=v).to_parameter_msg() for k, v in change.items()]
+            request = SetParameters.Request(parameters=given)
+            answer = graph.call(SetParameters, "controller/set_parameters", request)
+            assert all(result.successful for result in answer.results)
+            run.resume_until(lambda: run.arrivals and run.arrivals[-1].data and run.is_at_goal())
+        return run.seen(), run.sent()
+
+    # As fast as possible, and at three times real time.
+    one, other = run_to_goal(0.0), run_to_goal(3.0, pose_timeout=0.7, goal_tolerance=9e-3)
+    for first, again in zip(one, other, strict=True):
+        # Later trajectories may be the ramp to rest of a controller that ends.
+        shared = {it for it in first.keys() & again.keys() if it < COMPARED_FOR * 1e9}
+        assert len(shared) >= COMPARED_FOR / STRATEGIES["time_optimal"].sample_period
+        assert all(first[stamp] == again[stamp] for stamp in shared), "bit for bit"
+
+
+@pytest.mark.slow
+def test_paper_reaches_its_goal_without_lockstep(graph) -> None:
+    # In real time: on a busy machine some commands are late, and the motion is another one.
+    with nodes("paper", real_time_factor=1.0):
+        run = Run(graph, "paper")
+        run.resume_until(run.is_at_goal)

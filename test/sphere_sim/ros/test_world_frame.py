@@ -20,7 +20,7 @@ from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
-from sphere_sim.ros.viewer.topic_source import TopicSource
+from sphere_sim.ros.viewer.node import TopicSource
 from sphere_sim.viewer.source import SetGoal
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -69,7 +69,6 @@ def test_every_message_is_in_the_frame_that_is_set(graph) -> None:
     graph.until(lambda: source.frames()[-1].state is not None)
 
 
-@pytest.mark.parametrize("name", ["", "/map"])
-def test_name_that_tf_refuses_is_refused(name) -> None:
+def test_name_that_tf_refuses_is_refused() -> None:
     with pytest.raises(InvalidParameterError, match="expected a name that begins without /"):
-        FrameSettings(world_frame=name)
+        FrameSettings(world_frame="/map")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE
 
-from sphere_nmpc.child_command import module_command, python_command
+from sphere_nmpc.child import module_command, python_command
 
 NAMES = ("random", "numpy", "re", "os", "sys", "subprocess", "selectors", "sphere_nmpc", "zig")
 HOSTILE = """
@@ -40,18 +40,18 @@ assert child.wait(60.0) == 0, child.output
 """,
     "process of a study": """
 import math
-from sphere_sim.study.processes import Processes
-with Processes(2) as processes:
+from sphere_sim.study.workers import Workers
+with Workers(2) as processes:
     assert len(list(processes.run(math.sqrt, [(i, (4.0,)) for i in range(4)], "root"))) == 4
 """,
     "search for other publishers": """
 import subprocess
-from sphere_nmpc.child_command import module_command
+from sphere_nmpc.child import module_command
 subprocess.run(module_command("sphere_sim.ros.session.other_publishers", "/", "pose"), check=True)
 """,
     "model of the robot": """
 import subprocess
-from sphere_nmpc.child_command import module_command
+from sphere_nmpc.child import module_command
 subprocess.run(module_command("sphere_sim.ros.simulator.robot_description"), check=True)
 """,
     "first solve of the benchmark": """

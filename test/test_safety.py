@@ -30,11 +30,11 @@ UNSAFE_UNLESS_FALSE = {"shell", "allow_pickle"}
 ALLOWED = {
     # Pipes between processes of the package, one of which has started the other: they have no name
     # that anyone else could open.
-    "sphere_nmpc/worker/channel.py": {"pickle"},
+    "sphere_nmpc/child.py": {"pickle"},
     "bench/documents/momentum_holding.py": {"ProcessPoolExecutor"},
     "bench/documents/strategies_of_robots.py": {"ProcessPoolExecutor"},
     # A cluster of Dask, which the user has started and named with --scheduler.
-    "sphere_sim/study/cluster.py": {"distributed"},
+    "sphere_sim/study/workers.py": {"distributed"},
 }
 """What a file may use all the same."""
 

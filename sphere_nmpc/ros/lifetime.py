@@ -20,7 +20,7 @@ import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.task import Future
 
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.garbage import GarbageCollection
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode

@@ -13,24 +13,10 @@ _REMAINS = "remains_after_interrupt"
 
 
 def guarded(name: str, call: Callable[[], int], signals: Signals, debug: bool = False) -> int:
-    """Call a verb and return its exit code; exceptions are printed.
+    """Call a verb and return its exit code; exceptions are printed behind its name.
 
-    Parameters
-    ----------
-    name : str
-        Beginning of the message.
-    call : callable
-        Returns an exit code.
-    signals : Signals
-        Signals received, by which an exception of an interrupt is recognised.
-    debug : bool, optional
-        Whether to show tracebacks.
-
-    Returns
-    -------
-    int
-        That of the verb; the `exit_code` of a `SphereNmpcError`; 128 and the number of a signal
-        that ended it; 1 for everything else.
+    The code is that of the verb; the `exit_code` of a `SphereNmpcError`; 128 and the number of a
+    signal that ended it; 1 for everything else.
     """
     try:
         return call()
@@ -57,11 +43,6 @@ def if_interrupted(remains: Callable[[], str]) -> Iterator[None]:
 
     It is added to whatever exception ends the context, as some libraries replace a
     KeyboardInterrupt by another exception. Of nested contexts the innermost one counts.
-
-    Parameters
-    ----------
-    remains : callable
-        Returns what remains and how to go on, in words.
     """
     try:
         yield

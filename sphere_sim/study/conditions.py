@@ -30,23 +30,9 @@ OF_NODES = {
 class StudyConditions:
     """Settings that all runs of a study share.
 
-    Attributes
-    ----------
-    controller : ControllerSettings
-        Settings of the controller, including its strategy; they get the units of the robot.
-    simulator : SimulatorSettings
-        Settings of the simulator; start and seed come from the scenario.
-    robot : RobotParameters
-        Nominal parameters of the robot, which the controller has.
-    rigid_body : RigidBodySettings
-        Settings of the plant ``rigid_body``.
-    disturbances : DisturbanceSettings
-        Slope, offset of the centre of mass and friction in both plants.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
+    The controller has the nominal parameters of the robot and gets its units; start and seed of
+    the simulator come from the scenario. `InvalidParameterError` is raised for a value that is not
+    in its range.
     """
 
     duration: float = quantity(30.0, "s", "Length of a run", minimum=0.01, maximum=1e5)

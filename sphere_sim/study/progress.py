@@ -4,7 +4,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import (
@@ -31,13 +30,7 @@ def shown(progress: Progress) -> Iterator[Progress]:
 
 
 class StudyProgress:
-    """Bar on standard error: runs made, runs settled, remaining time.
-
-    Parameters
-    ----------
-    runs : int
-        Number of runs.
-    """
+    """Bar on standard error: runs made, runs settled, remaining time."""
 
     def __init__(self, runs: int) -> None:
         self._settled = 0
@@ -59,12 +52,7 @@ class StudyProgress:
         self._shown.enter_context(shown(self._progress))
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -50,8 +50,7 @@ class RunRecord:
     Attributes
     ----------
     results : dict of str to Value
-        By the names of `RESULT_COLUMNS` and `PUSH_RESULT_COLUMNS`, without those that compare
-        with the lower bound of the time and the best known motion.
+        By their columns, without those that compare with the lower bound and the best known time.
     times : ndarray, shape (K,)
         Knot times of the rotor speeds [s]; empty for a run that crashed.
     speeds : ndarray, shape (K, 2)
@@ -64,15 +63,6 @@ class RunRecord:
     times: Vector = field(default_factory=lambda: np.empty(0))
     speeds: Vector = field(default_factory=lambda: np.empty((0, INPUT_SIZE)))
     at_push: Vector = field(default_factory=lambda: np.empty(0))
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, RunRecord)
-            and self.results == other.results
-            and np.array_equal(self.times, other.times)
-            and np.array_equal(self.speeds, other.speeds)
-            and np.array_equal(self.at_push, other.at_push)
-        )
 
     def as_json(self, index: int) -> str:
         """Return the record of run `index` as one line."""

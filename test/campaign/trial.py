@@ -22,8 +22,7 @@ from node_session import Session, SessionError, random_goal
 from outcome import Outcome
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.child_command import module_command
-from sphere_nmpc.end_signals import TERMINAL_SIGNALS
+from sphere_nmpc.child import TERMINAL_SIGNALS, module_command
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
 from sphere_sim.recording.run_reader import read_run

@@ -24,7 +24,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS
 from sphere_nmpc.ros.conversions import hold_from_trajectory, pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.lifetime import StopRequest
 from sphere_sim.scenario.scenarios import PAPER_CASES

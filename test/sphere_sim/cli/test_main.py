@@ -35,23 +35,12 @@ def test_help_lists_the_verbs(argv, install_verb, capsys) -> None:
     assert "roll the sphere" in usage and "run one of the paper's cases" in usage
 
 
-def test_version_is_that_of_the_package(capsys) -> None:
-    assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"sphere_nmpc {metadata.version('sphere_nmpc')}\n"
-
-
 def test_unknown_verb_is_named_and_the_verbs_are_listed(install_verb, capsys) -> None:
     install_verb("")
     assert cli.main(["fly"]) == 2
     message = capsys.readouterr().err
     assert "'fly'" in message
     assert "roll the sphere" in message
-
-
-def test_verb_gets_the_rest_and_its_code_is_returned(install_verb, capsys) -> None:
-    install_verb("def main(argv):\n    print(argv)\n    return 7\n")
-    assert cli.main(["roll", "--case", "2"]) == 7
-    assert capsys.readouterr().out == "['--case', '2']\n"
 
 
 @pytest.mark.parametrize(

@@ -16,14 +16,13 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.metrics import state_errors, stay_below
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import NANOSECONDS, Simulator
 
 ROBOT = RobotParameters()
 PAPER = ControllerSettings(strategy="paper")
-SETTLED = 1e-2
-"""Error in R^6 below which a run counts as settled."""
 
 
 def run(
@@ -47,15 +46,12 @@ def run(
 
 
 def errors(case: int, trajectory: Trajectory) -> np.ndarray:
-    return np.array([state_error(x, PAPER_CASES[case].goal) for x in trajectory.states])
+    return state_errors(trajectory.states, PAPER_CASES[case].goal)
 
 
 def settling_time(case: int, trajectory: Trajectory) -> float:
-    """Return the first time [s] after which the error stays below `SETTLED`; inf if none."""
-    above = np.flatnonzero(errors(case, trajectory) >= SETTLED)
-    if above[-1] + 1 == len(trajectory.times):
-        return float("inf")
-    return float(trajectory.times[above[-1] + 1])
+    stay = stay_below(trajectory.times, errors(case, trajectory))
+    return float("inf") if stay is None else stay.since
 
 
 def limits_are_kept(trajectory: Trajectory) -> None:
@@ -79,28 +75,10 @@ def test_case_of_the_paper_settles_at_its_known_time(case: int, seen: float) -> 
     assert all(d.solved for d in found.decisions)
 
 
-@pytest.mark.parametrize("case", [1, 2, 3, 4])
-def test_high_control_rate_settles_too(case: int) -> None:
-    # 15.1, 16.8, 9.0 and 13.4 s were seen: later than at the paper's rate.
-    found = run(case, 25.0, ControllerSettings(strategy="paper", control_rate=20.0))
-    assert settling_time(case, found) < 20.0
-    limits_are_kept(found)
-
-
 def test_run_repeats_to_the_bit() -> None:
     first, second = run(3, 5.0), run(3, 5.0)
     np.testing.assert_array_equal(first.states, second.states)
     np.testing.assert_array_equal(first.speeds, second.speeds)
-
-
-def test_output_period_changes_nothing_but_the_rows() -> None:
-    scenario, ends = PAPER_CASES[3], []
-    for period in (0.5, 0.01):
-        world = Simulator(SimulatorSettings(initial_state=tuple(scenario.start)), ROBOT)
-        found = run_closed_loop(world, Controller(PAPER, ROBOT), scenario.goal, 5.0, 0.5, period)
-        assert len(found.times) == round(5.0 / period) + 1
-        ends.append(found.states[-1])
-    np.testing.assert_array_equal(ends[0], ends[1])
 
 
 @pytest.mark.parametrize(
@@ -124,19 +102,6 @@ def test_output_period_does_not_change_the_poses_that_the_controller_sees(sensor
         found.append(seen)
     assert len(found[0]) > 20
     assert found[0] == found[1]
-
-
-def test_prediction_at_each_sample_is_where_the_plant_went() -> None:
-    found = run(1, 6.0)
-    for decision, following in zip(found.decisions, found.decisions[1:], strict=False):
-        # Five steps of the model's integrator at full speed.
-        assert following.state is not None
-        assert np.linalg.norm(decision.plan.states[1] - following.state) < 1e-3
-
-
-def test_known_latency_costs_little_time() -> None:
-    found = run(3, 12.0, latency=0.1)
-    assert abs(settling_time(3, found) - 6.6) <= 1.0
 
 
 def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
@@ -164,8 +129,8 @@ def test_strategy_that_fails_at_times_only_costs_time() -> None:
             return super().plan(situation)
 
     controller = Controller(PAPER, ROBOT, Unreliable(PAPER, ROBOT))
-    found = run(3, 25.0, controller=controller)
-    assert controller.failures == 12
+    found = run(3, 20.0, controller=controller)
+    assert controller.failures == 10
     assert settling_time(3, found) < 20.0
     limits_are_kept(found)
 

@@ -10,7 +10,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import settling_index, state_errors
+from sphere_sim.evaluation.metrics import state_errors, stay_below
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -35,8 +35,8 @@ def run(
 
 
 def settling_time(found: Trajectory) -> float:
-    index = settling_index(state_errors(found.states, CASE.goal))
-    return float("inf") if index is None else float(found.times[index])
+    stay = stay_below(found.times, state_errors(found.states, CASE.goal))
+    return float("inf") if stay is None else stay.since
 
 
 @pytest.mark.parametrize("learning", [True, False])

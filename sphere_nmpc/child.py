@@ -20,8 +20,6 @@ TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 """Signals that ask a process to end, which all processes of this package treat alike."""
 Process = subprocess.Popen[bytes]
-_KILLED_WITHIN = 5.0
-"""Longest wait for a process after SIGKILL [s]."""
 _SET_PARENT_DEATH_SIGNAL = 1
 _LENGTH = struct.Struct("!Q")
 """Length of a message [bytes], which comes before it."""
@@ -42,15 +40,8 @@ def python_command(program: str, *arguments: str, python: str | None = None) -> 
     ``random.py`` beside a bag would be executed. Its option ``-P`` prevents that, but Python 3.10
     does not have it, so the program sets its path before it imports anything else.
 
-    Parameters
-    ----------
-    program : str
-        Source text.
-    *arguments : str
-        ``sys.argv[1:]`` of the program.
-    python : str, optional
-        Another Python, which imports from its own path. By default the child is of the same
-        Python and imports from where this process does, and nowhere else.
+    By default the child is of the same Python and imports from where this process does, and
+    nowhere else; another `python` imports from its own path.
     """
     path = repr([os.path.abspath(entry) for entry in sys.path if entry])
     if python is not None:
@@ -101,16 +92,10 @@ class Channel:
         self._socket.sendall(_LENGTH.pack(len(message)) + message)
 
     def receive(self) -> Any:
-        """Return the next object.
+        """Return the next object; EOFError if the other end is closed.
 
-        Raises
-        ------
-        BlockingIOError
-            After `never_wait`, where the object has not arrived as a whole; what has is kept.
-        EOFError
-            If the other end is closed.
-        Exception
-            Any other where the object cannot be read.
+        BlockingIOError is raised after `never_wait` where the object has not arrived as a whole;
+        what has is kept. Any other exception means that the object cannot be read.
         """
         while len(self._read) < _LENGTH.size:
             self._more()
@@ -137,19 +122,8 @@ def encoded(message: object) -> bytes:
 class Child:
     """A Python child with a channel: ``main`` of a module, given the descriptor of its end first.
 
-    Parameters
-    ----------
-    module : str
-        The module.
-    *arguments : str
-        Further arguments of its ``main``.
-    own_session : bool, optional
-        Whether the signals of a terminal do not reach it.
-
-    Raises
-    ------
-    OSError
-        If the system allows no further process or channel.
+    The signals of a terminal do not reach it in a session of its own. OSError is raised if the
+    system allows no further process or channel.
     """
 
     def __init__(self, module: str, *arguments: str, own_session: bool = False) -> None:
@@ -171,8 +145,9 @@ class Child:
         if patience:
             self.process.terminate()
         self.channel.close()
-        steps = (signal.SIGCONT, patience), (signal.SIGKILL, _KILLED_WITHIN)
-        end_together([self.process], steps)
+        end_together([self.process], [(signal.SIGCONT, patience)])
+        self.process.kill()
+        self.process.wait()
         return how_it_ended(self.process)
 
 

@@ -32,12 +32,8 @@ class WorkerProcess:
     """`Worker` whose tasks are done by a child process.
 
     A process that ends, or that is silent for too long, is replaced; its tasks then fail, and
-    whatever they kept in its store is lost.
-
-    Parameters
-    ----------
-    on_fault : callable
-        Called with one line about each failed task and each replaced process.
+    whatever they kept in its store is lost. `on_fault` is called with one line about each failed
+    task and each replaced process.
     """
 
     def __init__(self, on_fault: Callable[[str], object]) -> None:

@@ -8,7 +8,6 @@ import math
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,7 +20,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import Metrics, state_errors, stay_below
+from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.errors import BagError
@@ -36,6 +35,16 @@ from sphere_sim.world.simulator import Simulator
 
 _AT_LEAST = 20.0
 """Shortest duration of the other run [s]: the paper's cases need up to 13."""
+_ROWS = (
+    ("final error", "final_error", ".2e", 1.0, ""),
+    ("final distance", "final_position_error_m", ".2f", 1e3, " mm"),
+    ("final angle", "final_orientation_error_rad", ".3f", math.degrees(1.0), " deg"),
+    ("largest rotor speed", "max_rotor_speed", ".1f", 1.0, " rad/s"),
+    ("largest rotor torque", "max_rotor_torque_nm", ".2f", 1.0, " N m"),
+    ("solve time, median", "solve_ms_p50", ".2f", 1.0, " ms"),
+    ("solve time, p99", "solve_ms_p99", ".2f", 1.0, " ms"),
+)
+"""Title, figure, format, factor and unit of the rows of the table."""
 
 
 def write_results(plan: DemoPlan, arrived: bool, console: Console) -> None:
@@ -49,61 +58,52 @@ def write_results(plan: DemoPlan, arrived: bool, console: Console) -> None:
         If the bag cannot be read or holds no goal.
     """
     run = read_run(plan.bag, name=f"{plan.strategy}, recorded over ROS")
-    metrics = run.metrics()
-    if metrics is None:
-        raise BagError(plan.bag, "holds no goal or no pose after it")
-    runs = {plan.strategy: run}
-    _write_summary(plan, arrived, runs)
+    figures = {plan.strategy: _figures(run, plan)}
+    _write_summary(plan, arrived, run, figures)
     drawn = [_draw(paper_panels(run, plan.title), plan.folder, "panels")]
     if plan.compare:
-        other = runs[plan.other_strategy] = _computed_other(plan, run)
-        _write_summary(plan, arrived, runs)
+        other = _computed_other(plan, run)
+        figures[plan.other_strategy] = _figures(other, plan)
+        _write_summary(plan, arrived, run, figures)
         figure = side_by_side(run, other, plan.scenario_title)
         drawn.append(_draw(figure, plan.folder, "comparison"))
-    console.print(_table(plan, runs))
+    console.print(_table(plan, figures))
     files = ", ".join(["bag", *filter(None, drawn)])
     console.print(f"{files} and summary.json are in {plan.folder}", markup=False, soft_wrap=True)
     bag = shlex.quote(str(plan.bag))
     replay = f"to see it again: sphere_nmpc viewer --replay {bag}"
     console.print(replay, markup=False, soft_wrap=True)
     if not arrived:
+        error = figures[plan.strategy]["final_error"]
         print(
-            f"demo: not at the goal after {run.times[-1]:.1f} s: error {metrics.final_error:.3g}, "
+            f"demo: not at the goal after {run.times[-1]:.1f} s: error {error:.3g}, "
             f"expected below {plan.tolerance:g}",
             file=sys.stderr,
         )
 
 
-def _write_summary(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> None:
-    summary = json.dumps(_summarise(plan, arrived, runs), indent=2)
-    write_atomically(plan.folder / "summary.json", summary + "\n")
-
-
-def _draw(figure: Figure, folder: Path, name: str) -> str:
-    """Save a figure and return its file's name; empty where that is not possible."""
-    saved: list[Path] = []
-    draw_or_warn("demo", name, lambda: saved.extend(save(figure, folder, name)))
-    return saved[0].name if saved else ""
-
-
-def _neighbourhood(run: Run, plan: DemoPlan) -> dict[str, float | None]:
-    """Return the time of arrival [s] within the plan's tolerance, and the errors from then on.
-
-    They are None where the run has not arrived.
-    """
+def _figures(run: Run, plan: DemoPlan) -> dict[str, float]:
+    """Return the metrics of a run, and when and how well it stayed within the plan's tolerance."""
+    metrics = run.metrics()
+    if metrics is None:
+        raise BagError(run.path, "holds no goal or no pose after it")
     stay = stay_below(run.times, state_errors(run.states, plan.scenario.goal), plan.tolerance)
-    if stay is None:
-        return {"within_s": None, "max_error_after": None, "p95_error_after": None}
-    return {"within_s": stay.since, "max_error_after": stay.largest, "p95_error_after": stay.p95}
+    stay = stay or Stay(math.nan, math.nan, math.nan)
+    return dataclasses.asdict(metrics) | {
+        "within_s": stay.since, "max_error_after": stay.largest, "p95_error_after": stay.p95
+    }
 
 
-def _summarise(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> dict[str, Any]:
-    """Return what goes into ``summary.json``.
-
-    The runs are the recorded one under its strategy's name, then the computed one, if any.
-    """
-    recorded = runs[plan.strategy]
-    return {
+def _write_summary(
+    plan: DemoPlan, arrived: bool, run: Run, figures: dict[str, dict[str, float]]
+) -> None:
+    """Write ``summary.json`` with the figures of the recorded run and of the computed one."""
+    plain = {
+        # JSON lacks nan and infinity.
+        strategy: {k: v if math.isfinite(v) else None for k, v in values.items()}
+        for strategy, values in figures.items()
+    }
+    content = {
         "title": plan.title,
         "sphere_nmpc_version": __version__,
         "strategy": plan.strategy,
@@ -114,66 +114,40 @@ def _summarise(plan: DemoPlan, arrived: bool, runs: dict[str, Run]) -> dict[str,
         "seed": plan.scenario.seed,
         "simulator": plan.simulator,
         "controller": plan.controller,
-        "metrics": _figures(recorded, plan),
-        "compared_with": {
-            name: _figures(run, plan) for name, run in runs.items() if run is not recorded
-        },
-        "duration_s": float(recorded.times[-1]),
-        "notes": list(recorded.notes),
+        "metrics": plain.pop(plan.strategy),
+        "compared_with": plain,
+        "duration_s": float(run.times[-1]),
+        "notes": list(run.notes),
     }
+    write_atomically(plan.folder / "summary.json", json.dumps(content, indent=2) + "\n")
 
 
-def _table(plan: DemoPlan, runs: dict[str, Run]) -> Table:
-    """Return a table with one column per run."""
-    made = Table("result", *(f"{name}\n{_how(name, plan)}" for name in runs))
-    columns = [_words(run, plan) for run in runs.values()]
-    for rows in zip(*columns, strict=True):
-        made.add_row(rows[0][0], *(value for _, value in rows))
-    return made
+def _draw(figure: Figure, folder: Path, name: str) -> str:
+    """Save a figure and return its file's name; empty where that is not possible."""
+    saved: list[Path] = []
+    draw_or_warn("demo", name, lambda: saved.extend(save(figure, folder, name)))
+    return saved[0].name if saved else ""
 
 
-def _how(name: str, plan: DemoPlan) -> str:
-    return "recorded over ROS" if name == plan.strategy else "computed without ROS"
-
-
-def _words(run: Run, plan: DemoPlan) -> list[tuple[str, str]]:
-    metrics, near = _measured(run), _neighbourhood(run, plan)
-    settled = f"{metrics.settle_time_s:.2f} s" if metrics.settled else "not settled"
-    rows = [("settling time (error < 1e-2)", settled)]
+def _table(plan: DemoPlan, figures: dict[str, dict[str, float]]) -> Table:
+    """Return a table with one column for each strategy."""
+    how = {plan.strategy: "recorded over ROS", plan.other_strategy: "computed without ROS"}
+    made = Table("result", *(f"{name}\n{how[name]}" for name in figures))
+    # Under noise the error does not settle below 1e-2, but it stays in a neighbourhood.
+    settled: tuple[tuple[str, str, str, float, str], ...] = (
+        ("settling time (error < 1e-2)", "settle_time_s", ".2f", 1.0, " s"),
+    )
     if plan.disturbed:
-        # Under noise the error does not settle below 1e-2, but it stays in a neighbourhood.
-        since, usual, most = near["within_s"], near["p95_error_after"], near["max_error_after"]
-        words = "not settled" if since is None else f"{since:.2f} s"
-        rows = [(f"error < {plan.tolerance:g} from", words)]
-        for name, value in (("95th percentile", usual), ("largest error", most)):
-            rows.append((f"{name} from then on", "-" if value is None else f"{value:.3f}"))
-    return [
-        *rows,
-        ("final error", f"{metrics.final_error:.2e}"),
-        ("final distance", f"{1e3 * metrics.final_position_error_m:.2f} mm"),
-        ("final angle", f"{math.degrees(metrics.final_orientation_error_rad):.3f} deg"),
-        ("largest rotor speed", f"{metrics.max_rotor_speed:.1f} rad/s"),
-        ("largest rotor torque", f"{metrics.max_rotor_torque_nm:.2f} N m"),
-        ("solve time, median", f"{metrics.solve_ms_p50:.2f} ms"),
-        ("solve time, p99", f"{metrics.solve_ms_p99:.2f} ms"),
-    ]
-
-
-def _figures(run: Run, plan: DemoPlan) -> dict[str, float | bool | None]:
-    measured = dataclasses.asdict(_measured(run))
-    return {key: _plain(value) for key, value in measured.items()} | _neighbourhood(run, plan)
-
-
-def _measured(run: Run) -> Metrics:
-    metrics = run.metrics()
-    if metrics is None:  # write_results has checked it
-        raise ValueError(f"{run.name} holds no goal or no pose after it")
-    return metrics
-
-
-def _plain(value: float | bool) -> float | bool | None:
-    """Return the value, or None for nan and infinity, which JSON lacks."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        settled = (
+            (f"error < {plan.tolerance:g} from", "within_s", ".2f", 1.0, " s"),
+            ("95th percentile from then on", "p95_error_after", ".3f", 1.0, ""),
+            ("largest error from then on", "max_error_after", ".3f", 1.0, ""),
+        )
+    for title, name, form, scale, unit in (*settled, *_ROWS):
+        none = "not settled" if name in ("within_s", "settle_time_s") else "-"
+        values = [scale * of_strategy[name] for of_strategy in figures.values()]
+        made.add_row(title, *(none if math.isnan(v) else f"{v:{form}}{unit}" for v in values))
+    return made
 
 
 def _computed_other(plan: DemoPlan, recorded: Run) -> Run:

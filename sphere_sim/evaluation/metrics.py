@@ -23,18 +23,13 @@ class Metrics:
 
     Attributes
     ----------
-    settled : bool
-        Whether the error stays below `SETTLED_ERROR` from some time on to the end.
-    settle_time_s : float
-        That time, from the moment the goal was set [s].
-    final_error : float
-        ||x - x_d|| at the end [mixed units].
-    final_position_error_m, final_orientation_error_rad : float
-        Distance [m] and angle [rad] to the goal at the end.
-    max_rotor_speed : float
-        Largest magnitude [rad/s].
-    max_rotor_torque_nm : float
-        Largest magnitude [N m].
+    settled, settle_time_s : bool, float
+        Whether the error stays below `SETTLED_ERROR` from some time on to the end, and that time
+        from the moment the goal was set [s].
+    final_error, final_position_error_m, final_orientation_error_rad : float
+        ||x - x_d|| [mixed units], distance [m] and angle [rad] to the goal at the end.
+    max_rotor_speed, max_rotor_torque_nm : float
+        Largest magnitudes [rad/s], [N m].
     solve_ms_p50, solve_ms_p99 : float
         Median and 99th percentile of the solve time [ms].
     """

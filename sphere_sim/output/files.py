@@ -21,13 +21,7 @@ class ResultFolderError(SphereNmpcError):
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Create a folder unless it exists, write a byte into it and return it.
-
-    Raises
-    ------
-    ResultFolderError
-        If that is not possible.
-    """
+    """Create a folder unless it exists, write a byte into it and return it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -45,12 +39,7 @@ def write_atomically(path: Path, content: bytes | memoryview | str) -> None:
     """Write a file, text as UTF-8; after a failure the previous file is unchanged.
 
     The complete content is needed in memory: libraries that write a file themselves leave an
-    incomplete one on a full disk, and raise errors that do not name it.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; the error names the file and the reason.
+    incomplete one on a full disk, and raise errors that do not name it, as OSError here does.
     """
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.stem}.part{path.suffix}")

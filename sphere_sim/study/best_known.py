@@ -71,15 +71,10 @@ _log = logging.getLogger("sphere_nmpc")
 
 
 class BestKnownTimes(NamedTuple):
-    """Times of the fastest motion that was found; nan if none.
+    """Times of the fastest motion that was found [s]; nan if none.
 
-    Attributes
-    ----------
-    duration : float
-        Time from the start to rest at the goal [s].
-    settling : float
-        Time from the start on from which the error stays below `SETTLED_ERROR` [s], somewhat
-        before the end of the motion: what the settling time of a run is compared with.
+    It ends at rest at the goal after its duration. It has settled somewhat before: with that the
+    settling time of a run is compared.
     """
 
     duration: float
@@ -204,13 +199,6 @@ def best_known_times(
 
     A cache that cannot be used is a warning; all times are then searched for. Those of another
     factor, see `best_known_time`, are not used.
-
-    Raises
-    ------
-    WorkersError
-        If the workers cannot be started or reached, or die.
-    InvalidParameterError
-        If the torque limit leaves no acceleration.
     """
     cache = BestKnownCache(cache_folder() / "best_known_times.jsonl")
     keys = [_key(motion, robot, factor) for motion in motions]

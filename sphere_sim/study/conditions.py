@@ -61,12 +61,9 @@ class StudyConditions:
     def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
         """Return the conditions with other values of some settings.
 
-        Parameters
-        ----------
-        assignments : iterable of (str, str)
-            Names and values as text, in any order. A name that occurs in only one of controller,
-            simulator, robot, rigid_body and disturbances needs no prefix such as in
-            ``controller.horizon``.
+        Names and values are text, in any order. A name that occurs in only one of controller,
+        simulator, robot, rigid_body and disturbances needs no prefix such as in
+        ``controller.horizon``.
 
         Raises
         ------

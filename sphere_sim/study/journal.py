@@ -102,10 +102,7 @@ def _digest(parts: Iterable[bytes]) -> str:
 class Journal:
     """Runs recorded in a folder, created if needed; a context manager that locks it for others.
 
-    Raises
-    ------
-    ResultFolderError
-        If the folder cannot be written, holds another study, or another process writes to it.
+    `ResultFolderError` is raised if it cannot be written, holds another study, or is locked.
     """
 
     def __init__(self, folder: Path, fingerprint: dict[str, Any]) -> None:

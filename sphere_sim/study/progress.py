@@ -30,21 +30,15 @@ def shown(progress: Progress) -> Iterator[Progress]:
 
 
 class StudyProgress:
-    """Bar on standard error: runs made, runs settled, remaining time."""
+    """Bar on standard error: runs made, runs settled, remaining time; it starts when entered."""
 
     def __init__(self, runs: int) -> None:
-        self._settled = 0
-        self._done = 0
+        self._done = self._settled = 0
         self._shown = contextlib.ExitStack()
         self._progress = Progress(
-            TextColumn("runs"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[settled]}"),
-            TimeElapsedColumn(),
-            TextColumn("to go"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
+            TextColumn("runs"), BarColumn(), MofNCompleteColumn(),
+            TextColumn("{task.fields[settled]}"), TimeElapsedColumn(), TextColumn("to go"),
+            TimeRemainingColumn(), console=Console(stderr=True),
         )
         self._task = self._progress.add_task("runs", total=runs, settled="")
 

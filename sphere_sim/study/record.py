@@ -73,13 +73,7 @@ class RunRecord:
 
     @classmethod
     def from_json(cls, line: str) -> tuple[int, "RunRecord"]:
-        """Return the number of a run and its record.
-
-        Raises
-        ------
-        ValueError
-            If the line is not one that `as_json` writes, for instance incomplete.
-        """
+        """Return the number of a run and its record; ValueError for no line of `as_json`."""
         try:
             content = json.loads(line)
             index, results = content["run"], content["results"]

@@ -29,10 +29,7 @@ _ROUNDING = 1e-9
 def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
     """Return simulator and controller of a run; the controller has the nominal parameters.
 
-    Raises
-    ------
-    InvalidParameterError, MissingEngineError
-        If the settings do not fit together or the plant's package is not installed.
+    An error is raised if the settings do not fit together or the plant's package is missing.
     """
     simulation = replace(
         conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
@@ -50,12 +47,8 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     """Run a scenario and evaluate the run.
 
-    A run that crashes is recorded as such, so that the study continues with the others.
-
-    Raises
-    ------
-    MemoryError, OSError
-        If the machine cannot make the run; that is no result of the run.
+    A run that crashes is recorded as such, so that the study continues with the others. That the
+    machine cannot make the run (MemoryError, OSError) is no result of it.
     """
     strategy = conditions.controller.strategy
     try:

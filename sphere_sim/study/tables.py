@@ -44,15 +44,9 @@ def with_bounds(
 ) -> list[dict[str, Value]]:
     """Return the results with lower bound, best known settling time and ratio to it, if any.
 
-    Parameters
-    ----------
-    results : sequence of dict
-        Of each run.
-    lower_bounds : sequence of float
-        Of the time of each run [s]; nan where there is none.
-    best_known : sequence of float, optional
-        Settling time of the best known motion of each run [s], from its push on if there was one;
-        nan where no motion was found, 0 where the start is at the goal.
+    Lower bounds of the time [s] are nan where there is none. Best known are the settling times of
+    the best known motions [s], from the push on if there was one; nan where no motion was found,
+    0 where the start is at the goal.
     """
     known = [0.0] * len(results) if best_known is None else map(float, best_known)
     extended = []

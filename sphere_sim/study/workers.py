@@ -87,14 +87,7 @@ class Workers(contextlib.ExitStack):
     ) -> Iterator[tuple[Any, Any]]:
         """Yield name and result of each task as it is done, in any order.
 
-        Parameters
-        ----------
-        call : callable
-            A function of a module.
-        tasks : sequence of (object, tuple)
-            A name and arguments for each call.
-        what : str
-            What a task is called in errors.
+        The call is a function of a module; `what` is what a task is called in errors.
 
         Raises
         ------
@@ -128,9 +121,7 @@ class Workers(contextlib.ExitStack):
         while waiting or busy:
             while waiting and len(busy) < self._jobs:
                 idle = next((each for each in self._children if each not in busy), None)
-                channel = idle or self._start()
-                if channel is not None:
-                    hand_out(channel)
+                hand_out(idle or self._start())
             ready, _, _ = select.select(list(busy), [], [])
             for channel in [each for each in busy if each in ready]:
                 task = name, _ = busy.pop(channel)
@@ -152,24 +143,15 @@ class Workers(contextlib.ExitStack):
                     hand_out(channel)
                 yield name, result
 
-    def _start(self) -> Channel | None:
-        """Return the channel to a new process; None where the system allows no further one.
-
-        The number of processes is then reduced to those that run.
-        """
+    def _start(self) -> Channel:
+        """Return the channel to a new process."""
         try:
             child = Child(__name__, str(os.getpid()), own_session=True)
         except OSError as error:
-            if not self._children:
-                raise WorkersError(
-                    f"no process can be started ({error.strerror}); --jobs 1 needs none"
-                ) from None
-            _log.warning(
-                "sphere_nmpc study: %d of %d processes can be started (%s) and do all the work",
-                len(self._children), self._jobs, error.strerror,
-            )
-            self._jobs = len(self._children)
-            return None
+            raise WorkersError(
+                f"process {len(self._children) + 1} of {self._jobs} cannot be started "
+                f"({error.strerror}); give fewer --jobs, of which 1 needs none"
+            ) from None
         self._children[child.channel] = child
         return child.channel
 
@@ -214,13 +196,7 @@ def _run_on_cluster(
 
 @contextlib.contextmanager
 def _joined_cluster(address: str) -> Iterator[Any]:
-    """Connect to a scheduler whose workers run the same code as this process.
-
-    Raises
-    ------
-    WorkersError
-        If it cannot be reached, is none, has no workers, or these fail or run other code.
-    """
+    """Connect to a scheduler whose workers run the same code as this process."""
     # Only here: Dask takes a second to load, and a worker process must not load NumPy yet.
     from distributed import Client
 

@@ -152,20 +152,6 @@ def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: Worker
     assert complete(worker, replies[7]) == bytes(16_000)
 
 
-def test_result_that_cannot_be_read_replaces_the_process(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert complete(worker, worker.submit(len)) == 0
-
-    def fail() -> object:
-        raise ValueError("nothing like it")
-
-    monkeypatch.setattr(worker._child.channel, "receive", fail)
-    ended(worker, worker.submit(len))
-    assert "cannot be read: nothing like it" in faults[-1]
-    assert complete(worker, worker.submit(len)) == 0
-
-
 def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> None:
     # Ten million characters: more than the pipe holds, so that a part of them has arrived.
     reply = worker.submit(partial("{:>10000000}".format, "end"))
@@ -178,14 +164,6 @@ def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> N
     os.kill(worker.pid, signal.SIGCONT)
     result = complete(worker, reply)
     assert isinstance(result, str) and len(result) == 10_000_000
-    assert complete(worker, worker.submit(len)) == 0
-
-
-def test_task_that_cannot_be_sent_is_refused_and_the_next_one_is_done(
-    worker: WorkerProcess, faults: list[str]
-) -> None:
-    refused = worker.submit(lambda store: None)
-    assert "cannot be sent" in refused.error and faults == [refused.error]
     assert complete(worker, worker.submit(len)) == 0
 
 

@@ -160,15 +160,6 @@ def test_no_signal_is_lost_in_the_bindings_of_casadi(roll) -> None:
     assert process.communicate()[1] == ""
 
 
-def test_signal_that_is_ignored_from_the_start_stays_ignored(roll, number=signal.SIGHUP) -> None:
-    # It runs until its standard input is closed, which is after the signal.
-    source = WAITING.format(during_import="import sys", call="sys.stdin.read()")
-    ignoring = {"preexec_fn": lambda: signal.signal(number, signal.SIG_IGN)}
-    process = roll(source, stdin=subprocess.PIPE, **ignoring)
-    code, message = interrupted(process, number)
-    assert (code, message) == (0, "")
-
-
 PRINTING = """
 def main(argv):
     print(1)
@@ -202,9 +193,3 @@ def test_descriptor_of_a_closed_standard_output_is_not_used_again(roll, tmp_path
     _, message = process.communicate(timeout=PATIENCE)
     assert (process.returncode, message) == (0, "")
     assert (tmp_path / "result").read_text() == ""
-
-
-def test_characters_that_the_terminal_cannot_show_are_escaped(roll) -> None:
-    source = "def main(argv):\n    print('Kugel für alle')\n    return 0\n"
-    process = roll(source, env={**os.environ, "PYTHONIOENCODING": "ascii"})
-    assert process.communicate(timeout=PATIENCE)[0] == "Kugel f\\xfcr alle\n"

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verb ``study``: its output and its exit codes."""
 
-import csv
 import math
 import os
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from sphere_nmpc.cache import CACHE_VARIABLE
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_sim.cli.main import main as command
-from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
+from sphere_sim.scenario.csv_file import read_scenarios
 from sphere_sim.scenario.disturbance_draws import DisturbanceDraws
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.best_known import BestKnownTimes
@@ -40,13 +39,6 @@ def same_environment() -> Iterator[None]:
     yield
     os.environ.clear()
     os.environ.update(before)
-
-
-def test_study_prints_how_many_runs_settled_and_exits_0(tmp_path, capsys) -> None:
-    out = tmp_path / "out"
-    assert main(["--draw", "2", "--seed", "1", "--out", str(out), *BRIEF]) == 0
-    assert "of 2 settled" in capsys.readouterr().out.splitlines()[0]
-    assert (out / "runs.csv").exists()
 
 
 def test_disturbances_are_drawn_for_each_run_and_written_with_it(tmp_path) -> None:
@@ -151,19 +143,6 @@ def test_best_known_times_are_those_of_the_robot_that_is_set(tmp_path, searched)
     robot = ["--set", "robot.shell_mass=1.5", "max_rotor_speed=60"]
     assert main([*options, *robot, "--out", str(tmp_path / "out")]) == 0
     assert searched == [RobotParameters(shell_mass=1.5, max_rotor_speed=60.0)]
-
-
-def test_settling_is_compared_with_the_settling_of_the_best_known_motion(
-    tmp_path, searched
-) -> None:
-    near = tmp_path / "near.csv"
-    near.write_text(f"{','.join(STATE_COLUMNS)}\n0.03,0.02,1,0.05,0.05,0,0,0,1,0,0,0\n")
-    options = ["--scenarios", str(near), "--duration", "5", "--jobs", "1"]
-    assert main([*options, "--out", str(tmp_path / "out")]) == 0
-    with (tmp_path / "out" / "runs.csv").open(encoding="utf-8", newline="") as file:
-        (found,) = csv.DictReader(file)
-    assert float(found["bound_s"]) == 1.5
-    assert float(found["ratio"]) == float(found["settle_time_s"]) / 1.5
 
 
 def test_runs_that_crash_exit_1(tmp_path, monkeypatch, capsys) -> None:

@@ -6,7 +6,6 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,15 +20,13 @@ from sphere_nmpc.model.drift import (
 )
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import angle_error, make_state, position_error, state_error
+from sphere_nmpc.model.state import state_error
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival
-from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import best_known
 from sphere_sim.study.best_known import BestKnownTimes, best_known_time, best_known_times
-from sphere_sim.study.motion import AT_REST, Motion, motion_of
+from sphere_sim.study.motion import Motion, motion_of
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.workers import Workers
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -144,37 +141,6 @@ def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("offset", [[1e-3, 0.0, 1e-3]])
-def test_motion_with_momentum_ends_at_rest_with_it_in_the_rotors(monkeypatch, offset) -> None:
-    found = []
-    monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125))
-    refined = best_known._refined
-
-    def kept(*arguments: Any) -> Arrival | None:
-        found.append(refined(*arguments))
-        return found[-1]
-
-    monkeypatch.setattr(best_known, "_refined", kept)
-    upright = make_state(np.array([1.0, 0.5]), np.array([0.8, 0.0, 0.0, 0.6]))
-    imbalance = imbalance_of_offset(ROBOT, np.array(offset))
-    drift = replace(PUSHED, slope=slope_torque(ROBOT, 1e-3, 1.0), imbalance=imbalance)
-    state, here = SCENARIOS[0].start, np.zeros(2)
-    known = best_known_time(Motion(state, upright, drift=drift), ROBOT)
-    (arrival,) = found
-    assert arrival is not None and arrival.duration == known.duration
-    constants, knots = ROBOT.lumped.as_array(), arrival.hold
-    for duration, there in zip(np.diff(knots.times), knots.speeds[1:], strict=True):
-        state, momentum = integrate_with_drift(
-            state, drift, here, there, float(duration), constants, best_known._STEP
-        )
-        drift, here = replace(drift, momentum=momentum), there
-    # By the steps of the search, whose error differs from motion to motion.
-    assert position_error(state, upright) < 1e-4
-    assert angle_error(state, upright) < 5e-4
-    np.testing.assert_allclose(here, drift.rest_speeds(upright[2:]), atol=AT_REST)
-    assert np.linalg.norm(here) > 5.0
-
-
 @pytest.mark.parametrize("kind", ["far", "pushed"])
 def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
     kind, monkeypatch
@@ -206,30 +172,6 @@ def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
     assert known.duration == hold.end
     assert outside[-1] < known.settling < outside[-1] + 0.015
     assert 0.005 < known.duration - known.settling < 0.2
-
-
-def test_search_with_momentum_falls_back_on_the_motion_without(monkeypatch) -> None:
-    monkeypatch.setattr(best_known, "EFFORT", 100_000)
-    improve = ArrivalSearch.improve
-    started = set()
-
-    def blind(
-        search: ArrivalSearch, work: int, deadline: float = np.inf
-    ) -> Arrival | None:
-        """Find nothing with momentum unless there is an arrival to start from."""
-        if search.best is None and not search._situation.drift.is_zero:
-            return None
-        started.add(search)
-        return improve(search, work)
-
-    monkeypatch.setattr(ArrivalSearch, "improve", blind)
-    upright = make_state(np.array([1.0, 0.5]), np.array([0.8, 0.0, 0.0, 0.6]))
-    level, pushed = (
-        best_known_time(Motion(SCENARIOS[0].start, upright, drift=drift), ROBOT).duration
-        for drift in (NO_DRIFT, PUSHED)
-    )
-    assert len(started) == 3
-    assert 0.5 * level < pushed < 2.0 * level
 
 
 def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:

@@ -10,14 +10,11 @@ import pytest
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import state_error
-from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import OF_NODES, StudyConditions
-from sphere_sim.study.record import RESULT_COLUMNS, RunRecord
+from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import followed_inputs, prepare, run_scenario
-from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 from sphere_sim.world.push import Push
 
@@ -65,20 +62,6 @@ def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
     np.testing.assert_allclose(state, between, atol=0.02)
 
 
-def test_disturbances_of_a_scenario_replace_those_of_the_study() -> None:
-    conditions = SHORT.with_settings([("slope", "0.02"), ("mass_offset_y", "1e-3")])
-    by_study, _ = prepare(conditions, SCENARIO)
-    by_both, _ = prepare(conditions, replace(SCENARIO, disturbances=OFF_BALANCE))
-    alone = RollingPlant(
-        RobotParameters(), SCENARIO.start,
-        DisturbanceSettings(mass_offset_y=1e-3, **OFF_BALANCE),
-    )
-    for plant in (by_study.plant, by_both.plant, alone):
-        plant.advance(np.zeros(2), 0.5)
-    np.testing.assert_array_equal(by_both.plant.momentum, alone.momentum)
-    assert np.linalg.norm(by_study.plant.momentum) > 1.5 * np.linalg.norm(alone.momentum)
-
-
 @pytest.mark.parametrize("rate", [0.0, 7.0])
 def test_recorded_inputs_reproduce_speeds_and_states(rate) -> None:
     conditions = SHORT.with_settings([("control_rate", str(rate))])
@@ -97,34 +80,12 @@ def test_recorded_inputs_reproduce_speeds_and_states(rate) -> None:
     np.testing.assert_allclose(plant.state, trajectory.states[-1], rtol=0, atol=STATES_AGREE)
 
 
-def test_inputs_before_the_first_and_after_the_last_command_are_rest() -> None:
-    ramp = FirstOrderHold(np.array([1.0, 1.5, 2.0]), np.array([[0, 0], [10, -10], [0, 0]]))
-    inputs = followed_inputs([ramp], 3.0)
-    np.testing.assert_array_equal(inputs.times, [0.0, 1.0, 1.5, 2.0, 3.0])
-    np.testing.assert_array_equal(inputs.speeds[[0, 1, 3, 4]], np.zeros((4, 2)))
-    np.testing.assert_array_equal(followed_inputs([], 3.0).speeds, np.zeros((2, 2)))
-
-
 def test_a_command_replaces_what_is_left_of_the_one_before() -> None:
     first = FirstOrderHold(np.array([0.0, 1.0, 2.0]), np.array([[0, 0], [10, 10], [20, 20]]))
     second = FirstOrderHold(np.array([0.5, 1.5]), np.array([[5, 5], [0, 0]]))
     inputs = followed_inputs([first, second], 1.0)
     np.testing.assert_array_equal(inputs.times, [0.0, 0.5, 1.0])
     np.testing.assert_array_equal(inputs.speeds[:, 0], [0.0, 5.0, 2.5])
-
-
-def test_results_agree_with_the_run() -> None:
-    record = run_scenario(replace(SHORT, duration=20.0), SCENARIO)
-    results = record.results
-    plant = RollingPlant(RobotParameters(), SCENARIO.start)
-    for duration, end in zip(np.diff(record.times), record.speeds[1:], strict=True):
-        plant.advance(np.array(end), float(duration))
-    assert results["settled"] and 0.0 < results["settle_time_s"] < 20.0
-    error = state_error(plant.state, SCENARIO.goal)
-    assert results["final_error"] == pytest.approx(error, abs=1e-7)
-    assert 0.0 < results["max_rotor_speed"] <= 100.0
-    assert 0.0 < results["max_rotor_acceleration"] <= 400.0
-    assert set(results) <= set(RESULT_COLUMNS)
 
 
 @pytest.mark.parametrize("scenario", [SCENARIO, PUSHED])
@@ -162,16 +123,6 @@ def test_settings_that_depend_on_each_other_are_accepted_in_any_order() -> None:
         assert there.robot.rotor_offset == float(settings[1][1])
     with pytest.raises(InvalidParameterError, match="rotor_offset"):
         SHORT.with_settings(small[:1])
-
-
-def test_controller_has_the_units_of_the_robot_that_is_set() -> None:
-    slow = replace(SHORT, controller=ControllerSettings(strategy="paper")).with_settings(
-        [("robot.max_rotor_speed", "50"), ("robot.max_rotor_acceleration", "100")]
-    )
-    assert slow.controller.control_period == 1.0
-    assert slow.with_settings([("robot.max_rotor_speed", "100")]).controller.control_period < 1.0
-    _, controller = prepare(slow, SCENARIO)
-    assert controller._settings == slow.controller
 
 
 def test_names_that_a_study_reads_need_no_prefix() -> None:

@@ -102,23 +102,8 @@ def test_inputs_are_knots_of_each_run(done) -> None:
             assert (times[0], times[-1]) == (0.0, 1.0) and np.all(np.diff(times) > 0.0)
 
 
-def test_summary_counts_and_lists_the_runs_of_the_table(done) -> None:
-    summary = json.loads((done / "summary.json").read_text())
-    assert (summary["runs"], summary["settled"]) == (3, 1)
-    assert [f["run"] for f in summary["failures"]] == [0, 1]
-    assert [f["seed"] for f in summary["failures"]] == [s.seed for s in SCENARIOS[:2]]
-
-
 def test_figure_is_written_to_print_and_to_look_at(done) -> None:
     assert [(done / name).read_bytes()[:4] for name in FIGURES] == [b"%PDF", b"\x89PNG"]
-
-
-def test_table_of_results_can_be_run_again(done, tmp_path) -> None:
-    make(tmp_path / "again", scenarios=read_scenarios(done / "runs.csv"))
-    again = rows(tmp_path / "again")
-    assert list(again[0]) == list(rows(done)[0])
-    for row, before in zip(again, rows(done), strict=True):
-        assert float(row["final_error"]) == pytest.approx(float(before["final_error"]), rel=1e-6)
 
 
 def test_pushes_and_disturbances_are_columns_that_can_be_run_again(tmp_path) -> None:
@@ -154,15 +139,6 @@ def test_stopped_study_continues_with_the_same_results(done, tmp_path) -> None:
     assert len(seen) == 3
     assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
     assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
-
-
-def test_finished_study_is_not_made_again(done, monkeypatch) -> None:
-    made = []
-    monkeypatch.setattr(
-        Workers, "run", lambda self, call, tasks, what: made.extend(tasks) or iter(())
-    )
-    make(done)
-    assert not made
 
 
 @pytest.mark.parametrize(
@@ -218,15 +194,6 @@ def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) 
     assert [motion.drift.is_zero for motion in seen] == [False, True] * 2
     assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "1.0", "1.5", "2.0"]
     assert [row["ratio"] for row in rows(tmp_path / "time_optimal")] == ["0.0"] * 2
-
-
-def test_lower_bound_is_there_without_a_search(done) -> None:
-    bounds = [float(row["lower_bound_s"]) for row in rows(done)]
-    robot = RobotParameters()
-    assert bounds == [lower_bound(s.start, s.goal, robot) for s in SCENARIOS]
-    assert bounds[0] > SHORT.duration / 2.0 and bounds[2] == 0.0
-    beyond = json.loads((done / "summary.json").read_text())["beyond_lower_bound_s"]
-    assert (beyond["count"], beyond["max"]) == (1, 0.0)
 
 
 def test_lower_bound_is_of_the_nominal_robot_and_none_with_drift(tmp_path) -> None:

@@ -131,7 +131,8 @@ def test_call_that_cannot_be_made_is_one_error(call, arguments, words) -> None:
 def test_process_that_cannot_be_started_is_one_error(tmp_path) -> None:
     _, message = start(tmp_path / "full.py", WITHOUT_DESCRIPTORS).communicate(timeout=PATIENCE)
     assert message.splitlines()[-1].endswith(
-        "WorkersError: no process can be started (Too many open files); --jobs 1 needs none"
+        "WorkersError: process 1 of 2 cannot be started (Too many open files); "
+        "give fewer --jobs, of which 1 needs none"
     )
 
 
@@ -189,12 +190,6 @@ def test_address_without_a_scheduler_is_one_error(answer, monkeypatch) -> None:
             make(Workers(scheduler=address))
         if answer is not None:
             listener.shutdown(socket.SHUT_RDWR)
-
-
-def test_worker_is_no_scheduler(cluster) -> None:
-    address = next(iter(cluster.scheduler_info["workers"]))
-    with pytest.raises(WorkersError, match="given Dask's 'Worker', expected a scheduler"):
-        make(Workers(scheduler=address))
 
 
 def test_cluster_that_ends_is_one_error() -> None:

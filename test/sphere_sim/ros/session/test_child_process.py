@@ -85,13 +85,6 @@ def test_first_start_discards_an_old_log_unless_it_is_to_be_kept(process) -> Non
     assert process.output.split() == ["up", "up", "up"]
 
 
-def test_stopped_process_ends_on_sigint(process) -> None:
-    start(process)
-    process.send(signal.SIGSTOP)
-    process.stop()
-    assert process.code == 7
-
-
 def test_process_that_ignores_sigint_and_sigterm_is_killed(process, monkeypatch) -> None:
     from sphere_sim.ros.session import child_process
 

@@ -54,10 +54,6 @@ import subprocess
 from sphere_nmpc.child import module_command
 subprocess.run(module_command("sphere_sim.ros.simulator.robot_description"), check=True)
 """,
-    "first solve of the benchmark": """
-from sphere_sim.cli.benchmark import _first_use
-assert _first_use() > 0.0
-""",
     "acados": """
 import sys
 from sphere_sim.benchmark.acados_solver import Acados

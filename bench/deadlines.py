@@ -18,7 +18,8 @@ from node_runs import Observer, machine, running, write_json
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.ros.session.goal_run import GoalRun, wait_until_settled
+from sphere_sim.evaluation.metrics import GoalRun
+from sphere_sim.ros.session.goal_run import wait_until_settled
 from sphere_sim.ros.simulator.settings import CLOCKS
 from sphere_sim.scenario.scenarios import draw_scenarios
 

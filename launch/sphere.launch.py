@@ -38,7 +38,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
-from sphere_nmpc.child_command import module_command, python_command
+from sphere_nmpc.child import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.model.state import as_state, upright_state
 from sphere_nmpc.ros.messages import WORLD_FRAME

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS
 
 if TYPE_CHECKING:
     from ros_graph import Graph

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE
 
-from sphere_nmpc.child_command import module_command, python_command
+from sphere_nmpc.child import module_command, python_command
 
 NAMES = ("random", "numpy", "re", "os", "sys", "subprocess", "selectors", "sphere_nmpc", "zig")
 HOSTILE = """

@@ -36,11 +36,11 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 from sphere_sim.scenario.draws import DRAWS
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.fingerprint import fingerprint
+from sphere_sim.study.journal import fingerprint
 from sphere_sim.study.progress import shown
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import Workers, cores

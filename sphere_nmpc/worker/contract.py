@@ -15,17 +15,9 @@ Task = Callable[[Store], Result]
 
 @dataclass(eq=False)
 class Reply(Generic[Result]):
-    """Result of a task, once there is one.
+    """Result of a task once it is `ready`, or why there will be none.
 
-    Attributes
-    ----------
-    result : object
-        What the task returned; meaningful when `ready`.
-    ready : bool
-        Whether the task is complete.
-    error : str
-        Why there will be no result: the task was not taken or has raised, or the worker has ended;
-        empty otherwise.
+    An error is that the task was not taken or has raised, or that the worker has ended.
     """
 
     result: Result | None = None

@@ -3,15 +3,13 @@
 """Worker in a process of its own, so that its work never holds the interpreter of the loop."""
 
 import os
-import subprocess
 import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.child_command import module_command
-from sphere_nmpc.worker.channel import Channel, encoded
+from sphere_nmpc.child import Child, encoded
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
 _MOST_PENDING = 8
@@ -28,27 +26,21 @@ _RESTART_EVERY = 1.0
 """Shortest wall time between two starts of the process [s]."""
 _LONGEST_END = 1.0
 """Wait for the process when it is closed [s]."""
-_CONNECTION_ERRORS = (OSError, EOFError)
 
 
 class WorkerProcess:
     """`Worker` whose tasks are done by a child process.
 
     A process that ends, or that is silent for too long, is replaced; its tasks then fail, and
-    whatever they kept in its store is lost.
-
-    Parameters
-    ----------
-    on_fault : callable
-        Called with one line about each failed task and each replaced process.
+    whatever they kept in its store is lost. `on_fault` is called with one line about each failed
+    task and each replaced process.
     """
 
     def __init__(self, on_fault: Callable[[str], object]) -> None:
         self._on_fault = on_fault
         self._pending: deque[Reply[Any]] = deque()
         self._sizes: deque[int] = deque()
-        self._connection: Channel | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._child: Child | None = None
         self._used: float | None = None
         self._patience: float
         self._start()
@@ -57,12 +49,12 @@ class WorkerProcess:
     def available(self) -> bool:
         """Whether there is a process; after its end there is none for a second."""
         self._restart()
-        return self._connection is not None
+        return self._child is not None
 
     @property
     def pid(self) -> int:
         """Id of the present process; 0 while there is none."""
-        return 0 if self._process is None else self._process.pid
+        return 0 if self._child is None else self._child.process.pid
 
     def submit(self, task: Task[Result]) -> Reply[Result]:
         """Send a task to the process; see `Worker.submit`."""
@@ -75,16 +67,16 @@ class WorkerProcess:
             self._on_fault(reply.error)
             return reply
         self._restart()
-        connection = self._connection
+        child = self._child
         full = len(self._pending) >= _MOST_PENDING
-        if connection is None or full or sum(self._sizes) + len(content) > _MOST_BYTES:
-            reply.error = "the worker has ended" if connection is None else "the worker is busy"
+        if child is None or full or sum(self._sizes) + len(content) > _MOST_BYTES:
+            reply.error = "the worker has ended" if child is None else "the worker is busy"
             return reply
         if not self._pending:
             self._heard = time.monotonic()
         try:
-            connection.send(content)
-        except _CONNECTION_ERRORS as error:
+            child.channel.send(content)
+        except OSError as error:
             self._replace(str(error))
             reply.error = "the worker has ended"
             return reply
@@ -94,15 +86,15 @@ class WorkerProcess:
 
     def poll(self) -> None:
         """Take the results that have arrived, and replace a process that does not answer."""
-        connection = self._connection
-        if connection is None or not self._pending:
+        child = self._child
+        if child is None or not self._pending:
             return
         # Before the results are taken: it may have finished since.
         silent, awaited = time.monotonic() - self._heard, self._pending[0]
         stuck = silent > self._patience and not self._waits()
         try:
             while self._pending:
-                result, error = connection.receive()
+                result, error = child.channel.receive()
                 self._heard, self._patience = time.monotonic(), _PATIENCE
                 self._used = None
                 reply, _ = self._pending.popleft(), self._sizes.popleft()
@@ -111,7 +103,7 @@ class WorkerProcess:
                     self._on_fault(error)
         except BlockingIOError:
             pass  # What is left has not arrived as a whole.
-        except _CONNECTION_ERRORS:
+        except (OSError, EOFError):
             self._replace("it has ended")
             return
         except Exception as error:
@@ -125,37 +117,20 @@ class WorkerProcess:
         """End the process for good; pending tasks fail."""
         self._started = float("inf")
         self._fail("the worker is closed")
-        process = self._process
-        self._drop()
-        if process is not None:
-            try:
-                process.wait(_LONGEST_END)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        if self._child is not None:
+            self._child.end(_LONGEST_END)
+            self._child = None
 
     def _start(self) -> None:
-        """Start a process; it ends when the other end of its connection is closed."""
+        """Start a process; it ends when the other end of its channel is closed."""
         self._started = self._heard = time.monotonic()
         self._patience = _FIRST_PATIENCE
         self._used = None
         try:
-            here, there = Channel.pair()
+            self._child = Child("sphere_nmpc.worker.serve")
+            self._child.channel.never_wait()
         except OSError as error:
             self._on_fault(f"worker not started: {error}")
-            return
-        try:
-            self._process = subprocess.Popen(
-                module_command("sphere_nmpc.worker.serve", str(there.fileno())),
-                stdin=subprocess.DEVNULL, pass_fds=[there.fileno()],
-            )
-            here.never_wait()
-            self._connection = here
-        except OSError as error:
-            here.close()
-            self._on_fault(f"worker not started: {error}")
-        finally:
-            there.close()
 
     def _waits(self) -> bool:
         """Return whether the process would work but for other processes, on Linux.
@@ -175,22 +150,18 @@ class WorkerProcess:
         """Start another process unless one was started just now; `submit` does it later then."""
         self._on_fault(f"worker replaced: {why}")
         self._fail(why)
-        process = self._process
-        self._drop()
-        if process is not None:
-            process.kill()
-            process.poll()
+        if self._child is not None:
+            # Without waiting for its end, which takes some milliseconds.
+            self._child.channel.close()
+            self._child.process.kill()
+            self._child.process.poll()
+            self._child = None
         self._restart()
 
     def _restart(self) -> None:
         """Start a process where there is none, and none was started just now."""
-        if self._connection is None and time.monotonic() - self._started > _RESTART_EVERY:
+        if self._child is None and time.monotonic() - self._started > _RESTART_EVERY:
             self._start()
-
-    def _drop(self) -> None:
-        if self._connection is not None:
-            self._connection.close()
-        self._connection = self._process = None
 
     def _fail(self, why: str) -> None:
         while self._pending:

@@ -9,11 +9,12 @@ import contextlib
 import gc
 import os
 import signal
+from functools import partial
 from importlib import import_module
+from typing import NoReturn
 
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS, Channel, encoded
 from sphere_nmpc.library_threads import limit_library_threads
-from sphere_nmpc.worker.channel import Channel, encoded
 from sphere_nmpc.worker.contract import Store
 
 _NICENESS = 5
@@ -25,15 +26,24 @@ _USED = ("sphere_nmpc.strategy.time_optimal.searches", "sphere_nmpc.estimation.l
 def serve(channel: Channel) -> None:
     """Do the tasks that arrive; each is answered by its result and an error, empty if none."""
     store: Store = {}
-    with contextlib.suppress(EOFError, OSError):
+    with contextlib.suppress(ConnectionError):
         while True:
-            task = channel.receive()
+            try:
+                task = channel.receive()
+            except (EOFError, OSError):
+                return
+            except Exception as error:
+                task = partial(_failed, error)  # a module that it needs cannot be imported
             try:
                 answer = encoded((task(store), ""))
             except Exception as raised:
                 # One failed task must not prevent the next ones.
                 answer = encoded((None, f"{type(raised).__name__}: {raised}"))
             channel.send(answer)
+
+
+def _failed(error: Exception, store: Store) -> NoReturn:
+    raise error
 
 
 def main(argv: list[str]) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import sphere_sim
-from sphere_nmpc.child_command import python_command
+from sphere_nmpc.child import python_command
 from sphere_nmpc.model.state import Vector
 from sphere_sim.benchmark.acados_process import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
 from sphere_sim.benchmark.problem import LIMIT, Answer, Maker

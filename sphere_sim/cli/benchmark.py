@@ -12,10 +12,8 @@ from typing import Any
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.output.atomic_write import write_atomically
-from sphere_sim.output.error_text import in_words
-from sphere_sim.output.optional_figure import draw_or_warn
-from sphere_sim.output.result_folder import prepare_folder
+from sphere_sim.output.error_text import draw_or_warn, in_words
+from sphere_sim.output.files import prepare_folder, write_atomically
 
 _FILE_WIDTH = 160
 """Columns of a table that is not printed on a terminal."""
@@ -25,14 +23,9 @@ _LONGEST = 1e5
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the benchmark; return the exit code.
+    """Run the benchmark; return 0 unless a solver of the package cannot be set up.
 
     Numbers are written first. A figure that cannot be drawn is a warning.
-
-    Raises
-    ------
-    SphereNmpcError, OSError
-        If the numbers cannot be written.
     """
     options = _parse(argv)
     prepare_folder(options.json.parent)

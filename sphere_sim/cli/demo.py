@@ -11,30 +11,19 @@ from pathlib import Path
 from rich.console import Console
 
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
-from sphere_nmpc.settings import STRATEGIES
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.arguments import finite, not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.demo.plan import DemoPlan, make_plan
+from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.demo.run import run_demo
-from sphere_sim.output.result_folder import prepare_folder
+from sphere_sim.output.files import prepare_folder
 from sphere_sim.recording.errors import BagError
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demo.
-
-    Returns
-    -------
-    int
-        0 when the sphere has arrived, 1 when it has not.
-
-    Raises
-    ------
-    SphereNmpcError
-        If the run cannot be made.
-    """
+    """Run the demo; return 0 when the sphere has arrived, 1 when it has not."""
     plan = parse(arguments)
 
     def remains() -> str:
@@ -85,14 +74,14 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
     given = parser.parse_args(arguments)
     out = given.out or Path("runs") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
     try:
-        return make_plan(
+        return DemoPlan(
             folder=out.expanduser().absolute(),
             case=given.case,
             start=given.start,
             goal=given.goal,
             real_time_factor=given.rtf,
             lockstep=given.lockstep,
-            strategy=given.strategy,
+            strategy=given.strategy or ControllerSettings.strategy,
             seed=given.seed,
             duration=given.duration,
             compare=not given.no_compare,

@@ -14,9 +14,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from sphere_sim.cli.exits import guarded
+from sphere_sim.cli.exits import Signals, guarded
 from sphere_sim.cli.output import Output
-from sphere_sim.cli.signals import Signals
 
 VERBS = {
     "demo": ("sphere_sim.cli.demo", "run one of the paper's cases and watch it"),
@@ -36,19 +35,10 @@ _ROS_ARGUMENTS = "--ros-args"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a verb.
+    """Run a verb with its arguments; return its exit code, see `guarded`, or 2 for no such verb.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The verb and its arguments. By default those of the process, whose own name may be the
-        verb, and whose signals and standard streams are then the command's to handle.
-
-    Returns
-    -------
-    int
-        The verb's exit code; 1 when it needs a package that is not installed or something else
-        goes wrong, 2 when there is no such verb, 130 after Ctrl-C.
+    By default they are those of the process, whose own name may be the verb, and whose signals and
+    standard streams are then the command's to handle.
     """
     signals, output = Signals(), Output()
     if argv is not None:

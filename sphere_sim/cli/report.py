@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sphere_nmpc.foreign_text import printable_line
-from sphere_sim.output.printable_path import printable
-from sphere_sim.output.result_folder import prepare_folder
+from sphere_sim.output.files import prepare_folder, printable
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.page import results
@@ -20,20 +19,7 @@ _ALL = "all"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the report.
-
-    Returns
-    -------
-    int
-        0 when it is written, also for a run without a goal, whose report has no metrics.
-
-    Raises
-    ------
-    BagError
-        If a bag cannot be read, or does not have a goal that is asked for.
-    ResultFolderError, OSError
-        If the report cannot be written.
-    """
+    """Write the report; return 0, also for a run without a goal, whose report has no metrics."""
     given = _parse(arguments)
     prepare_folder(given.out)
     names = _names(given.bags)

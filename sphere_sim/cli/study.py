@@ -12,7 +12,7 @@ from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import cluster_address, not_negative, number, positive, whole
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.output.result_folder import prepare_folder
+from sphere_sim.output.files import prepare_folder
 from sphere_sim.world.settings import PLANTS
 
 if TYPE_CHECKING:
@@ -30,23 +30,7 @@ _EFFORTS = 0.01, 1000.0
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the study.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        Arguments after the verb.
-
-    Returns
-    -------
-    int
-        0 when all runs were made, 1 when a run crashed.
-
-    Raises
-    ------
-    SphereNmpcError
-        If arguments are invalid, or runs cannot be made or recorded.
-    """
+    """Run the study; return 0 when all runs were made, 1 when a run crashed."""
     arguments = _parser().parse_args(argv)
     limit_library_threads()  # before numpy is loaded, hence the imports below
     out = arguments.out
@@ -61,7 +45,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from sphere_sim.study.best_known import best_known_times
     from sphere_sim.study.progress import StudyProgress
     from sphere_sim.study.study import Study
-    from sphere_sim.study.summary import headline
+    from sphere_sim.study.tables import headline
     from sphere_sim.study.workers import Workers, cores
 
     if arguments.scenarios is not None:

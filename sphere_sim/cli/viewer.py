@@ -17,18 +17,7 @@ _ROS = "--ros-args"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve the page until the process is interrupted.
-
-    Returns
-    -------
-    int
-        0 after Ctrl-C.
-
-    Raises
-    ------
-    BagError
-        If a bag cannot be read.
-    """
+    """Serve the page until the process is interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     at = given.index(_ROS) if _ROS in given else len(given)
     own = _parse(given[:at])

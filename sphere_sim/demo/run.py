@@ -3,46 +3,40 @@
 """The demo's run: nodes as child processes, progress on the terminal, then the results."""
 
 import contextlib
+import math
 import re
 import select
 import sys
 import time
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
 from ruamel.yaml import YAML
 
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.demo.plan import DemoPlan
-from sphere_sim.demo.progress_display import ProgressDisplay
+from sphere_nmpc.model.state import angle_error, position_error
+from sphere_sim.demo.plan import HOLD, DemoPlan
 from sphere_sim.demo.results import write_results
+from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.ros.session.child_process import ChildProcess
-from sphere_sim.ros.session.demo_session import DemoSession, demo_session
-from sphere_sim.ros.session.goal_run import GoalRun, wait_until, wait_until_settled
+from sphere_sim.ros.session.demo_session import DemoSession
+from sphere_sim.ros.session.goal_run import wait_until_settled
 from sphere_sim.ros.session.process_set import ProcessSet
 
 _READY_TIMEOUT = 45.0
 """How long the nodes may take to be ready [s]; a busy machine needs some ten."""
+_LINE_EVERY = 2.0
+"""Wall time between two lines where there is no terminal [s]."""
 _PAGE_TIMEOUT = 10.0
 """How long the viewer may take to show a page before the run starts without it [s]."""
 
 
 def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
-    """Run the plan and write its results.
+    """Run the plan, whose folder exists, and write its results.
 
-    Parameters
-    ----------
-    plan : DemoPlan
-        What is run; its folder exists.
-    domain : int
-        ROS domain, for the first line.
-    console : Console
-        Where progress is shown.
-
-    Returns
-    -------
-    bool
-        Whether the sphere has arrived at its goal.
+    Returns whether the sphere has arrived at its goal.
 
     Raises
     ------
@@ -60,17 +54,23 @@ def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
             # Not checked on: the run must not end because nothing can be shown.
             arguments = ["--ros-args", "-p", "use_sim_time:=true"]
             viewer = unchecked.start("viewer", arguments)
-        run = GoalRun(plan.scenario.goal, plan.tolerance, plan.hold)
-        with demo_session(run, RobotParameters().shell_radius, nodes.check) as session:
-            session.prepare(_READY_TIMEOUT)
+        with DemoSession(nodes.check) as session:
+            run = session.prepare(plan.scenario.goal, plan.tolerance, HOLD, _READY_TIMEOUT)
             console.print(f"nodes are up after {time.monotonic() - began:.1f} s")
             page = _page(viewer, console) if viewer else ""
-            session.start()
-            arrived = _follow(plan, session, console)
-            session.halt()
+            session.pause(False)
+            with _Display(console, session, run) as display:
+
+                def spin() -> None:
+                    session.spin()
+                    display.show()
+
+                settled = wait_until_settled(run, spin, plan.duration, linger=plan.linger)
+                arrived = settled is not None
+            session.pause(True)
             nodes.stop("recorder")
             if page and plan.stays:
-                session.start()
+                session.pause(False)
                 write_results(plan, arrived, console)
                 _run_on(page, session, console)
                 return arrived
@@ -91,20 +91,6 @@ def _page(viewer: ChildProcess, console: Console) -> str:
     return ""
 
 
-def _follow(plan: DemoPlan, session: DemoSession, console: Console) -> bool:
-    """Show the run until it has arrived, or its time is up; return whether it has arrived."""
-    with ProgressDisplay(console, plan) as display:
-
-        def spin() -> None:
-            session.spin()
-            display.show(session.progress)
-
-        if wait_until_settled(session.run, spin, plan.duration) is None:
-            return False
-        wait_until(session.run, spin, min(session.run.time + plan.linger, plan.duration))
-        return True
-
-
 def _run_on(page: str, session: DemoSession, console: Console) -> None:
     """Keep the nodes running for the user until Enter or Ctrl-C."""
     console.print(f"the nodes run on: drag the goal at {page}; Enter ends", soft_wrap=True)
@@ -122,3 +108,65 @@ def _write_parameters(plan: DemoPlan) -> Path:
     with path.open("w", encoding="utf-8") as stream:
         yaml.dump({f"/**/{name}": {"ros__parameters": own} for name, own in nodes.items()}, stream)
     return path
+
+
+class _Display:
+    """Newest values of a run, updated in place on a terminal, otherwise a line now and then."""
+
+    def __init__(self, console: Console, session: DemoSession, run: GoalRun) -> None:
+        self._console = console
+        self._session = session
+        self._run = run
+        self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
+        self._printed_at = -math.inf
+        self._first: float | None = None
+
+    def __enter__(self) -> "_Display":
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self) -> None:
+        """Show the newest values."""
+        if math.isnan(self._run.time):
+            return
+        if self._live is not None:
+            self._live.update(Group(self._table(), self._bar()), refresh=True)
+        elif time.monotonic() >= self._printed_at + _LINE_EVERY:
+            self._printed_at = time.monotonic()
+            self._console.print(self._line(), highlight=False, soft_wrap=True)
+
+    def _line(self) -> str:
+        run, session = self._run, self._session
+        speeds = ", ".join(f"{speed:.1f}" for speed in session.rotor_speeds)
+        return (
+            f"t {run.time:6.2f} s  distance {position_error(run.state, run.goal):.4f} m  "
+            f"angle {math.degrees(angle_error(run.state, run.goal)):.3f} deg  "
+            f"rotors {speeds} rad/s  solve {1e3 * session.solve_time:.2f} ms"
+        )
+
+    def _table(self) -> Table:
+        run, session = self._run, self._session
+        table = Table.grid(padding=(0, 3))
+        speeds = "  ".join(f"{speed:7.1f}" for speed in session.rotor_speeds)
+        for name, value in (
+            ("time", f"{run.time:8.2f} s"),
+            ("distance", f"{position_error(run.state, run.goal):8.4f} m"),
+            ("angle", f"{math.degrees(angle_error(run.state, run.goal)):8.3f} deg"),
+            ("rotor speeds", f"{speeds} rad/s"),
+            ("solve time", f"{1e3 * session.solve_time:8.2f} ms"),
+        ):
+            table.add_row(f"[dim]{name}[/dim]", value)
+        return table
+
+    def _bar(self) -> ProgressBar:
+        """Return a bar of the error between start and tolerance, on a logarithmic scale."""
+        error, tolerance = max(self._run.error, 1e-12), self._run.tolerance
+        if self._first is None:
+            self._first = max(error, 2.0 * tolerance)
+        way = math.log(self._first / error) / math.log(self._first / tolerance)
+        return ProgressBar(total=1.0, completed=min(max(way, 0.0), 1.0), width=50)

@@ -30,10 +30,8 @@ class Trajectory:
         Times of the samples [s].
     states : ndarray, shape (K, 6)
         True states of the plant.
-    speeds : ndarray, shape (K, 2)
-        True rotor speeds [rad/s].
-    torques : ndarray, shape (K, 2)
-        Motor torques [N m].
+    speeds, torques : ndarray, shape (K, 2)
+        True rotor speeds [rad/s] and motor torques [N m].
     decisions : list of Decision
         One for each sampling instant.
     holds : list of FirstOrderHold
@@ -84,11 +82,6 @@ def run_closed_loop(
         rate, latency and drop-outs of its own.
     push : Push, optional
         Push during the run.
-
-    Returns
-    -------
-    Trajectory
-        From start to end of the run.
 
     Raises
     ------

@@ -1,17 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run: errors over time, settling time, peaks."""
+"""Metrics of a run: errors over time, when it has settled, peaks."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
 
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
+LOOSELY_SETTLED = 5e-2
+"""The same for a run with noise, whose error does not stay below `SETTLED_ERROR`."""
 
 
 @dataclass(frozen=True)
@@ -20,18 +23,13 @@ class Metrics:
 
     Attributes
     ----------
-    settled : bool
-        Whether the error stays below `SETTLED_ERROR` from some time on to the end.
-    settle_time_s : float
-        That time, from the moment the goal was set [s].
-    final_error : float
-        ||x - x_d|| at the end [mixed units].
-    final_position_error_m, final_orientation_error_rad : float
-        Distance [m] and angle [rad] to the goal at the end.
-    max_rotor_speed : float
-        Largest magnitude [rad/s].
-    max_rotor_torque_nm : float
-        Largest magnitude [N m].
+    settled, settle_time_s : bool, float
+        Whether the error stays below `SETTLED_ERROR` from some time on to the end, and that time
+        from the moment the goal was set [s].
+    final_error, final_position_error_m, final_orientation_error_rad : float
+        ||x - x_d|| [mixed units], distance [m] and angle [rad] to the goal at the end.
+    max_rotor_speed, max_rotor_torque_nm : float
+        Largest magnitudes [rad/s], [N m].
     solve_ms_p50, solve_ms_p99 : float
         Median and 99th percentile of the solve time [ms].
     """
@@ -50,12 +48,7 @@ class Metrics:
 def signed_differences(states: Vector, goals: Vector) -> Vector:
     """Return x - x_d with the nearer quaternion sign of the goal, shape (n, 6).
 
-    Parameters
-    ----------
-    states : ndarray, shape (n, 6)
-        States over time.
-    goals : ndarray, shape (6,) or (n, 6)
-        The goal, or the goal in force at each time.
+    There is one goal, shape (6,), or one for each of the states, (n, 6).
     """
     goals = np.broadcast_to(goals, states.shape).copy()
     goals[:, QUATERNION] = rotation.nearer_sign(goals[:, QUATERNION], states[:, QUATERNION])
@@ -84,6 +77,64 @@ def settling_index(errors: Vector, tolerance: float = SETTLED_ERROR) -> int | No
     return first if first < errors.size else None
 
 
+@dataclass(frozen=True)
+class Stay:
+    """Time from which errors stay below a tolerance [s], and how large they are from then on."""
+
+    since: float
+    p95: float  # 95th percentile [mixed units]
+    largest: float
+
+
+def stay_below(times: Vector, errors: Vector, tolerance: float = SETTLED_ERROR) -> Stay | None:
+    """Return from when on a run has settled within a tolerance; None if it has not."""
+    index = settling_index(errors, tolerance)
+    if index is None:
+        return None
+    after = errors[index:]
+    return Stay(float(times[index]), float(np.percentile(after, 95.0)), float(np.max(after)))
+
+
+class GoalRun:
+    """A run to one goal, shape (6,), while it lasts.
+
+    It has settled once its error has stayed below a tolerance [mixed units] for `hold` [s].
+    """
+
+    def __init__(
+        self, goal: Vector, tolerance: float = SETTLED_ERROR, hold: float = 1.0
+    ) -> None:
+        self.goal = goal
+        self.tolerance = tolerance
+        self.time = math.nan
+        """Time of the newest state [s]."""
+        self.state: Vector = np.full(goal.shape, math.nan)
+        """The newest state."""
+        self.error = math.nan
+        """Its ||x - x_d|| [mixed units]."""
+        self._hold = hold
+        self._inside_since: float | None = None
+
+    def observe(self, time: float, state: Vector) -> None:
+        """Take a state, shape (6,), at a time [s]."""
+        self.time, self.state = time, state
+        self.error = state_error(state, self.goal)
+        if not self.error < self.tolerance:
+            self._inside_since = None
+        elif self._inside_since is None:
+            self._inside_since = time
+
+    def settled_at(self, not_before: float = -math.inf) -> float | None:
+        """Return the time at which the sphere reached the goal [s], once it has stayed there.
+
+        None until then. Its stay counts from the time `not_before` [s] on.
+        """
+        since = self._inside_since
+        if since is None or self.time < max(since, not_before) + self._hold:
+            return None
+        return since
+
+
 def measure(
     times: Vector,
     states: Vector,
@@ -102,22 +153,16 @@ def measure(
         States at these times.
     goal : ndarray, shape (6,)
         The goal.
-    rotor_speeds : ndarray, shape (m, 2)
-        Rotor speeds at any times [rad/s].
-    rotor_torques : ndarray, shape (m, 2)
-        Rotor torques [N m].
+    rotor_speeds, rotor_torques : ndarray, shape (m, 2)
+        Rotor speeds [rad/s] and torques [N m] at any times.
     solve_times : ndarray, shape (k,)
         Solve times [s].
-
-    Returns
-    -------
-    Metrics
     """
     errors = state_errors(states, goal)
-    index = settling_index(errors)
+    stay = stay_below(times, errors)
     return Metrics(
-        settled=index is not None,
-        settle_time_s=float("nan") if index is None else float(times[index]),
+        settled=stay is not None,
+        settle_time_s=math.nan if stay is None else stay.since,
         final_error=float(errors[-1]),
         final_position_error_m=float(position_errors(states[-1:], goal)[0]),
         final_orientation_error_rad=float(angle_errors(states[-1:], goal)[0]),
@@ -130,9 +175,9 @@ def measure(
 
 def _peak(values: NDArray[np.float64]) -> float:
     finite = values[np.isfinite(values)]
-    return float(np.max(np.abs(finite))) if finite.size else float("nan")
+    return float(np.max(np.abs(finite))) if finite.size else math.nan
 
 
 def _percentile(solve_times: Vector, percent: float) -> float:
     finite = solve_times[np.isfinite(solve_times)]
-    return 1e3 * float(np.percentile(finite, percent)) if finite.size else float("nan")
+    return 1e3 * float(np.percentile(finite, percent)) if finite.size else math.nan

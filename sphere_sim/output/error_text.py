@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text of exceptions for users, in one line."""
 
+import logging
+from collections.abc import Callable
 from importlib.util import find_spec
 
 from sphere_nmpc.foreign_text import printable_line
@@ -16,6 +18,8 @@ EXTRAS = {
     "viewer": ("viser",),
     "report": ("pyarrow",),
 }
+
+_log = logging.getLogger("sphere_nmpc")
 
 
 def in_words(error: BaseException) -> str:
@@ -50,3 +54,16 @@ def how_to_install(missing: str) -> str:
         extra = next((e for e, names in EXTRAS.items() if missing in names), "")
     source = f"'sphere_nmpc[{extra}]'" if extra else "sphere_nmpc"
     return f"'{missing}' is not installed; it comes with pip install {source}"
+
+
+def draw_or_warn(verb: str, what: str, draw: Callable[[], object]) -> bool:
+    """Draw and write a figure that is only added to results; return whether that was possible.
+
+    Any error is a warning of one line, which names the verb that draws and the file.
+    """
+    try:
+        draw()
+    except Exception as error:  # any error of the plotting library; the numbers are written
+        _log.warning("sphere_nmpc %s: %s not drawn: %s", verb, what, in_words(error))
+        return False
+    return True

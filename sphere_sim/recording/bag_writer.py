@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from sphere_nmpc import __version__
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.bag_files import METADATA
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.mcap_writer import McapWriter

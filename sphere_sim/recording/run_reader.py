@@ -20,7 +20,7 @@ from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
-from sphere_sim.output.printable_path import printable
+from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock, longest_run
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, storage_name
 from sphere_sim.recording.errors import BagError

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc import __version__
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
 from sphere_sim.report.reported import Reported

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sphere_sim.output.atomic_write import write_atomically
-from sphere_sim.output.printable_path import printable
+from sphere_sim.output.files import printable, write_atomically
 from sphere_sim.recording.run import Momentum, Run
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation

@@ -9,7 +9,7 @@ import numpy as np
 
 from sphere_nmpc.model.state import STATE_NAMES, Vector
 from sphere_sim.evaluation.metrics import angle_errors, position_errors, state_errors
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.run import Run
 from sphere_sim.report.reported import COLUMNS, Reported
 

@@ -7,10 +7,15 @@ on finer and finer grids: to rest, |u| <= u_max, |du/dt| <= the limit of acceler
 The true minimum time may be shorter.
 """
 
+import contextlib
 import hashlib
+import json
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -28,7 +33,6 @@ from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, DistantSea
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index, state_errors
-from sphere_sim.study.best_known_cache import BestKnownCache, BestKnownTimes
 from sphere_sim.study.motion import AT_REST, Motion
 from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
@@ -61,20 +65,26 @@ _RESOLUTION = 0.01
 _LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
 """Share of the duration by which a motion is shortened, at first and at last [-]."""
 
+_log = logging.getLogger("sphere_nmpc")
+
+
+class BestKnownTimes(NamedTuple):
+    """Times of the fastest motion that was found [s]; nan if none.
+
+    It ends at rest at the goal after its duration. It has settled somewhat before: with that the
+    settling time of a run is compared.
+    """
+
+    duration: float
+    settling: float
+
 
 def best_known_time(
     motion: Motion, robot: RobotParameters, factor: float = 1.0
 ) -> BestKnownTimes:
-    """Return the times of the fastest motion found; 0 if the start is settled.
+    """Return the times of the fastest motion found for a robot; 0 if the start is settled.
 
-    Parameters
-    ----------
-    motion : Motion
-        Start, goal and drift.
-    robot : RobotParameters
-        Parameters and limits of the robot that moves.
-    factor : float, optional
-        Work of each search over `EFFORT` [-].
+    The work of each search is `factor` times `EFFORT`.
     """
     if state_error(motion.start, motion.goal) < SETTLED_ERROR and motion.starts_at_rest:
         return BestKnownTimes(0.0, 0.0)
@@ -85,7 +95,7 @@ def best_known_time(
     )
     earliest: Arrival | None = None
     for seed in range(SEARCHES):
-        arrival = _searched(situation, robot, seed, _work(factor))
+        arrival = _searched(situation, robot, seed, round(factor * EFFORT))
         for period in GRIDS[1:]:
             if arrival is not None:
                 arrival = _refined(arrival, period, situation, robot)
@@ -115,11 +125,6 @@ def _settling(arrival: Arrival, situation: Situation) -> float:
     )
     index = settling_index(state_errors(states, arrival.goal))
     return hold.end if index is None else float(times[index])
-
-
-def _work(factor: float) -> int:
-    """Return the work of a search."""
-    return round(factor * EFFORT)
 
 
 def _searched(
@@ -188,27 +193,10 @@ def _refined(
 def best_known_times(
     motions: Sequence[Motion], robot: RobotParameters, workers: Workers, factor: float = 1.0
 ) -> list[BestKnownTimes]:
-    """Return the best known times of each motion, from the cache where they are there.
+    """Return the best known times of each motion of a robot, from the cache where they are there.
 
-    A cache that cannot be used is a warning; all times are then searched for.
-
-    Parameters
-    ----------
-    motions : sequence of Motion
-        Starts, goals and drifts.
-    robot : RobotParameters
-        Parameters and limits of the robot that moves.
-    workers : Workers
-        Where the searches run.
-    factor : float, optional
-        Work of each search over `EFFORT` [-]; times of another factor are not used.
-
-    Raises
-    ------
-    WorkersError
-        If the workers cannot be started or reached, or die.
-    InvalidParameterError
-        If the torque limit leaves no acceleration.
+    A cache that cannot be used is a warning; all times are then searched for. Those of another
+    factor, see `best_known_time`, are not used.
     """
     cache = BestKnownCache(cache_folder() / "best_known_times.jsonl")
     keys = [_key(motion, robot, factor) for motion in motions]
@@ -228,9 +216,59 @@ def best_known_times(
 def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
     """Return a key of all that the best known times depend on, to nine digits."""
     limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
-    search = (SEARCH_VERSION, SEARCHES, _work(factor), *GRIDS)
+    search = (SEARCH_VERSION, SEARCHES, round(factor * EFFORT), *GRIDS)
     numbers = [*motion.start, *motion.goal, *robot.lumped.as_array(), *limits, *search]
     if motion.speeds.any() or not motion.drift.is_zero:
         numbers += [*motion.speeds, *motion.drift.as_array(), _DRIFT_STEPS, _DRIFT_VERSION]
     text = " ".join(f"{float(number):.9g}" for number in numbers)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+class BestKnownCache:
+    """Times found earlier, by key; a file that cannot be used is a warning and costs time only.
+
+    The file is created with the first times that are added. Of a key that is there several times
+    the shortest motion counts; lines that are damaged are skipped.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._is_usable = True
+        self.known: dict[str, BestKnownTimes] = {}
+        """Times by key."""
+        try:
+            # Reading anything but a regular file might never end.
+            if path.exists() and not path.is_file():
+                raise OSError("not a file")
+            text = path.read_bytes() if path.exists() else b""
+        except OSError as error:
+            self._warn("read", error)
+            return
+        # A crash may leave a line incomplete.
+        for line in text.splitlines():
+            with contextlib.suppress(ValueError, TypeError, RecursionError):
+                key, *seconds = json.loads(line.decode())
+                found = BestKnownTimes(*map(float, seconds))
+                if any(time < 0.0 or math.isinf(time) for time in found):
+                    continue
+                if not self.known.get(str(key), found).duration < found.duration:
+                    self.known[str(key)] = found
+
+    def add(self, key: str, found: BestKnownTimes) -> None:
+        """Keep times, also in the file where that is possible."""
+        self.known[key] = found
+        if not self._is_usable:
+            return
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([key, *found]) + "\n")
+        except OSError as error:
+            self._warn("written", error)
+
+    def _warn(self, what: str, error: OSError) -> None:
+        self._is_usable = False
+        _log.warning(
+            "sphere_nmpc study: %s cannot be %s (%s); best known times are not kept, and searched "
+            "for again next time", self._path, what, error.strerror or error,
+        )

@@ -24,23 +24,9 @@ OF_NODES = {"simulator": ("pose_rate", "command_timeout")}
 class StudyConditions:
     """Settings that all runs of a study share.
 
-    Attributes
-    ----------
-    controller : ControllerSettings
-        Settings of the controller, including its strategy; they get the units of the robot.
-    simulator : SimulatorSettings
-        Settings of the simulator; start and seed come from the scenario.
-    robot : RobotParameters
-        Nominal parameters of the robot, which the controller has.
-    rigid_body : RigidBodySettings
-        Settings of the plant ``rigid_body``.
-    disturbances : DisturbanceSettings
-        Slope, offset of the centre of mass and friction in both plants.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
+    The controller has the nominal parameters of the robot and gets its units; start and seed of
+    the simulator come from the scenario. `InvalidParameterError` is raised for a value that is not
+    in its range.
     """
 
     duration: float = quantity(30.0, "s", "Length of a run", minimum=0.01, maximum=1e5)
@@ -69,12 +55,9 @@ class StudyConditions:
     def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
         """Return the conditions with other values of some settings.
 
-        Parameters
-        ----------
-        assignments : iterable of (str, str)
-            Names and values as text, in any order. A name that occurs in only one of controller,
-            simulator, robot, rigid_body and disturbances needs no prefix such as in
-            ``controller.horizon``.
+        Names and values are text, in any order. A name that occurs in only one of controller,
+        simulator, robot, rigid_body and disturbances needs no prefix such as in
+        ``controller.horizon``.
 
         Raises
         ------

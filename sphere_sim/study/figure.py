@@ -12,8 +12,7 @@ import numpy as np
 from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.summary import Results, column, headline
-from sphere_sim.study.tables import replace_file
+from sphere_sim.study.tables import Results, column, headline, replace_file
 
 _PAGE = (8.27, 11.69)
 """A4 [inch]."""
@@ -33,21 +32,8 @@ def draw(
 ) -> None:
     """Draw settling times, their ratios to the best known ones, final errors and failures.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the files `FIGURES` are written.
-    results : mapping of str to sequence of dict
-        Results of each run, by strategy.
-    summaries : mapping of str to dict
-        Summaries by strategy.
-    about : str
-        Description of the conditions.
-
-    Raises
-    ------
-    NotWrittenError
-        If a file cannot be written.
+    Results and summaries are by strategy; `about` describes the conditions. The files `FIGURES`
+    are written; `NotWrittenError` is raised if one cannot be.
     """
     # Not pyplot, which would look for a display and keep the figure in memory.
     from matplotlib.figure import Figure

@@ -2,27 +2,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Journal of a study: one line for each run, written as soon as the run is made.
 
-The first line of ``journal.jsonl`` is the fingerprint of the study. After any interruption the
-same command continues from the runs in the journal. Damaged lines are skipped and stay.
+The first line of ``journal.jsonl`` is the fingerprint of the study: settings, scenarios and code,
+which decide the results of its runs. After any interruption the same command continues from the
+runs in the journal. Damaged lines are skipped and stay.
 """
 
 import contextlib
 import fcntl
+import hashlib
 import io
 import json
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 
-from sphere_sim.output.result_folder import ResultFolderError
-from sphere_sim.study.errors import NotWrittenError
-from sphere_sim.study.fingerprint import differences
+import sphere_nmpc
+import sphere_sim
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_sim.output.files import ResultFolderError
+from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import RunRecord
 
 NAME = "journal.jsonl"
+_OF_RUNS = ("evaluation", "scenario", "study", "world")
+"""Packages of `sphere_sim` that a run may execute."""
+_SOURCES = (".py", ".c", ".h")
 _RESULTS = ("runs.csv", "inputs.npz", "summary.json")
 _LONGEST_LINE = 2**28
 """Longest line that is read [bytes]; a run of a day has fewer. After a power failure a file may
@@ -33,20 +42,67 @@ _LISTED = 5
 _log = logging.getLogger("sphere_nmpc")
 
 
+class NotWrittenError(SphereNmpcError):
+    """A file of results cannot be written; its previous content is kept."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        reason = (error.strerror or str(error)).lower()
+        super().__init__(
+            f"{path}: cannot be written: {reason}; the same command continues from the runs made"
+        )
+
+
+def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> dict[str, Any]:
+    """Return all that decides the results of a study's runs, as JSON content."""
+    content = {
+        "conditions": asdict(conditions),
+        "runs": len(scenarios),
+        "scenarios": _digest(_scenario_bytes(scenarios)),
+        "code": code_digest(),
+    }
+    # Through JSON and back, so that it equals what is read from a file.
+    plain: dict[str, Any] = json.loads(json.dumps(content))
+    return plain
+
+
+@cache
+def code_digest() -> str:
+    """Return a digest of the sources of all packages that a run may execute.
+
+    A version number would not change with each edit of a source.
+    """
+    core, simulation = (Path(str(tree.__file__)).parent for tree in (sphere_nmpc, sphere_sim))
+    folders = {path.name: path for path in core.iterdir() if path.name != "ros"}
+    folders |= {name: simulation / name for name in _OF_RUNS}
+    parts = [
+        part
+        for name, folder in sorted(folders.items())
+        for path in sorted((folder, *folder.rglob("*")))
+        if path.suffix in _SOURCES
+        for part in (f"{name}/{path.relative_to(folder)}".encode(), path.read_bytes())
+    ]
+    return _digest(parts)
+
+
+def _scenario_bytes(scenarios: Sequence[Scenario]) -> Iterator[bytes]:
+    for scenario in scenarios:
+        yield scenario.start.tobytes() + scenario.goal.tobytes()
+        about = [scenario.seed, scenario.extra, scenario.given, scenario.optional]
+        yield json.dumps(about).encode()
+
+
+def _digest(parts: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    return digest.hexdigest()
+
+
 class Journal:
-    """Runs recorded in a folder; a context manager that locks the folder for other studies.
+    """Runs recorded in a folder, created if needed; a context manager that locks it for others.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if it does not exist.
-    fingerprint : dict
-        Fingerprint of the study.
-
-    Raises
-    ------
-    ResultFolderError
-        If the folder cannot be written, holds another study, or another process writes to it.
+    `ResultFolderError` is raised if it cannot be written, holds another study, or is locked.
     """
 
     def __init__(self, folder: Path, fingerprint: dict[str, Any]) -> None:
@@ -64,12 +120,7 @@ class Journal:
     def __enter__(self) -> "Journal":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         with contextlib.suppress(OSError):  # each run was synchronised when it was written
             self._file.close()
 
@@ -134,7 +185,7 @@ class Journal:
             raise ResultFolderError(
                 self._folder, f"{NAME}, line 1: not the settings of a study; choose another folder"
             )
-        found = list(differences(recorded, fingerprint))
+        found = list(_differences(recorded, fingerprint))
         if found:
             more = "" if len(found) <= 3 else f" and {len(found) - 3} more"
             raise ResultFolderError(
@@ -168,3 +219,16 @@ def _whole_lines(file: BinaryIO) -> Iterator[bytes]:
     while line := file.readline(_LONGEST_LINE):
         if line.endswith(b"\n") or len(line) == _LONGEST_LINE:
             yield line
+
+
+def _differences(recorded: Any, given: Any, name: str = "") -> Iterator[str]:
+    """Yield a description of each difference between two fingerprints."""
+    if isinstance(recorded, dict) and isinstance(given, dict):
+        for key in sorted(recorded.keys() | given.keys()):
+            place = f"{name}.{key}".removeprefix(".conditions").removeprefix(".")
+            yield from _differences(recorded.get(key), given.get(key), place)
+    elif recorded != given:
+        if name in ("scenarios", "code"):
+            yield f"another state of the {name}" if name == "code" else "other scenarios"
+        else:
+            yield f"{name}: given {given}, recorded {recorded}"

@@ -24,12 +24,7 @@ _CELLS = 1000
 def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
     """Return a time [s] in which no motion leads from rest at the start to rest at the goal.
 
-    Parameters
-    ----------
-    start, goal : ndarray, shape (6,)
-        States; the sphere has no momentum, and the floor is level.
-    robot : RobotParameters
-        Parameters and limits of the robot that moves.
+    Both have shape (6,); the sphere has no momentum, and the floor is level.
     """
     constants = robot.lumped
     turn = angle_error(start, goal)
@@ -63,14 +58,8 @@ def _largest_gain(robot: RobotParameters) -> float:
 def _least_input(rolled: ArrayLike, turn: float, share: ArrayLike) -> Vector:
     """Return the least c1 times the integral of |u| [rad], Eq. (4) of the document.
 
-    Parameters
-    ----------
-    rolled : array_like
-        Least integral of the rate of rolling [rad].
-    turn : float
-        Least integral of the whole angular velocity [rad].
-    share : array_like
-        Square of the least c1 |u| for a rotation of 1 rad/s about the vertical [-].
+    It follows from the least integrals of the rate of rolling and of the whole angular velocity
+    (`turn`) [rad], and from the square of the least c1 |u| for 1 rad/s about the vertical [-].
     """
     rolled, share = np.asarray(rolled), np.asarray(share)
     least: Vector = np.hypot(
@@ -88,14 +77,8 @@ def _least_share(constants: LumpedConstants) -> float:
 def _by_latitude(first: float, last: float, turn: float, constants: LumpedConstants) -> float:
     """Return the least c1 times the integral of |u| [rad], Eq. (6) of the document.
 
-    Parameters
-    ----------
-    first, last : float
-        Sine of the latitude of the contact point on the shell at start and goal [-].
-    turn : float
-        Angle between the two orientations [rad].
-    constants : LumpedConstants
-        Constants of the plant.
+    `first` and `last` are the sines of the latitude of the contact point on the shell at start and
+    goal, `turn` is the angle between the two orientations [rad].
     """
     r1, r3 = constants.transverse_ratio, constants.axial_ratio
     ends = np.abs(np.arcsin(np.clip([first, last], -1.0, 1.0)))

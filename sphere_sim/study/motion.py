@@ -60,16 +60,7 @@ def motion_of(
 ) -> Motion:
     """Return the motion of a run: from its push on if there was one, otherwise from its start.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Start, goal and disturbances of the run.
-    record : RunRecord
-        The run.
-    robot : RobotParameters
-        Robot without errors of its parameters.
-    settings : DisturbanceSettings
-        Disturbances of all runs; the scenario's replace them.
+    The robot has no errors of its parameters; the scenario's disturbances replace the settings.
     """
     settings = replace(settings, **scenario.disturbances)
     drift = Drift(

@@ -4,7 +4,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import (
@@ -31,27 +30,15 @@ def shown(progress: Progress) -> Iterator[Progress]:
 
 
 class StudyProgress:
-    """Bar on standard error: runs made, runs settled, remaining time.
-
-    Parameters
-    ----------
-    runs : int
-        Number of runs.
-    """
+    """Bar on standard error: runs made, runs settled, remaining time; it starts when entered."""
 
     def __init__(self, runs: int) -> None:
-        self._settled = 0
-        self._done = 0
+        self._done = self._settled = 0
         self._shown = contextlib.ExitStack()
         self._progress = Progress(
-            TextColumn("runs"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[settled]}"),
-            TimeElapsedColumn(),
-            TextColumn("to go"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
+            TextColumn("runs"), BarColumn(), MofNCompleteColumn(),
+            TextColumn("{task.fields[settled]}"), TimeElapsedColumn(), TextColumn("to go"),
+            TimeRemainingColumn(), console=Console(stderr=True),
         )
         self._task = self._progress.add_task("runs", total=runs, settled="")
 
@@ -59,12 +46,7 @@ class StudyProgress:
         self._shown.enter_context(shown(self._progress))
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -50,8 +50,7 @@ class RunRecord:
     Attributes
     ----------
     results : dict of str to Value
-        By the names of `RESULT_COLUMNS` and `PUSH_RESULT_COLUMNS`, without those that compare
-        with the lower bound of the time and the best known motion.
+        By their columns, without those that compare with the lower bound and the best known time.
     times : ndarray, shape (K,)
         Knot times of the rotor speeds [s]; empty for a run that crashed.
     speeds : ndarray, shape (K, 2)
@@ -65,15 +64,6 @@ class RunRecord:
     speeds: Vector = field(default_factory=lambda: np.empty((0, INPUT_SIZE)))
     at_push: Vector = field(default_factory=lambda: np.empty(0))
 
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, RunRecord)
-            and self.results == other.results
-            and np.array_equal(self.times, other.times)
-            and np.array_equal(self.speeds, other.speeds)
-            and np.array_equal(self.at_push, other.at_push)
-        )
-
     def as_json(self, index: int) -> str:
         """Return the record of run `index` as one line."""
         knots = {"t": self.times.tolist(), "u": self.speeds.tolist()}
@@ -83,13 +73,7 @@ class RunRecord:
 
     @classmethod
     def from_json(cls, line: str) -> tuple[int, "RunRecord"]:
-        """Return the number of a run and its record.
-
-        Raises
-        ------
-        ValueError
-            If the line is not one that `as_json` writes, for instance incomplete.
-        """
+        """Return the number of a run and its record; ValueError for no line of `as_json`."""
         try:
             content = json.loads(line)
             index, results = content["run"], content["results"]

@@ -2,35 +2,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of a study: the closed loop of a scenario and its results."""
 
+import itertools
+import math
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import measure, settling_index, state_errors
+from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, measure, state_errors, stay_below
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.followed_inputs import followed_inputs
 from sphere_sim.study.record import RunRecord, Value, finite
-from sphere_sim.study.stability import stability_of
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 
-LOOSELY_SETTLED = 5e-2
-"""Error within which a run with process noise can be expected to stay [mixed units]."""
+_ROUNDING = 1e-9
 
 
 def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
     """Return simulator and controller of a run; the controller has the nominal parameters.
 
-    Raises
-    ------
-    InvalidParameterError, MissingEngineError
-        If the settings do not fit together or the plant's package is not installed.
+    An error is raised if the settings do not fit together or the plant's package is missing.
     """
     simulation = replace(
         conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
@@ -48,12 +47,8 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     """Run a scenario and evaluate the run.
 
-    A run that crashes is recorded as such, so that the study continues with the others.
-
-    Raises
-    ------
-    MemoryError, OSError
-        If the machine cannot make the run; that is no result of the run.
+    A run that crashes is recorded as such, so that the study continues with the others. That the
+    machine cannot make the run (MemoryError, OSError) is no result of it.
     """
     strategy = conditions.controller.strategy
     try:
@@ -77,7 +72,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     except Exception as error:
         crash = f"{type(error).__name__}: {error}"
         return RunRecord({"strategy": strategy, "settled": False, "crash": crash})
-    results |= stability_of(trajectory.decisions, scenario.goal, conditions)
+    results |= _stability_of(trajectory.decisions, scenario.goal, conditions)
     results = {"strategy": strategy, **results, "failures": controller.failures}
     return RunRecord(results, inputs.times, inputs.speeds, trajectory.at_push)
 
@@ -91,10 +86,10 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     )
     results = {name: finite(value) for name, value in asdict(measured).items()}
     errors = state_errors(trajectory.states, goal)
-    index = settling_index(errors, LOOSELY_SETTLED)
-    if index is not None:
-        results["loose_settle_time_s"] = float(trajectory.times[index])
-        results["tail_error_p95"] = float(np.percentile(errors[index:], 95.0))
+    stay = stay_below(trajectory.times, errors, LOOSELY_SETTLED)
+    if stay is not None:
+        results["loose_settle_time_s"] = stay.since
+        results["tail_error_p95"] = stay.p95
     results["max_rotor_speed"] = _rounded(float(np.max(np.abs(speeds))))
     results["max_rotor_acceleration"] = _rounded(
         max(
@@ -117,3 +112,76 @@ def _largest_slope(times: Vector, speeds: Vector) -> float:
 def _rounded(value: float) -> float:
     """Return the value without the digits in which difference quotients are inaccurate."""
     return float(f"{value:.9g}")
+
+
+def followed_inputs(holds: Iterable[FirstOrderHold], duration: float) -> FirstOrderHold:
+    """Join all commands of a run into one hold with knots at 0 and `duration` [s].
+
+    The commands are in the order in which they took effect; each replaces the previous ones from
+    its first knot on.
+    """
+    times: list[float] = []
+    speeds: list[Vector] = []
+    for hold in holds:
+        while times and times[-1] >= hold.start - 1e-9:
+            times.pop()
+            speeds.pop()
+        times.extend(float(t) for t in hold.times)
+        speeds.extend(hold.speeds)
+    if not times:
+        return FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
+    whole = FirstOrderHold(np.array(times), np.array(speeds))
+    if whole.start > 0.0:
+        # Before the first command the rotors are at rest.
+        times.insert(0, 0.0)
+        speeds.insert(0, np.zeros(INPUT_SIZE))
+    inside = [i for i, time in enumerate(times) if time < duration - 1e-9]
+    return FirstOrderHold(
+        np.append([times[i] for i in inside], duration),
+        np.vstack([*(speeds[i] for i in inside), whole.at(duration)]),
+    )
+
+
+def _stability_of(
+    decisions: list[Decision], goal: Vector, conditions: StudyConditions
+) -> dict[str, Value]:
+    """Count the steps that violate the decrease which a strategy's argument needs.
+
+    The strategy ``paper`` has the value function of Theorem 3, which should decrease by the stage
+    cost (Eq. 42) outside the neighbourhood D. ``time_optimal`` has the remaining time to the
+    arrival, which has to decrease by the time that passes.
+
+    Returns ``stability_steps`` that could be evaluated and ``stability_violations`` among them.
+    """
+    if conditions.controller.strategy == "paper":
+        return _value_decrease(decisions, goal, conditions)
+    arrivals = [d.plan.arrival for d in decisions if d.solved]
+    known = [a for a in arrivals if not math.isnan(a)]
+    pairs = list(itertools.pairwise(known))
+    broken = sum(b > a + _ROUNDING for a, b in pairs)
+    return {"stability_steps": len(pairs), "stability_violations": broken}
+
+
+def _value_decrease(
+    decisions: list[Decision], goal: Vector, conditions: StudyConditions
+) -> dict[str, Value]:
+    monitor = StabilityMonitor()
+    settings = conditions.controller
+    judged = broken = 0
+    for k, decision in enumerate(decisions):
+        if decision.state is None or not decision.solved:
+            continue
+        report = monitor.update(
+            Sample(
+                time=k * settings.control_period,
+                state=settings.units.scaled(decision.state),
+                goal=settings.units.scaled(goal),
+                value=decision.plan.cost,
+                next_input=decision.plan.hold.speeds[1],
+                input_weight=settings.alpha,
+                terminal_weight=settings.terminal_weight,
+                max_speed=conditions.robot.max_rotor_speed,
+            )
+        )
+        judged, broken = report.judged, report.violations
+    return {"stability_steps": judged, "stability_violations": broken}

@@ -10,19 +10,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sphere_sim.output.optional_figure import draw_or_warn
-from sphere_sim.output.result_folder import ResultFolderError
+from sphere_sim.output.error_text import draw_or_warn
+from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES, describe, draw
-from sphere_sim.study.fingerprint import fingerprint
 from sphere_sim.study.journal import NAME as JOURNAL
-from sphere_sim.study.journal import Journal
+from sphere_sim.study.journal import Journal, fingerprint
 from sphere_sim.study.motion import Motion, motion_of
 from sphere_sim.study.record import RunRecord, Value
 from sphere_sim.study.single_run import prepare, run_scenario
-from sphere_sim.study.summary import summarise, with_bounds
-from sphere_sim.study.tables import replace_file, write_inputs, write_runs
+from sphere_sim.study.tables import replace_file, summarise, with_bounds, write_inputs, write_runs
 from sphere_sim.study.workers import Workers
 
 _log = logging.getLogger("sphere_nmpc")
@@ -36,12 +34,10 @@ Observer = Callable[[RunRecord], None]
 
 @dataclass(frozen=True)
 class Study:
-    """Scenarios, conditions and folder of a study.
+    """Scenarios, at least one, conditions and folder of a study.
 
     Attributes
     ----------
-    scenarios : sequence of Scenario
-        At least one.
     conditions : StudyConditions
         Settings that all runs share; their strategy is the first one.
     folder : Path
@@ -66,19 +62,7 @@ class Study:
         Tables are written as soon as all runs are made, and again with the best known times when
         these are found. A figure that cannot be drawn is a warning.
 
-        Parameters
-        ----------
-        workers : Workers
-            Where the runs are made.
-        best_known : callable, optional
-            Returns the settling times of the best known motions.
-        observer : callable, optional
-            Is called with each run.
-
-        Returns
-        -------
-        dict of str to dict
-            The summary of each strategy.
+        Returns the summary of each strategy.
 
         Raises
         ------

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Result files: a table with one row for each run, and the rotor speeds of all runs."""
+"""Results of a study: a table with a row a run, the rotor speeds of all runs, and a summary."""
 
 import csv
 import io
@@ -10,26 +10,151 @@ from typing import Any
 
 import numpy as np
 
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_nmpc.model.state import Vector
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
+from sphere_sim.output.files import write_atomically
 from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
-from sphere_sim.study.errors import NotWrittenError
+from sphere_sim.study.journal import NotWrittenError
 from sphere_sim.study.record import (
     PUSH_RESULT_COLUMNS,
     RESULT_COLUMNS,
     RunRecord,
     Value,
+    finite,
 )
+
+Results = Sequence[dict[str, Value]]
+"""Results of each run by the names of `RESULT_COLUMNS`."""
+
+_DISTRIBUTIONS = (
+    "settle_time_s",
+    "ratio",
+    "final_error",
+    "final_position_error_m",
+    "final_orientation_error_rad",
+    "loose_settle_time_s",
+    "tail_error_p95",
+)
+_PEAKS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque_nm")
+
+
+def with_bounds(
+    results: Results, lower_bounds: Sequence[float], best_known: Sequence[float] | None
+) -> list[dict[str, Value]]:
+    """Return the results with lower bound, best known settling time and ratio to it, if any.
+
+    Lower bounds of the time [s] are nan where there is none. Best known are the settling times of
+    the best known motions [s], from the push on if there was one; nan where no motion was found,
+    0 where the start is at the goal.
+    """
+    known = [0.0] * len(results) if best_known is None else map(float, best_known)
+    extended = []
+    for found, bound, seconds in zip(results, lower_bounds, known, strict=True):
+        added: dict[str, Value] = {"lower_bound_s": finite(bound)}
+        if seconds > 0.0:
+            added["bound_s"] = seconds
+            settling = found.get("recover_s", found.get("settle_time_s"))
+            if isinstance(settling, float):
+                added["ratio"] = settling / seconds
+        extended.append({**found, **added})
+    return extended
+
+
+def column(results: Results, name: str) -> Vector:
+    """Return the numbers of a column in the order of the runs, missing ones left out."""
+    values = (found.get(name) for found in results)
+    return np.array([value for value in values if isinstance(value, (int, float))], dtype=float)
+
+
+def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]:
+    """Return the summary of a study as JSON content.
+
+    Distributions are over the runs that have the quantity; ``failures`` lists each run that did
+    not settle, ``timing`` holds all that depends on the machine.
+    """
+    pushed = any(scenario.push is not None for scenario in scenarios)
+    return {
+        "strategy": results[0]["strategy"],
+        "runs": len(results),
+        "settled": int(sum(bool(found["settled"]) for found in results)),
+        "settled_error": SETTLED_ERROR,
+        **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
+        "beyond_lower_bound_s": _distribution(_beyond_lower_bound(results)),
+        **{n: _distribution(column(results, n)) for n in PUSH_RESULT_COLUMNS if pushed},
+        **{name: _largest(column(results, name)) for name in _PEAKS},
+        "failed_solves": int(np.sum(column(results, "failures"))),
+        "crashed": sum(found.get("crash") is not None for found in results),
+        "failures": [
+            {
+                "run": i,
+                "seed": scenario.seed,
+                "final_error": found.get("final_error"),
+                "crash": found.get("crash"),
+            }
+            for i, (scenario, found) in enumerate(zip(scenarios, results, strict=True))
+            if not found["settled"]
+        ],
+        "timing": {
+            "solve_ms_p50": _distribution(column(results, "solve_ms_p50"))["median"],
+            "solve_ms_p99": _largest(column(results, "solve_ms_p99")),
+            "solve_ms_max": _largest(column(results, "solve_ms_max")),
+        },
+    }
+
+
+def _beyond_lower_bound(results: Results) -> Vector:
+    """Return settling time less lower bound [s] of the runs that have both."""
+    pairs = ((found.get("settle_time_s"), found.get("lower_bound_s")) for found in results)
+    return np.array(
+        [time - bound for time, bound in pairs
+         if isinstance(time, float) and isinstance(bound, float)]
+    )
+
+
+def headline(summary: dict[str, Any]) -> str:
+    """Return the summary as one line of text."""
+    parts = [f"{summary['strategy']}: {summary['settled']} of {summary['runs']} settled"]
+    settling, ratio = summary["settle_time_s"], summary["ratio"]
+    if settling["count"]:
+        parts.append(
+            f"in {settling['median']:.2f} s median (p99 {settling['p99']:.2f}, "
+            f"worst {settling['max']:.2f})"
+        )
+    if summary.get("recover_s", {}).get("count"):
+        recovery = summary["recover_s"]
+        parts.append(
+            f"{recovery['median']:.2f} s after the push (p99 {recovery['p99']:.2f}, "
+            f"worst {recovery['max']:.2f})"
+        )
+    if ratio["count"]:
+        parts.append(f"{ratio['median']:.2f} x best known (p99 {ratio['p99']:.2f})")
+    if summary["final_error"]["count"]:
+        parts.append(f"final error {summary['final_error']['median']:.1e}")
+    if summary["crashed"]:
+        parts.append(f"{summary['crashed']} CRASHED")
+    return ", ".join(parts)
+
+
+def _distribution(values: Vector) -> dict[str, Any]:
+    if not values.size:
+        return {"count": 0, "median": None, "p90": None, "p99": None, "max": None}
+    median, p90, p99 = np.percentile(values, [50.0, 90.0, 99.0]).tolist()
+    return {
+        "count": int(values.size),
+        "median": median,
+        "p90": p90,
+        "p99": p99,
+        "max": float(np.max(values)),
+    }
+
+
+def _largest(values: Vector) -> float | None:
+    return float(np.max(values)) if values.size else None
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> None:
-    """Replace a file; where that fails, the previous one is kept.
-
-    Raises
-    ------
-    NotWrittenError
-        Naming the file and the reason.
-    """
+    """Replace a file; where that raises `NotWrittenError`, the previous one is kept."""
     try:
         write_atomically(path, content)
     except OSError as error:
@@ -37,19 +162,9 @@ def replace_file(path: Path, content: bytes | memoryview) -> None:
 
 
 def write_runs(
-    path: Path, scenarios: Sequence[Scenario], results: Iterable[Sequence[dict[str, Value]]]
+    path: Path, scenarios: Sequence[Scenario], results: Iterable[Results]
 ) -> None:
-    """Write the table of all runs.
-
-    Parameters
-    ----------
-    path : Path
-        The CSV file.
-    scenarios : sequence of Scenario
-        In the order of the rows.
-    results : iterable of sequences of dict
-        Results of all scenarios by the names of their columns, for each strategy.
-    """
+    """Write the table of all runs as CSV: the results of all scenarios for each strategy."""
     # A table of results may be the scenario file; its previous results are replaced.
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
     pushed = any(scenario.push is not None for scenario in scenarios)

@@ -2,13 +2,39 @@
 # SPDX-License-Identifier: Apache-2.0
 """Workers of a study: this process, processes of this machine, or a Dask cluster."""
 
+import asyncio
 import contextlib
+import logging
 import os
+import select
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
+from dataclasses import dataclass
 from typing import Any
 
-from sphere_sim.study.processes import Processes, Task
+from sphere_nmpc.child import Channel, Child, encoded, end_with_parent
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.worker.serve import serve
+
+TRIES = 3
+"""Largest number of attempts at a call whose process ends during it."""
+Task = tuple[Any, tuple[Any, ...]]
+"""A name of the task, and the arguments of its call."""
+
+_CONNECT_TIMEOUT = 15.0
+"""How long to wait for the scheduler [s]."""
+_TOLD_AFTER = 2.0
+"""Wait for the scheduler after which it is said [s]."""
+_AHEAD = 4
+"""Tasks submitted for each thread of the cluster, so that none is idle."""
+
+_log = logging.getLogger("sphere_nmpc")
+
+
+class WorkersError(SphereNmpcError):
+    """Processes or cluster cannot be started or reached, or a worker process ended."""
 
 
 def cores() -> int:
@@ -18,11 +44,27 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-class Workers:
+@dataclass(frozen=True)
+class _Call:
+    """A call as a task of `serve`."""
+
+    call: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+    def __call__(self, _store: object) -> object:
+        return self.call(*self.arguments)
+
+
+class Workers(contextlib.ExitStack):
     """Make calls somewhere; a context manager, at whose end processes are ended.
 
     Results do not depend on where a call is made. Processes are started, or a cluster is joined,
-    with the first call.
+    when they are needed. Processes ignore the signals of a terminal, such as Ctrl-C, which the
+    parent handles, and end when the parent does, however that happens. A call whose process ends
+    during it is made again in another one.
+
+    The pool of `concurrent.futures` is not used: its processes outlive a parent that is killed,
+    and when one of them ends unexpectedly it does not report during which call, and cancels all.
 
     Parameters
     ----------
@@ -33,49 +75,192 @@ class Workers:
     """
 
     def __init__(self, jobs: int = 1, scheduler: str | None = None) -> None:
+        super().__init__()
+        self._jobs = jobs
         self._address = scheduler
-        self._exits = contextlib.ExitStack()
-        self._processes = self._exits.enter_context(Processes(jobs))
+        self._children: dict[Channel, Child] = {}
         self._client: Any = None
-
-    def __enter__(self) -> "Workers":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._client = None
-        self._exits.close()
+        self.callback(self._end)
 
     def run(
         self, call: Callable[..., Any], tasks: Sequence[Task], what: str
     ) -> Iterator[tuple[Any, Any]]:
         """Yield name and result of each task as it is done, in any order.
 
-        Parameters
-        ----------
-        call : callable
-            A function of a module that `sphere_sim.study.fingerprint.WORKER_MODULES` names.
-        tasks : sequence of (object, tuple)
-            A name and arguments for each call.
-        what : str
-            What a task is called in errors.
+        The call is a function of a module; `what` is what a task is called in errors.
 
         Raises
         ------
         WorkersError
             If processes cannot be started, the scheduler cannot be reached, its workers run other
-            code, a call raises, or its worker process ends repeatedly.
+            code, a call raises, or its process ends in each of `TRIES` attempts.
         """
-        if self._address is None:
-            yield from self._processes.run(call, tasks, what)
-        elif tasks:
-            # Dask is loaded for clusters only: it takes a second.
-            from sphere_sim.study.cluster import joined_cluster, run_on_cluster
-
+        if self._address is not None and tasks:
             if self._client is None:
-                self._client = self._exits.enter_context(joined_cluster(self._address))
-            yield from run_on_cluster(self._client, call, tasks, what)
+                self._client = self.enter_context(_joined_cluster(self._address))
+            yield from _run_on_cluster(self._client, call, tasks, what)
+        elif min(self._jobs, len(tasks)) <= 1:
+            for name, arguments in tasks:
+                yield name, call(*arguments)
+        else:
+            yield from self._run_in_processes(call, tasks, what)
+
+    def _run_in_processes(
+        self, call: Callable[..., Any], tasks: Sequence[Task], what: str
+    ) -> Iterator[tuple[Any, Any]]:
+        waiting = deque(tasks)
+        deaths: Counter[Any] = Counter()
+        busy: dict[Channel, Task] = {}
+
+        def hand_out(channel: Channel) -> None:
+            busy[channel] = waiting.popleft()
+            # If the process has ended, reading its answer fails.
+            with contextlib.suppress(OSError):
+                channel.send(encoded(_Call(call, busy[channel][1])))
+
+        while waiting or busy:
+            while waiting and len(busy) < self._jobs:
+                idle = next((each for each in self._children if each not in busy), None)
+                hand_out(idle or self._start())
+            ready, _, _ = select.select(list(busy), [], [])
+            for channel in [each for each in busy if each in ready]:
+                task = name, _ = busy.pop(channel)
+                try:
+                    result, failure = channel.receive()
+                except (EOFError, OSError):
+                    deaths[name] += 1
+                    reason = self._children.pop(channel).end()
+                    if deaths[name] == TRIES:
+                        raise WorkersError(
+                            f"{what} {name}: its process died {TRIES} times ({reason}); is there "
+                            "enough memory? The same command continues from what was made"
+                        ) from None
+                    waiting.appendleft(task)
+                    continue
+                if failure:
+                    raise WorkersError(f"{what} {name} could not be made: {failure}")
+                if waiting:
+                    hand_out(channel)
+                yield name, result
+
+    def _start(self) -> Channel:
+        """Return the channel to a new process."""
+        try:
+            child = Child(__name__, str(os.getpid()), own_session=True)
+        except OSError as error:
+            raise WorkersError(
+                f"process {len(self._children) + 1} of {self._jobs} cannot be started "
+                f"({error.strerror}); give fewer --jobs, of which 1 needs none"
+            ) from None
+        self._children[child.channel] = child
+        return child.channel
+
+    def _end(self) -> None:
+        for child in self._children.values():
+            child.process.kill()  # all at the same time
+        while self._children:
+            self._children.popitem()[1].end()
+
+
+def _run_on_cluster(
+    client: Any, call: Callable[..., Any], tasks: Sequence[Task], what: str
+) -> Iterator[tuple[Any, Any]]:
+    """Yield name and result of each task on a joined cluster; otherwise as `Workers.run`."""
+    from distributed import as_completed
+
+    waiting = iter(tasks)
+    names: dict[Any, Any] = {}
+
+    def submit_next() -> Any:
+        task = next(waiting, None)
+        if task is None:
+            return None
+        future = client.submit(call, *task[1], pure=False)
+        names[future.key] = task[0]
+        return future
+
+    threads = sum(client.nthreads().values())
+    first = [submit_next() for _ in range(max(1, _AHEAD * threads))]
+    pending = as_completed([future for future in first if future is not None], loop=client.loop)
+    for done in pending:
+        name = names.pop(done.key)
+        if done.status != "finished":
+            reason = done.exception() if done.status == "error" else "the scheduler is gone"
+            raise WorkersError(f"{what} {name} could not be made: {reason}")
+        result = done.result()
+        following = submit_next()
+        if following is not None:
+            pending.add(following)
+        yield name, result
+
+
+@contextlib.contextmanager
+def _joined_cluster(address: str) -> Iterator[Any]:
+    """Connect to a scheduler whose workers run the same code as this process."""
+    # Only here: Dask takes a second to load, and a worker process must not load NumPy yet.
+    from distributed import Client
+
+    from sphere_sim.study.journal import code_digest
+
+    for name in ("distributed", "distributed.client"):  # Dask sets the level of each
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        # A client that fails to connect takes half a minute more, and then shows a traceback.
+        asyncio.run(_find_scheduler(address))
+        client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except Exception as error:  # the answer of another program can cause any, also MemoryError
+        reason = printable_line(str(error) or type(error).__name__)
+        raise WorkersError(f"scheduler {address}: cannot be reached ({reason})") from None
+    with client:
+        try:
+            digests = client.run(code_digest)
+        except Exception as error:  # any error of a worker is raised here
+            raise WorkersError(f"scheduler {address}: its workers fail ({error})") from None
+        if not digests:
+            raise WorkersError(f"scheduler {address}: has no workers")
+        for worker, digest in digests.items():
+            if digest != code_digest():
+                raise WorkersError(f"worker {worker}: runs another version of sphere_nmpc")
+        yield client
+
+
+async def _find_scheduler(address: str) -> None:
+    """Raise unless a Dask scheduler answers at an address within `_CONNECT_TIMEOUT`."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    async def ask() -> object:
+        security = Security().get_connection_args("client")
+        comm = await connect(address, timeout=_CONNECT_TIMEOUT, **security)
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            return (await comm.read())["type"]
+        finally:
+            comm.abort()
+
+    asking = asyncio.ensure_future(ask())
+    done, _ = await asyncio.wait({asking}, timeout=_TOLD_AFTER)
+    if not done:
+        _log.warning(
+            "sphere_nmpc study: waiting for the scheduler %s, at most %g s", address,
+            _CONNECT_TIMEOUT,
+        )
+    try:
+        found = await asyncio.wait_for(asking, _CONNECT_TIMEOUT - _TOLD_AFTER)
+    except asyncio.TimeoutError:
+        raise OSError(f"no answer of a scheduler within {_CONNECT_TIMEOUT:g} s") from None
+    if found != "Scheduler":
+        raise ValueError(f"given Dask's {shown(found)}, expected a scheduler")
+
+
+def main(argv: Sequence[str]) -> int:
+    """Make the calls of the parent until it ends: the program of a process.
+
+    The arguments are the file descriptor of the channel and the id of the parent.
+    """
+    end_with_parent(int(argv[1]))
+    limit_library_threads()
+    # Warnings come once, from the parent.
+    _log.setLevel(logging.ERROR)
+    serve(Channel.inherited(int(argv[0])))
+    return 0

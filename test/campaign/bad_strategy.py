@@ -62,8 +62,8 @@ def register(mode_file: Path) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the controller node, given the id of the parent, the file of the mode, and its own."""
+    from sphere_nmpc.child import end_with_parent
     from sphere_nmpc.ros.controller.node import main as run_controller
-    from sphere_sim.ros.session.parent import end_with_parent
 
     parent, mode_file, *rest = arguments
     end_with_parent(int(parent))

@@ -31,7 +31,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.network import DOMAIN, RosEnvironmentError
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import number, whole
-from sphere_sim.output.result_folder import prepare_folder
+from sphere_sim.output.files import prepare_folder
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.world.settings import PLANTS
 

@@ -33,7 +33,7 @@ from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 from sphere_sim.ros.session.child_process import verb_command
 
 MOST_AHEAD = 0.5

@@ -24,7 +24,7 @@ from sphere_nmpc.ros.messages import (
     rotor_speeds_and_stamp,
     speeds_of_message,
 )
-from sphere_sim.ros.session.goal_run import GoalRun
+from sphere_sim.evaluation.metrics import GoalRun
 
 _TOLERANCE = 1e-3
 """Relative excess up to which a limit does not count as violated."""

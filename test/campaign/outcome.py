@@ -12,7 +12,7 @@ from typing import Any
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign_text import shown
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 
 
 @dataclass(frozen=True)

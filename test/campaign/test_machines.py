@@ -8,7 +8,7 @@ import subprocess
 
 from patience import PATIENCE
 
-from sphere_nmpc.child_command import python_command
+from sphere_nmpc.child import python_command
 
 STUDY = ("study", "--draw", "2", "--seed", "1", "--duration", "1", "--jobs", "2", "--no-bound")
 

@@ -22,14 +22,14 @@ from node_session import Session, SessionError, random_goal
 from outcome import Outcome
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.child_command import module_command
-from sphere_nmpc.end_signals import TERMINAL_SIGNALS
+from sphere_nmpc.child import TERMINAL_SIGNALS, module_command
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
+from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.ros.session.goal_run import GoalRun, wait_until_settled
+from sphere_sim.ros.session.goal_run import wait_until_settled
 
 RATE = 20.0
 """Rate of poses, clock and commands [Hz], low enough for the relay on a busy machine."""

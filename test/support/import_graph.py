@@ -38,7 +38,7 @@ FLOORS = {
         ("solver", "settings"),
         ("model",),
         ("quantity", "fault_log", "worker"),
-        ("child_command", "end_signals", "errors", "library_threads"),
+        ("child", "errors", "library_threads"),
         ("foreign_text",),
     ),
 }

@@ -19,7 +19,7 @@ from sphere_sim.evaluation.metrics import (
     position_errors,
     settling_index,
 )
-from sphere_sim.output.atomic_write import write_atomically
+from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import BLUE, GREY, ORANGE, VERMILION

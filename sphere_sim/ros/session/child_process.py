@@ -7,17 +7,17 @@ import os
 import re
 import signal
 import subprocess
-import threading
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.child_command import module_command
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import Process, end_together, how_it_ended, module_command
 from sphere_nmpc.errors import SphereNmpcError
 
-_STOPPING = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 2.0))
+_STOPPING = (
+    # A stopped process would not handle what follows.
+    (signal.SIGCONT, 0.0), (signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 2.0),
+)
 """Signals that end a process, in this order, and the wait after each [s]."""
 _KILLED_WITHIN = 5.0
 """Longest wait for a process after SIGKILL [s]."""
@@ -42,13 +42,7 @@ def parameter_options(parameters: Mapping[str, object]) -> list[str]:
 
 
 class ChildEndedError(SphereNmpcError):
-    """A child process ended unexpectedly.
-
-    Parameters
-    ----------
-    process : ChildProcess
-        The process, which has ended.
-    """
+    """A child process ended unexpectedly."""
 
     def __init__(self, process: "ChildProcess") -> None:
         lines = process.output.splitlines()[-_LAST_LINES:]
@@ -61,8 +55,7 @@ class ChildProcess:
 
     It can be started again after its end; the log then continues. Signals go to the whole group,
     so that what the command has started is ended too, and a Ctrl-C of the terminal does not reach
-    it: the parent decides when it ends. Signals that the parent ignores, as in the background of a
-    script, have their default action in the child.
+    it: the parent decides when it ends.
 
     Parameters
     ----------
@@ -86,7 +79,7 @@ class ChildProcess:
         self.log = log
         self._append = append
         self._options = options
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Process | None = None
 
     @property
     def pid(self) -> int:
@@ -106,11 +99,9 @@ class ChildProcess:
     @property
     def ending(self) -> str:
         """Description of its end."""
-        code = self.code
-        if code is None:
+        if self._process is None or self._process.poll() is None:
             return f"{self.name} has not ended"
-        how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        return f"{self.name} ended, {how}"
+        return f"{self.name} ended, {how_it_ended(self._process)}"
 
     @property
     def output(self) -> str:
@@ -127,26 +118,18 @@ class ChildProcess:
         self.stop()
         with self.log.open("ab" if self._append else "wb") as output:
             streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": output}
-            with _default_in_children():
-                self._process = subprocess.Popen(
-                    [*self.command, *extra], start_new_session=True, **{**streams, **self._options}
-                )
+            self._process = subprocess.Popen(
+                [*self.command, *extra], start_new_session=True, **{**streams, **self._options}
+            )
         self._append = True
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the process and to what it has started."""
         if self._process is not None and self._process.poll() is None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, number)
+            _signal_group(self._process, number)
 
     def wait(self, timeout: float) -> int:
-        """Wait until it ends and return its exit code.
-
-        Raises
-        ------
-        subprocess.TimeoutExpired
-            If it runs for longer than `timeout` [s].
-        """
+        """Wait until it ends, at most for `timeout` [s], and return its exit code."""
         if self._process is None:
             raise ValueError(f"{self.name} was never started")
         return self._process.wait(timeout)
@@ -154,8 +137,7 @@ class ChildProcess:
     def kill(self) -> None:
         """End it as ``kill -9`` does, and what it has started, even if it has ended itself."""
         if self._process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
+            _signal_group(self._process, signal.SIGKILL)
             self._process.wait(_KILLED_WITHIN)
 
     def stop(self) -> None:
@@ -163,44 +145,17 @@ class ChildProcess:
         stop_together([self])
 
     def check(self) -> None:
-        """Raise if it has ended.
-
-        Raises
-        ------
-        ChildEndedError
-            With the last lines of its output.
-        """
+        """Raise `ChildEndedError` if it has ended."""
         if self.code is not None:
             raise ChildEndedError(self)
 
 
 def stop_together(processes: Sequence[ChildProcess]) -> None:
     """End several processes at the same time, and wait for their end."""
-    for process in processes:
-        process.send(signal.SIGCONT)  # a stopped process would not handle what follows
-    for number, patience in _STOPPING:
-        running = [process for process in processes if process.running]
-        for process in running:
-            process.send(number)
-        end = time.monotonic() + patience
-        for process in running:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(max(0.0, end - time.monotonic()))
+    started = [process._process for process in processes if process._process is not None]
+    end_together(started, _STOPPING, _signal_group)
 
 
-@contextlib.contextmanager
-def _default_in_children() -> Iterator[None]:
-    """Handle, without effect, signals that this process ignores.
-
-    A child inherits ignored signals and would ignore the request to end; handled ones have their
-    default action in it.
-    """
-    may_change = threading.current_thread() is threading.main_thread()
-    ignored = [n for n in END_SIGNALS if may_change and signal.getsignal(n) is signal.SIG_IGN]
-    for number in ignored:
-        signal.signal(number, lambda *_: None)
-    try:
-        yield
-    finally:
-        for number in ignored:
-            signal.signal(number, signal.SIG_IGN)
+def _signal_group(process: Process, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, number)

@@ -1,29 +1,28 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's own node, which waits for the others, sends the goal, starts time and observes."""
+"""The launcher's own node, which waits for the others, sends the goal and starts time."""
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from sphere_nmpc.errors import InvalidInputError, InvalidStateError, SphereNmpcError
-from sphere_nmpc.model.state import angle_error, position_error
+from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.messages import joint_states_from_ros, pose_from_ros, seconds, stamp_from_ros
+from sphere_nmpc.ros.messages import joint_states_from_ros
 from sphere_nmpc.ros.startup import start_ros
-from sphere_sim.ros.session.goal_run import GoalRun
-from sphere_sim.ros.session.goal_sender import GoalSender
+from sphere_sim.evaluation.metrics import GoalRun
+from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
 from sphere_sim.ros.session.serving import serve_until
 
@@ -42,91 +41,63 @@ class NotReadyError(SphereNmpcError):
     """The nodes were not ready in time."""
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Newest values of a run.
-
-    Attributes
-    ----------
-    time : float
-        Simulated time [s].
-    error : float
-        ||x - x_d|| [mixed units].
-    position_error, angle_error : float
-        Distance [m] and angle [rad] to the goal.
-    rotor_speeds : tuple of float
-        Newest rotor speeds [rad/s].
-    solve_time : float
-        Newest solve time [s].
-    """
-
-    time: float = 0.0
-    error: float = math.nan
-    position_error: float = math.nan
-    angle_error: float = math.nan
-    rotor_speeds: tuple[float, float] = (0.0, 0.0)
-    solve_time: float = math.nan
-
-
 class DemoSession:
-    """Node that sends the goal, starts simulated time and follows the run.
+    """Node that sends the goal, starts simulated time and follows the run; a context manager.
 
-    Parameters
-    ----------
-    run : GoalRun
-        The run to the goal.
-    shell_radius : float
-        Height of the centre [m].
-    check : callable
-        Raises when waiting has become useless, as a node has ended.
+    rclpy is initialised without handlers of its own: on Ctrl-C the caller has to end its children.
+    `check` raises when waiting has become useless, as a node has ended.
     """
 
-    def __init__(self, run: GoalRun, shell_radius: float, check: Callable[[], object]) -> None:
-        self.run = run
-        self._radius = shell_radius
+    def __init__(self, check: Callable[[], object]) -> None:
         self._check = check
+        start_ros([], quiet=True)
         self._node = GuardedNode("demo")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._sender = GoalSender(self._node, self.spin)
+        self._runner = GoalRunner(self._node, self.spin)
         self._pause = self._node.create_client(SetBool, "simulator/pause")
         self._recorder = self._node.create_client(Trigger, "recorder/is_recording")
-        self.progress = Progress()
+        self.rotor_speeds: Vector = np.zeros(2)
+        """Newest rotor speeds [rad/s]."""
+        self.solve_time = math.nan
+        """Newest solve time [s]."""
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(PoseStamped, "pose", self._note_pose, newest)
         self._node.create_subscription(JointState, "joint_states", self._note_joints, newest)
         self._node.create_subscription(DiagnosticStatus, "controller/status", self._note_solve, 10)
 
-    def prepare(self, timeout: float) -> None:
+    def __enter__(self) -> "DemoSession":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def prepare(self, goal: Vector, tolerance: float, hold: float, timeout: float) -> GoalRun:
         """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.
 
-        Parameters
-        ----------
-        timeout : float
-            Longest wait [s].
+        Returns the run to the goal, which gets its poses while the node is served.
 
         Raises
         ------
         NotReadyError, GoalNotAcceptedError
-            If the nodes are not ready in time.
+            If the nodes are not ready within `timeout` [s].
         DomainInUseError
             If other publishers have appeared in the domain meanwhile.
         """
         end = time.monotonic() + timeout
-        self._sender.wait_for_controller(timeout)
+        self._runner.sender.wait_for_controller(timeout)
         self._await(self._pause.service_is_ready, end, "the simulator's services")
         self._await(self._recorder.service_is_ready, end, "the recorder's services")
-        self._sender.send(self.run.goal, self._radius, max(1.0, end - time.monotonic()))
+        left = max(1.0, end - time.monotonic())
+        run = self._runner.send(goal, left, tolerance=tolerance, hold=hold)
         self._await(self._recorder_is_ready, end, "the recorder to receive every topic")
         require_sole_publishers(self._node)
+        return run
 
-    def start(self) -> None:
-        """Start simulated time."""
-        self._call(self._pause, SetBool.Request(data=False))
-
-    def halt(self) -> None:
-        """Pause simulated time."""
-        self._call(self._pause, SetBool.Request(data=True))
+    def pause(self, paused: bool) -> None:
+        """Pause simulated time, or start it."""
+        self._call(self._pause, SetBool.Request(data=paused))
 
     def spin(self, duration: float = 0.05) -> None:
         """Serve the node for `duration` [s, wall time], then call `check`.
@@ -138,11 +109,6 @@ class DemoSession:
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=_SPIN)
         self._check()
-
-    def close(self) -> None:
-        """Destroy the node."""
-        self._executor.shutdown()
-        self._node.destroy_node()
 
     def _recorder_is_ready(self) -> bool:
         lines = self._call(self._recorder, Trigger.Request()).message.splitlines()
@@ -162,52 +128,16 @@ class DemoSession:
             )
         return future.result()
 
-    def _note_pose(self, message: Any) -> None:
-        try:
-            state = pose_from_ros(message)
-        except InvalidStateError:
-            return
-        self.run.observe(seconds(stamp_from_ros(message.header.stamp)), state)
-        self.progress = replace(
-            self.progress,
-            time=self.run.time,
-            error=self.run.error,
-            position_error=position_error(state, self.run.goal),
-            angle_error=angle_error(state, self.run.goal),
-        )
-
     def _note_joints(self, message: Any) -> None:
-        try:
-            _, speeds, _ = joint_states_from_ros(message)
-        except InvalidInputError:
-            return
-        self.progress = replace(self.progress, rotor_speeds=(float(speeds[0]), float(speeds[1])))
+        with suppress(InvalidInputError):
+            _, self.rotor_speeds, _ = joint_states_from_ros(message)
 
     def _note_solve(self, message: Any) -> None:
         values = {pair.key: pair.value for pair in message.values}
-        self.progress = replace(
-            self.progress, solve_time=float(values.get("solve_time_s", "nan"))
-        )
+        self.solve_time = float(values.get("solve_time_s", "nan"))
 
 
 def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...]) -> list[str]:
     """Return the topics that the recorder does not report in one of these states."""
     there = [line.partition(" ")[2] for line in lines if line.partition(" ")[0] in states]
     return [topic for topic in topics if not any(name.endswith(topic) for name in there)]
-
-
-@contextmanager
-def demo_session(
-    run: GoalRun, shell_radius: float, check: Callable[[], object]
-) -> Iterator[DemoSession]:
-    """Initialise rclpy and yield a `DemoSession` with these parameters."""
-    # Without handlers of rclpy's own: on Ctrl-C the caller has to end its child processes.
-    start_ros([], quiet=True)
-    try:
-        session = DemoSession(run, shell_radius, check)
-        try:
-            yield session
-        finally:
-            session.close()
-    finally:
-        rclpy.try_shutdown()

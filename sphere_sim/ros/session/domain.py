@@ -23,7 +23,7 @@ _LOCK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 @contextlib.contextmanager
 def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iterator[int]:
-    """Set ``ROS_DOMAIN_ID`` to a free id, unless it is set, and stay on this machine.
+    """Set ``ROS_DOMAIN_ID`` to a free id, unless it is set, and yield it; stay on this machine.
 
     A lock, which the system releases when the process ends, keeps the id.
 
@@ -33,11 +33,6 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
         Whether to use the loopback alone, rather than the network that the environment selects.
     domains : sequence of int, optional
         Candidates where it is not set, in this order.
-
-    Yields
-    ------
-    int
-        The domain.
 
     Raises
     ------
@@ -68,10 +63,7 @@ def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iter
 def _take_free(domains: Sequence[int]) -> tuple[int, int]:
     """Set the variable to the first domain that is neither locked nor in use.
 
-    Returns
-    -------
-    int, int
-        The domain, and the file descriptor of its lock.
+    Returns the domain and the file descriptor of its lock.
     """
     others: list[str] = []
     occupied = 0

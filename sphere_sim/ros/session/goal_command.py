@@ -5,25 +5,33 @@
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
 
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
-from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.session.serving import serve_until
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 _ANSWER_TIMEOUT = 5.0
 """Longest wait for the confirmation of the controller, and for its status after that [s]."""
 _ROUNDED = 1.001
 """Largest angle accepted over a turn, which may be given rounded."""
+_REMEDIES = {
+    Mode.DISABLED.value: ("controller/enable", "true"),
+    Mode.CLOCK_STOPPED.value: ("simulator/pause", "false"),
+}
+"""Service that ends a state of the controller, and what to send to it."""
 
 
 def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
@@ -120,3 +128,54 @@ def main(args: Sequence[str] | None = None) -> int:
         state = f"; {status.topic} reports the progress"
     print(f"{sent}: in force{state}")
     return 0
+
+
+class ControllerStatus:
+    """Subscriber of the status of the controller in the namespace of a node.
+
+    From it a sender of a goal learns what else is missing.
+    """
+
+    def __init__(self, node: Node, spin: Callable[[], object]) -> None:
+        self._node = node
+        self._spin = spin
+        self._newest: DiagnosticStatus | None = None
+        self.topic = node.create_subscription(
+            DiagnosticStatus, "controller/status", self._take, 1
+        ).topic_name
+        """Full name of the topic."""
+
+    def obstacle(self, timeout: float) -> str | None:
+        """Return what keeps the controller from moving to a goal that it has just accepted.
+
+        It is the reason with the remedy, empty where nothing does; None if there was no status
+        within `timeout` [s].
+        """
+        self._newest = None
+        # The newest decision may be one of before the goal.
+        if not serve_until(
+            self._spin, lambda: self._newest and _mode(self._newest) != Mode.NO_GOAL.value, timeout
+        ):
+            return None
+        return self._reason(self._newest) if self._newest else None
+
+    def _reason(self, status: DiagnosticStatus) -> str:
+        words = [Mode.DISABLED.value] if _mode(status) == Mode.DISABLED.value else []
+        if status.level != DiagnosticStatus.OK:
+            words.append(status.message)
+        # Longer than other foreign texts, as the remedy is at the end.
+        return "; ".join(self._remedy(word) or f"{word!r:.400}" for word in words)
+
+    def _remedy(self, word: str) -> str:
+        if word not in _REMEDIES:
+            return ""
+        service, data = _REMEDIES[word]
+        name = self._node.resolve_service_name(service)
+        return f'{word}: ros2 service call {name} std_srvs/srv/SetBool "{{data: {data}}}"'
+
+    def _take(self, status: DiagnosticStatus) -> None:
+        self._newest = status
+
+
+def _mode(status: DiagnosticStatus) -> str:
+    return next((pair.value for pair in status.values if pair.key == "mode"), "")

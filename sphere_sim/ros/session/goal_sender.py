@@ -28,39 +28,26 @@ class GoalNotAcceptedError(SphereNmpcError):
 class GoalSender:
     """Publisher on ``goal_pose`` with the controller's ``active_goal`` as confirmation.
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the publisher; goal and controller are in its namespace.
-    spin : callable
-        Serves the node for a moment.
-    controller : str, optional
-        Name of the controller node.
+    Both are in the namespace of `node`, which `spin` serves for a moment.
     """
 
-    def __init__(
-        self, node: Node, spin: Callable[[], object], controller: str = "controller"
-    ) -> None:
+    def __init__(self, node: Node, spin: Callable[[], object]) -> None:
         self._spin = spin
         self._node = node
         self._accepted: Vector | None = None
-        active = f"{controller}/active_goal"
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._publisher = node.create_publisher(PoseStamped, "goal_pose", 1)
-        self._confirmation = node.create_subscription(PoseStamped, active, self._note, latched)
+        self._confirmation = node.create_subscription(
+            PoseStamped, "controller/active_goal", self._note, latched
+        )
 
     def wait_for_controller(self, timeout: float) -> None:
         """Wait until the controller is matched, and every other subscriber of the goal.
 
-        Parameters
-        ----------
-        timeout : float
-            Longest wait [s].
-
         Raises
         ------
         GoalNotAcceptedError
-            If that does not happen in time.
+            If that does not happen within `timeout` [s].
         """
         topic = self._publisher.topic_name
         if not serve_until(self._spin, self._is_matched, timeout):

@@ -36,13 +36,7 @@ FOUND = 3
 
 
 class DomainInUseError(SphereNmpcError):
-    """Other nodes in the domain publish the topics that our nodes are to publish.
-
-    Parameters
-    ----------
-    nodes : list of str
-        Full names of the nodes that were found.
-    """
+    """Other nodes, with these full names, publish in the domain what ours are to publish."""
 
     def __init__(self, nodes: list[str]) -> None:
         domain = os.environ.get(DOMAIN) or "0"
@@ -54,16 +48,9 @@ class DomainInUseError(SphereNmpcError):
 
 
 def find_publishers(namespace: str = "/", topics: Sequence[str] = TOPICS) -> list[str]:
-    """Return the full names of the nodes in this domain that publish a robot's topics.
+    """Return the full names of the nodes in this domain that publish topics of a robot.
 
     rclpy must not be in use.
-
-    Parameters
-    ----------
-    namespace : str, optional
-        Of the robot.
-    topics : sequence of str, optional
-        The topics.
     """
     searches = _SEARCHES[apply_localhost_only()]
     return next(filter(None, (_search(namespace, topics, seconds) for seconds in searches)), [])
@@ -90,17 +77,9 @@ def _search(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
 
 
 def require_sole_publishers(node: Node) -> None:
-    """Raise if a topic that may have one publisher only has several.
+    """Raise `DomainInUseError` if a topic has several publishers, as of two demos that start.
 
-    Parameters
-    ----------
-    node : Node
-        Node in the namespace of the robot, whose own nodes are all up.
-
-    Raises
-    ------
-    DomainInUseError
-        If a topic has several, as when two demos start at the same time.
+    The nodes of the robot in the namespace of `node` are all up.
     """
     crowded = {topic: nodes for topic, nodes in publishers(node).items() if len(nodes) > 1}
     if crowded:

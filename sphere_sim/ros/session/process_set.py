@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several child processes that are checked and ended together."""
 
-import contextlib
 import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS
 from sphere_sim.ros.session.child_process import ChildProcess, stop_together, verb_command
 
 
@@ -30,8 +29,12 @@ class ProcessSet:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        with _signals_ignored():
+        earlier = {number: signal.signal(number, signal.SIG_IGN) for number in END_SIGNALS}
+        try:
             self.stop()
+        finally:
+            for number, handler in earlier.items():
+                signal.signal(number, handler)
 
     def __getitem__(self, name: str) -> ChildProcess:
         return self._processes[name]
@@ -48,19 +51,10 @@ class ProcessSet:
     def start(
         self, verb: str, arguments: Sequence[str] = (), within: Sequence[str] = (), name: str = ""
     ) -> ChildProcess:
-        """Start ``sphere_nmpc VERB ARGUMENTS``.
+        """Start ``sphere_nmpc VERB ARGUMENTS``; its name is by default the verb.
 
-        Parameters
-        ----------
-        verb : str
-            The verb.
-        arguments : sequence of str, optional
-            Its arguments.
-        within : sequence of str, optional
-            A command in front, such as ``nice``, which replaces itself by the verb: a signal to
-            the one has to reach the other.
-        name : str, optional
-            Name of the process, where several run the same verb; by default the verb.
+        A command may be in front of it, such as ``nice``, that replaces itself by the verb: a
+        signal to the one has to reach the other.
         """
         process = self.add(name or verb, [*within, *verb_command(verb, *arguments)])
         process.start()
@@ -72,13 +66,7 @@ class ProcessSet:
         return {process.name: process.pid for process in self}
 
     def check(self) -> None:
-        """Raise if one of them has ended.
-
-        Raises
-        ------
-        ChildEndedError
-            With the last lines of its output.
-        """
+        """Raise `ChildEndedError` if one of them has ended."""
         for process in self:
             process.check()
 
@@ -89,14 +77,3 @@ class ProcessSet:
         # Not before: what an interrupt leaves running has to be ended when the context is left.
         for name in ended:
             del self._processes[name]
-
-
-@contextlib.contextmanager
-def _signals_ignored() -> Iterator[None]:
-    """Ignore the signals that ask this process to end."""
-    earlier = {number: signal.signal(number, signal.SIG_IGN) for number in END_SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in earlier.items():
-            signal.signal(number, handler)

@@ -9,22 +9,10 @@ from collections.abc import Callable
 def serve_until(
     spin: Callable[[], object], condition: Callable[[], object], timeout: float
 ) -> bool:
-    """Serve a node until a condition holds.
+    """Serve a node by `spin` until a condition holds; return whether it holds.
 
-    Parameters
-    ----------
-    spin : callable
-        Serves the node for a moment.
-    condition : callable
-        Returns whether the condition holds; called before the node is first served, and each time
-        after that.
-    timeout : float
-        Wall time after which the wait is given up [s].
-
-    Returns
-    -------
-    bool
-        Whether the condition holds.
+    The condition is looked at before the node is first served, and each time after that, for
+    `timeout` [s, wall time].
     """
     end = time.monotonic() + timeout
     while not condition():

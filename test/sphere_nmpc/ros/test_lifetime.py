@@ -25,7 +25,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.end_signals import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS
 from sphere_nmpc.ros.lifetime import GarbageCollection, RunnableNode, StopRequest, run
 from sphere_nmpc.ros.messages import hold_from_trajectory, pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from operator import contains, methodcaller
-from pathlib import Path
 from select import select
 
 import pytest
@@ -28,10 +27,12 @@ def faults() -> list[str]:
 
 
 @pytest.fixture
-def worker(faults: list[str]) -> Iterator[WorkerProcess]:
+def worker(faults: list[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[WorkerProcess]:
+    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
     made = WorkerProcess(faults.append)
     yield made
     made.close()
+    assert not made.available and made.submit(len).error
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -41,13 +42,13 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(2e-3)
 
 
-def complete(worker: WorkerProcess, reply: Reply[object]) -> object:
-    def done() -> bool:
-        worker.poll()
-        return not reply.pending
+def ended(worker: WorkerProcess, reply: Reply[object]) -> Reply[object]:
+    until(lambda: bool(worker.poll() or not reply.pending))
+    return reply
 
-    until(done)
-    assert not reply.error
+
+def complete(worker: WorkerProcess, reply: Reply[object]) -> object:
+    assert not ended(worker, reply).error
     return reply.result
 
 
@@ -76,49 +77,25 @@ def test_task_that_raises_is_told_and_the_next_one_is_done(
 
 
 def test_process_that_is_killed_fails_its_tasks_and_is_replaced(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
+    worker: WorkerProcess, faults: list[str]
 ) -> None:
-    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
     assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 1))) == 1
     first = worker.pid
     os.kill(first, signal.SIGSTOP)
     reply = worker.submit(len)
     os.kill(first, signal.SIGKILL)
-
-    def failed() -> bool:
-        worker.poll()
-        return bool(reply.error)
-
-    until(failed)
-    assert "replaced" in faults[0]
+    assert ended(worker, reply).error and "replaced" in faults[0]
     assert complete(worker, worker.submit(len)) == 0, "the store of the new process is empty"
     assert worker.pid != first
-
-
-def test_process_that_does_not_answer_is_replaced(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
-    monkeypatch.setattr(process, "_PATIENCE", 0.2)
-    assert complete(worker, worker.submit(len)) == 0
-    stopped = worker.pid
-    os.kill(stopped, signal.SIGSTOP)
-    reply = worker.submit(len)
-    until(lambda: bool(worker.poll() or reply.error))
-    assert "no result" in reply.error and "replaced" in faults[0]
-    until(lambda: not is_running(stopped))
-    assert complete(worker, worker.submit(len)) == 0
 
 
 def test_process_with_an_endless_task_is_replaced(
     worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
     monkeypatch.setattr(process, "_PATIENCE", 0.2)
     assert complete(worker, worker.submit(len)) == 0
     reply = worker.submit(partial(contains, range(10**12)))
-    until(lambda: bool(worker.poll() or reply.error))
-    assert "no result" in reply.error and "replaced" in faults[0]
+    assert "no result" in ended(worker, reply).error and "replaced" in faults[0]
     assert complete(worker, worker.submit(len)) == 0
 
 
@@ -153,7 +130,7 @@ def test_result_that_arrives_while_the_process_is_looked_at_is_taken(
     worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def finishes() -> bool:
-        assert select([worker._connection], [], [], PATIENCE)[0], "timed out"
+        assert select([worker._child.channel], [], [], PATIENCE)[0], "timed out"
         return False
 
     monkeypatch.setattr(process, "_PATIENCE", 0.0)
@@ -175,27 +152,10 @@ def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: Worker
     assert complete(worker, replies[7]) == bytes(16_000)
 
 
-def test_result_that_cannot_be_read_replaces_the_process(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
-    assert complete(worker, worker.submit(len)) == 0
-
-    def fail() -> object:
-        raise ValueError("nothing like it")
-
-    monkeypatch.setattr(worker._connection, "receive", fail)
-    reply = worker.submit(len)
-    until(lambda: bool(worker.poll() or reply.error))
-    assert "cannot be read: nothing like it" in faults[-1]
-    assert complete(worker, worker.submit(len)) == 0
-
-
 def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> None:
-    assert worker._connection is not None
     # Ten million characters: more than the pipe holds, so that a part of them has arrived.
     reply = worker.submit(partial("{:>10000000}".format, "end"))
-    assert select([worker._connection], [], [], PATIENCE)[0], "timed out"
+    assert select([worker._child.channel], [], [], PATIENCE)[0], "timed out"
     os.kill(worker.pid, signal.SIGSTOP)
     polling = threading.Thread(target=worker.poll, daemon=True)
     polling.start()
@@ -207,36 +167,6 @@ def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> N
     assert complete(worker, worker.submit(len)) == 0
 
 
-def test_task_that_cannot_be_sent_is_refused_and_the_next_one_is_done(
-    worker: WorkerProcess, faults: list[str]
-) -> None:
-    refused = worker.submit(lambda store: None)
-    assert "cannot be sent" in refused.error and faults == [refused.error]
-    assert complete(worker, worker.submit(len)) == 0
-
-
-def test_result_that_cannot_be_sent_is_told_and_the_next_task_is_done(
-    worker: WorkerProcess, faults: list[str]
-) -> None:
-    # The iterator of a dictionary cannot be pickled.
-    failing, next_one = worker.submit(methodcaller("keys")), worker.submit(len)
-    assert complete(worker, next_one) == 0
-    assert "dict_keys" in failing.error and faults == [failing.error]
-
-
-def test_folder_that_is_gone_prevents_the_start_and_is_told(
-    faults: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "gone").mkdir()
-    monkeypatch.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    # Relative entries have no meaning there.
-    monkeypatch.setattr(sys, "path", ["relative", *sys.path])
-    worker = WorkerProcess(faults.append)
-    assert not worker.available and "not started" in faults[0]
-    worker.close()
-
-
 def test_where_no_process_can_be_started_tasks_are_refused(
     faults: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -244,14 +174,6 @@ def test_where_no_process_can_be_started_tasks_are_refused(
     worker = WorkerProcess(faults.append)
     assert not worker.available and worker.submit(len).error
     assert "not started" in faults[0]
-    worker.close()
-
-
-def test_closing_ends_the_process(worker: WorkerProcess) -> None:
-    pid = worker.pid
-    worker.close()
-    until(lambda: not is_running(pid))
-    assert not worker.available and worker.submit(len).error
 
 
 def test_process_ends_with_an_owner_that_is_killed() -> None:

@@ -4,13 +4,11 @@
 
 import subprocess
 import sys
-from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 from sphere_sim.cli import main as cli
-from sphere_sim.output.error_text import EXTRAS
 
 
 @pytest.fixture
@@ -33,25 +31,6 @@ def test_help_lists_the_verbs(argv, install_verb, capsys) -> None:
     assert cli.main(argv) == 0
     usage = capsys.readouterr().out
     assert "roll the sphere" in usage and "run one of the paper's cases" in usage
-
-
-def test_version_is_that_of_the_package(capsys) -> None:
-    assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"sphere_nmpc {metadata.version('sphere_nmpc')}\n"
-
-
-def test_unknown_verb_is_named_and_the_verbs_are_listed(install_verb, capsys) -> None:
-    install_verb("")
-    assert cli.main(["fly"]) == 2
-    message = capsys.readouterr().err
-    assert "'fly'" in message
-    assert "roll the sphere" in message
-
-
-def test_verb_gets_the_rest_and_its_code_is_returned(install_verb, capsys) -> None:
-    install_verb("def main(argv):\n    print(argv)\n    return 7\n")
-    assert cli.main(["roll", "--case", "2"]) == 7
-    assert capsys.readouterr().out == "['--case', '2']\n"
 
 
 @pytest.mark.parametrize(
@@ -82,10 +61,6 @@ def test_wrong_import_is_not_taken_for_a_missing_package(name, install_verb, cap
     message = capsys.readouterr().err
     assert "unexpected ModuleNotFoundError" in message and "no_such_module" in message
     assert "is not installed" not in message
-
-
-def test_extras_of_the_advice_exist() -> None:
-    assert {*EXTRAS, "all"} <= set(metadata.metadata("sphere_nmpc").get_all("Provides-Extra"))
 
 
 def test_installed_command_exits_with_the_code() -> None:

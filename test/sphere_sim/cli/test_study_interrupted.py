@@ -51,8 +51,8 @@ def lines(path: Path) -> int:
 
 @pytest.mark.parametrize(
     ("number", "all_of_them", "code"),
-    [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143), (signal.SIGHUP, True, 129)],
-    ids=["Ctrl-C in a terminal, which reaches the workers too", "kill", "terminal closed"],
+    [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143)],
+    ids=["Ctrl-C in a terminal", "kill"],
 )
 def test_interrupted_study_keeps_its_runs(tmp_path, number, all_of_them, code) -> None:
     runs, journal = 500, tmp_path / "journal.jsonl"
@@ -65,15 +65,10 @@ def test_interrupted_study_keeps_its_runs(tmp_path, number, all_of_them, code) -
     assert 2 < lines(journal) < runs
 
 
-def test_killed_study_leaves_no_process(tmp_path) -> None:
-    process = start("--draw", "500", "--out", str(tmp_path), "--jobs", "2", "--no-bound")
-    stop(process, lambda: lines(tmp_path / "journal.jsonl") > 2, signal.SIGKILL, False)
-
-
 def test_interrupted_search_for_best_known_times_leaves_all_other_results(tmp_path) -> None:
     out = tmp_path / "out"
     process = start(
-        "--draw", "60", "--duration", "0.5", "--out", str(out), "--jobs", "2",
+        "--draw", "20", "--duration", "0.5", "--out", str(out), "--jobs", "2",
         "--strategy", "paper",
         env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
     )
@@ -82,8 +77,8 @@ def test_interrupted_search_for_best_known_times_leaves_all_other_results(tmp_pa
     assert process.returncode == 130
     assert "all results but the best known times" in message and "Traceback" not in message
     with (out / "runs.csv").open(encoding="utf-8", newline="") as file:
-        assert len(list(csv.DictReader(file))) == 60
-    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == 60
+        assert len(list(csv.DictReader(file))) == 20
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == 20
     assert (out / "inputs.npz").exists()
 
 
@@ -111,16 +106,13 @@ def test_study_on_a_full_disk_keeps_its_runs_and_continues(tmp_path) -> None:
         return [f"sphere_nmpc study: {tmp_path / name}: {reason}"]
 
     assert run(100) == (1, cannot("journal.jsonl"))
-    # As much as the settings of the study and a run or two take.
+    # As much as the settings of the study and a run or two take, then all but the figure.
     assert run(3000) == (1, cannot("journal.jsonl"))
     assert 1 <= lines(journal) < 5
-    assert run(10**6)[0] == 0
-    assert lines(journal) == 5
+    code, messages = run(10**4)
+    assert code == 0 and lines(journal) == 5
+    assert any("figure.png not drawn: " in line for line in messages)
     before = (tmp_path / "runs.csv").read_bytes()
     assert run(100) == (1, cannot("runs.csv"))
     assert (tmp_path / "runs.csv").read_bytes() == before
     assert not list(tmp_path.glob(".*"))
-    # Room for everything but the figure.
-    code, messages = run(10**4)
-    assert code == 0 and lines(journal) == 5
-    assert any("figure.png not drawn: " in line for line in messages)

@@ -88,7 +88,7 @@ def test_change_of_an_unrelated_setting_changes_no_plan(strategy: str) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"planning_effort": 20_000}, {"learning": False}, {"drive_lag": 0.005},
+    [{"planning_effort": 20_000, "learning": False}, {"drive_lag": 0.005},
      {"pose_position_noise": 1e-3, "pose_orientation_noise": 1e-3}],
     ids=lambda change: next(iter(change)),
 )

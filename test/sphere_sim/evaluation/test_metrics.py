@@ -14,6 +14,7 @@ from sphere_sim.evaluation.metrics import (
     position_errors,
     settling_index,
     state_errors,
+    stay_below,
 )
 
 GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -49,6 +50,9 @@ def test_errors_over_time_are_those_of_each_state(of_many, of_one) -> None:
 )
 def test_settling_counts_only_if_it_lasts(errors, index) -> None:
     assert settling_index(np.array(errors)) == index
+    stay = stay_below(np.arange(len(errors)), np.array(errors), 1e-2)
+    assert (None if stay is None else stay.since) == index
+    assert stay is None or stay.largest == max(errors[index:]) >= stay.p95
 
 
 def test_measure_of_a_straight_run() -> None:
@@ -63,10 +67,3 @@ def test_measure_of_a_straight_run() -> None:
     assert metrics.max_rotor_speed == 90.0
     assert math.isnan(metrics.max_rotor_torque_nm)
     assert metrics.solve_ms_p50 == pytest.approx(2.0)
-
-
-def test_measure_of_a_run_that_does_not_settle() -> None:
-    states = np.tile(GOAL, (3, 1)) + np.array([0.1, 0, 0, 0, 0, 0])
-    metrics = measure(np.arange(3.0), states, GOAL, *(np.empty((0, 2)),) * 2, np.empty(0))
-    assert not metrics.settled and math.isnan(metrics.settle_time_s)
-    assert metrics.final_position_error_m == pytest.approx(0.1)

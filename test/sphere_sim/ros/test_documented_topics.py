@@ -21,7 +21,7 @@ from ros2_checks import table
 
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_sim.ros.recorder.node import RecorderNode
-from sphere_sim.ros.session.controller_status import ControllerStatus
+from sphere_sim.ros.session.goal_command import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode

@@ -2,13 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Best known times: for which robot they are searched, where, and how they are kept."""
 
-import hashlib
 import json
-import math
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,15 +19,12 @@ from sphere_nmpc.model.drift import (
 )
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import angle_error, make_state, position_error, state_error
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival
-from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.model.state import state_error
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import best_known
-from sphere_sim.study.best_known import best_known_time, best_known_times
-from sphere_sim.study.best_known_cache import BestKnownTimes
-from sphere_sim.study.motion import AT_REST, Motion, motion_of
+from sphere_sim.study.best_known import BestKnownTimes, best_known_time, best_known_times
+from sphere_sim.study.motion import Motion, motion_of
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.workers import Workers
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -95,83 +89,24 @@ def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"shell_mass": 1.5},
-        {"shell_radius": 0.35},
-        {"rotor_axial_inertia": 0.01},
-        {"max_rotor_speed": 60.0},
-        {"max_rotor_acceleration": 250.0},
-        {"max_rotor_torque": 1.6},
+        {"robot": {"shell_mass": 1.5}}, {"robot": {"max_rotor_acceleration": 250.0}},
+        {"robot": {"max_rotor_torque": 1.6}},
+        {"motion": {"goal": SCENARIOS[1].goal}}, {"motion": {"speeds": np.array([1.0, 0.0])}},
+        {"motion": {"drift": PUSHED}}, {"motion": {"drift": Drift(slope=np.array([0.1, 0.0]))}},
+        {"motion": {"drift": Drift(imbalance=np.array([0.1, 0.0, 0.0]))}},
+        {"SEARCH_VERSION": -1}, {"SEARCHES": 3}, {"EFFORT": 1000}, {"GRIDS": (0.5, 0.25)},
     ],
     ids=str,
 )
-def test_another_robot_has_times_of_its_own(searched, change) -> None:
-    assert times() == numbered(2)
-    assert times(robot=replace(ROBOT, **change)) == numbered(4)[2:]
-    assert times() == numbered(2)
-
-
-def test_another_effort_has_times_of_its_own(searched, cache) -> None:
-    first = times()
-    with Workers() as workers:
-        assert best_known_times(MOTIONS, ROBOT, workers, 2.0) == numbered(4)[2:]
-        assert best_known_times(MOTIONS, ROBOT, workers, 1.0) == first
-
-
-def test_factor_multiplies_the_effort_of_each_search(monkeypatch) -> None:
-    made = []
-    monkeypatch.setattr(ArrivalSearch, "improve", lambda search, work, *others: made.append(work))
-    best_known_time(MOTIONS[0], ROBOT, 2.5)
-    best_known_time(MOTIONS[0], ROBOT)
-    assert made == [75_000, 30_000]
-
-
-def test_robots_that_move_alike_share_their_times(searched) -> None:
-    first = times()
-    # The rotors' transverse inertia moved into the counterweights', which sit at the same axes,
-    # and a torque limit that is never reached.
-    alike = replace(
-        ROBOT, rotor_transverse_inertia=0.003, counterweight_transverse_inertia=0.005,
-        max_rotor_torque=10.0,
-    )
-    assert times(robot=alike) == first
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("SEARCH_VERSION", -1), ("SEARCHES", 3), ("EFFORT", 1000), ("GRIDS", (0.5, 0.25))],
-)
-def test_another_search_has_times_of_its_own(searched, monkeypatch, name, value) -> None:
-    times()
-    monkeypatch.setattr(best_known, name, value)
-    assert times() == numbered(4)[2:]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"goal": SCENARIOS[0].start},
-        {"speeds": np.array([1.0, 0.0])},
-        {"drift": PUSHED},
-        {"drift": Drift(slope=np.array([0.1, 0.0]))},
-        {"drift": Drift(imbalance=np.array([0.1, 0.0, 0.0]))},
-    ],
-    ids=["goal", "speeds", "momentum", "slope", "imbalance"],
-)
-def test_another_motion_has_a_time_of_its_own(searched, change) -> None:
+def test_another_robot_motion_or_search_has_a_time_of_its_own(
+    searched, monkeypatch, change
+) -> None:
     assert times(MOTIONS[:1]) == numbered(1)
-    assert times([replace(MOTIONS[0], **change)]) == numbered(2)[1:]
-    assert times(MOTIONS[:1]) == numbered(1)
-
-
-def test_motions_without_drift_have_the_keys_of_before(searched, cache) -> None:
-    times(MOTIONS[:1])
-    numbers = [
-        *SCENARIOS[0].start, *SCENARIOS[0].goal, *ROBOT.lumped.as_array(), 100.0, 400.0,
-        best_known.SEARCH_VERSION, best_known.SEARCHES, best_known.EFFORT, *best_known.GRIDS,
-    ]
-    text = " ".join(f"{float(number):.9g}" for number in numbers)
-    key = hashlib.sha256(text.encode()).hexdigest()[:24]
-    assert json.loads(cache.read_text()) == [key, 1.0, 0.5]
+    for name, value in change.items():
+        if name.isupper():
+            monkeypatch.setattr(best_known, name, value)
+    motion = replace(MOTIONS[0], **change.get("motion", {}))
+    assert times([motion], replace(ROBOT, **change.get("robot", {}))) == numbered(2)[1:]
 
 
 def test_motion_of_a_run_begins_at_its_push() -> None:
@@ -203,38 +138,7 @@ def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0], [1e-3, 0.0, 1e-3]])
-def test_motion_with_momentum_ends_at_rest_with_it_in_the_rotors(monkeypatch, offset) -> None:
-    found = []
-    monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125))
-    refined = best_known._refined
-
-    def kept(*arguments: Any) -> Arrival | None:
-        found.append(refined(*arguments))
-        return found[-1]
-
-    monkeypatch.setattr(best_known, "_refined", kept)
-    upright = make_state(np.array([1.0, 0.5]), np.array([0.8, 0.0, 0.0, 0.6]))
-    imbalance = imbalance_of_offset(ROBOT, np.array(offset))
-    drift = replace(PUSHED, slope=slope_torque(ROBOT, 1e-3, 1.0), imbalance=imbalance)
-    state, here = SCENARIOS[0].start, np.zeros(2)
-    known = best_known_time(Motion(state, upright, drift=drift), ROBOT)
-    (arrival,) = found
-    assert arrival is not None and arrival.duration == known.duration
-    constants, knots = ROBOT.lumped.as_array(), arrival.hold
-    for duration, there in zip(np.diff(knots.times), knots.speeds[1:], strict=True):
-        state, momentum = integrate_with_drift(
-            state, drift, here, there, float(duration), constants, best_known._STEP
-        )
-        drift, here = replace(drift, momentum=momentum), there
-    # By the steps of the search, whose error differs from motion to motion.
-    assert position_error(state, upright) < 1e-4
-    assert angle_error(state, upright) < 5e-4
-    np.testing.assert_allclose(here, drift.rest_speeds(upright[2:]), atol=AT_REST)
-    assert np.linalg.norm(here) > 5.0
-
-
-@pytest.mark.parametrize("kind", ["anywhere", "far", "pushed"])
+@pytest.mark.parametrize("kind", ["far", "pushed"])
 def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
     kind, monkeypatch
 ) -> None:
@@ -267,55 +171,6 @@ def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
     assert 0.005 < known.duration - known.settling < 0.2
 
 
-
-
-def test_torque_limit_of_the_robot_costs_time() -> None:
-    strong, weak = (
-        best_known_time(MOTIONS[0], replace(ROBOT, max_rotor_torque=limit)).duration
-        for limit in (0.0, 0.4)
-    )
-    assert weak > 1.05 * strong
-
-
-def test_search_with_momentum_falls_back_on_the_motion_without(monkeypatch) -> None:
-    monkeypatch.setattr(best_known, "EFFORT", 100_000)
-    improve = ArrivalSearch.improve
-    started = set()
-
-    def blind(
-        search: ArrivalSearch, work: int, deadline: float = np.inf
-    ) -> Arrival | None:
-        """Find nothing with momentum unless there is an arrival to start from."""
-        if search.best is None and not search._situation.drift.is_zero:
-            return None
-        started.add(search)
-        return improve(search, work)
-
-    monkeypatch.setattr(ArrivalSearch, "improve", blind)
-    upright = make_state(np.array([1.0, 0.5]), np.array([0.8, 0.0, 0.0, 0.6]))
-    level, pushed = (
-        best_known_time(Motion(SCENARIOS[0].start, upright, drift=drift), ROBOT).duration
-        for drift in (NO_DRIFT, PUSHED)
-    )
-    assert len(started) == 3
-    assert 0.5 * level < pushed < 2.0 * level
-
-
-def test_search_whose_refinement_fails_leaves_what_the_other_found(monkeypatch) -> None:
-    alone = best_known_time(MOTIONS[0], ROBOT).duration
-    monkeypatch.setattr(best_known, "SEARCHES", 2)
-    monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125))
-    refined = iter([False, True])
-    monkeypatch.setattr(
-        best_known, "_refined", lambda arrival, *others: arrival if next(refined) else None
-    )
-    assert 0.0 < best_known_time(MOTIONS[0], ROBOT).duration < 2.0 * alone
-
-
-def test_start_at_the_goal_takes_no_time() -> None:
-    assert best_known_time(replace(MOTIONS[0], goal=MOTIONS[0].start), ROBOT) == (0.0, 0.0)
-
-
 def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:
     found = times()
     first, second = cache.read_bytes().splitlines()
@@ -323,42 +178,21 @@ def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:
     damaged = [b"\xff", b"", b"{}", b"[1]", b"[[], 1.0]", b"[" * 100_000, first[:-3]]
     damaged += [b"[%s, %s]" % (key, value) for value in (b"1", b"1, 1, 1", b"null, 1")]
     damaged += [b"[%s, 0.1, %s]" % (key, value) for value in (b"-1", b"Infinity", b"null")]
-    cache.write_bytes(b"\n".join([*damaged, first, second, b""]))
+    longer = b"[%s, 9.0, 0.4]" % key  # of several motions the shortest counts
+    cache.write_bytes(b"\n".join([*damaged, first, longer, second, b""]))
     assert times() == found
     assert not caplog.messages
 
 
-def test_of_several_motions_the_shortest_counts(cache) -> None:
-    found = times()
-    keys = [json.loads(line)[0] for line in cache.read_text().splitlines()]
-    cache.write_text(
-        "".join(
-            f"{json.dumps([key, value, 0.4])}\n"
-            for key in keys
-            for value in (np.nan, 0.5, 9.0)
-        )
-    )
-    assert times() == [(0.5, 0.4)] * 2 != found
-
-
-def file_in_place_of_the_folder(cache: Path) -> None:
-    cache.parent.write_text("")
-
-
-def folder_in_place_of_the_file(cache: Path) -> None:
-    cache.mkdir(parents=True)
-
-
-def pipe(cache: Path) -> None:
-    cache.parent.mkdir()
-    os.mkfifo(cache)
-
-
-@pytest.mark.parametrize(
-    "obstacle", [file_in_place_of_the_folder, folder_in_place_of_the_file, pipe]
-)
-def test_cache_that_cannot_be_used_is_one_warning(cache, obstacle, caplog) -> None:
-    obstacle(cache)
-    assert all(math.isfinite(found.settling) for found in times())
+@pytest.mark.parametrize("obstacle", ["file", "folder", "pipe"])
+def test_cache_that_cannot_be_used_is_one_warning(cache, searched, obstacle, caplog) -> None:
+    if obstacle == "file":
+        cache.parent.write_text("")
+    elif obstacle == "folder":
+        cache.mkdir(parents=True)
+    else:
+        cache.parent.mkdir()
+        os.mkfifo(cache)
+    assert times() == numbered(2)
     (warning,) = caplog.messages
     assert str(cache) in warning and "\n" not in warning

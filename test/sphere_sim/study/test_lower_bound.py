@@ -14,12 +14,7 @@ from sphere_nmpc.model.dynamics import body_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion, vertical
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
-from sphere_nmpc.model.torque import within_torque
-from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
-from sphere_sim.study import best_known
-from sphere_sim.study.best_known import best_known_time
 from sphere_sim.study.lower_bound import lower_bound
-from sphere_sim.study.motion import Motion
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -72,7 +67,7 @@ def test_rotor_speeds_are_shared_by_rolling_and_turning(robot) -> None:
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
     constants = robot.lumped
     rate = ca.Function("rate", [q, u], [body_rate(q, u, constants.as_array())])
-    rng, number = np.random.default_rng(1), 20_000
+    rng, number = np.random.default_rng(1), 5_000
     turns = np.array([random_quaternion(rng) for _ in range(number)])
     speeds = rng.uniform(-100.0, 100.0, (number, 2))
     omega = np.array(rate.map(number)(turns.T, speeds.T)).T
@@ -84,24 +79,6 @@ def test_rotor_speeds_are_shared_by_rolling_and_turning(robot) -> None:
     given = gain * np.linalg.norm(speeds, axis=1)
     np.testing.assert_allclose(np.hypot(rolling, np.sqrt(share) * spin), given, rtol=1e-9)
     assert np.all(rolling <= given * (1.0 + 1e-9)) and np.max(rolling / given) > 0.999
-
-
-def test_turning_share_is_positive_for_any_robot() -> None:
-    rng = np.random.default_rng(2)
-    for _ in range(1000):
-        masses = 10.0 ** rng.uniform(-3.0, 1.0, 3)
-        inertias = 10.0 ** rng.uniform(-6.0, 0.0, 5)
-        robot = RobotParameters(
-            shell_radius=0.3, rotor_offset=rng.uniform(0.0, 0.29),
-            **dict(zip(("shell_mass", "counterweight_mass", "rotor_mass"), masses, strict=True)),
-            **dict(zip(
-                ("shell_inertia", "rotor_axial_inertia", "rotor_transverse_inertia",
-                 "counterweight_axial_inertia", "counterweight_transverse_inertia"),
-                inertias, strict=True,
-            )),
-        )
-        r1, r3 = robot.lumped.transverse_ratio, robot.lumped.axial_ratio
-        assert abs(r1 - r3) < 1.0 - r1
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
@@ -140,7 +117,7 @@ def test_turn_about_a_vertical_diagonal_attains_the_bound(robot, angle) -> None:
 def test_no_motion_is_faster_than_the_bound(robot) -> None:
     rng = np.random.default_rng(3)
     closest = 0.0
-    for _ in range(150):
+    for _ in range(30):
         start = make_state(rng.uniform(-1.0, 1.0, 2), random_quaternion(rng))
         if rng.random() < 0.5:  # upright, or with a horizontal diagonal
             start[QUATERNION] = [1.0, 0.0, 0.0, 0.0]
@@ -157,23 +134,6 @@ def test_no_motion_is_faster_than_the_bound(robot) -> None:
     assert closest > 0.9
 
 
-def test_bound_is_below_the_best_known_times_of_the_documents() -> None:
-    known = {1: 5.81, 2: 4.02, 3: 1.31, 4: 1.77}
-    for case, seconds in known.items():
-        scenario = PAPER_CASES[case]
-        assert 0.3 < lower_bound(scenario.start, scenario.goal, TABLE_1) < seconds
-
-
-@pytest.mark.parametrize("kind", ["anywhere", "circle", "half_turn"])
-def test_bound_is_below_best_known_times(monkeypatch, kind) -> None:
-    monkeypatch.setattr(best_known, "EFFORT", 30_000)
-    monkeypatch.setattr(best_known, "SEARCHES", 1)
-    for scenario in draw_scenarios(4, 5, kind):
-        bound = lower_bound(scenario.start, scenario.goal, TABLE_1)
-        known = best_known_time(Motion(scenario.start, scenario.goal), TABLE_1)
-        assert not known.duration < bound
-
-
 def test_bounds_by_hand() -> None:
     upright = make_state([0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
     fastest = 0.3 * TABLE_1.lumped.input_gain * math.sqrt(2.0) * 100.0
@@ -187,61 +147,14 @@ def test_bounds_by_hand() -> None:
     rolled = 0.3 * math.pi / fastest + 0.25
     assert lower_bound(upright, over, TABLE_1) == pytest.approx(rolled, rel=1e-9)
     assert lower_bound(upright, upright, TABLE_1) == 0.0
-
-
-def test_upright_turn_takes_longer_than_one_on_the_circle() -> None:
-    half = make_state([0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
-    upright = make_state([0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
-    side = make_state([0.0, 0.0], [DIAGONAL, DIAGONAL, 0.0, 0.0])
-    on_circle = make_state([0.0, 0.0], [0.0, 0.0, DIAGONAL, DIAGONAL])
-    assert lower_bound(upright, half, TABLE_1) > 1.5 * lower_bound(side, on_circle, TABLE_1)
-
-
-def test_either_sign_of_a_quaternion_is_the_same_goal() -> None:
-    (scenario,) = draw_scenarios(1, 4)
-    other = scenario.goal.copy()
-    other[QUATERNION] *= -1.0
-    assert lower_bound(scenario.start, other, TABLE_1) == lower_bound(
-        scenario.start, scenario.goal, TABLE_1
-    )
-
-
-def test_bound_is_symmetric_and_grows_with_weaker_drives() -> None:
-    for scenario in draw_scenarios(20, 6):
-        bound = lower_bound(scenario.start, scenario.goal, TABLE_1)
-        back = lower_bound(scenario.goal, scenario.start, TABLE_1)
-        assert back == pytest.approx(bound, rel=1e-12)
-        for weaker in ({"max_rotor_speed": 60.0}, {"max_rotor_acceleration": 200.0}):
-            robot = replace(TABLE_1, **weaker)
-            assert lower_bound(scenario.start, scenario.goal, robot) > bound
-        limited = replace(TABLE_1, max_rotor_torque=1.6)
-        by_torque = lower_bound(scenario.start, scenario.goal, limited)
-        assert bound < by_torque < lower_bound(
-            scenario.start, scenario.goal, within_torque(limited)
-        )
-
-
-@pytest.mark.parametrize(("limit", "seconds"), [(1.0, 2.5736), (2.0, 1.7868)])
-def test_straight_rolling_within_a_torque_limit_is_not_faster_than_the_bound(
-    limit, seconds
-) -> None:
-    # The rotors turn against the shell, which takes the share c1 off their acceleration in space.
-    slope = 0.999 * limit / (TABLE_1.rotor_axial_inertia * (1.0 - TABLE_1.lumped.input_gain))
-    robot = replace(TABLE_1, max_rotor_acceleration=slope)
-    start = make_state([0.3, -0.2], [1.0, 0.0, 0.0, 0.0])
-    knots = trapezoid(robot, np.array([1.0, -1.0]), 1.0)
-    assert sum(duration for duration, _ in knots) == pytest.approx(seconds, abs=1e-4)
-    goal, torque = moved(robot, start, knots), largest_torque(robot, start, knots)
-    assert 0.998 * limit < torque < limit
-    limited = replace(TABLE_1, max_rotor_torque=limit)
-    assert 0.97 * seconds < lower_bound(start, goal, limited) < seconds
+    assert lower_bound(upright, -upright, TABLE_1) == 0.0  # the other sign of the quaternion
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
 def test_no_motion_is_faster_than_the_bound_of_its_largest_torque(robot) -> None:
     rng = np.random.default_rng(7)
     closest = 0.0
-    for _ in range(30):
+    for _ in range(15):
         start = make_state(rng.uniform(-1.0, 1.0, 2), random_quaternion(rng))
         knots = []
         for _ in range(rng.integers(1, 3)):
@@ -260,7 +173,7 @@ def test_no_motion_is_faster_than_the_bound_of_its_largest_torque(robot) -> None
 def test_rotor_speeds_in_space_are_a_least_share_of_those_relative_to_the_shell(robot) -> None:
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
     rate = ca.Function("rate", [q, u], [body_rate(q, u, robot.lumped.as_array())])
-    rng, number = np.random.default_rng(8), 20_000
+    rng, number = np.random.default_rng(8), 5_000
     turns = np.array([random_quaternion(rng) for _ in range(number)])
     speeds = rng.uniform(-100.0, 100.0, (number, 2))
     in_space = speeds + np.array(rate.map(number)(turns.T, speeds.T)).T[:, :2]

@@ -1,43 +1,72 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Results do not depend on where the runs are made."""
+"""Results do not depend on where calls are made; processes die, cannot be started, or end."""
 
+import math
 import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
+import time
 from contextlib import suppress
+from pathlib import Path
 
+import psutil
 import pytest
 from distributed import LocalCluster
+from patience import PATIENCE
 
-from sphere_sim.cli.main import main
 from sphere_sim.scenario.scenarios import draw_scenarios
-from sphere_sim.study import cluster as cluster_module
+from sphere_sim.study import workers as workers_module
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.errors import WorkersError
-from sphere_sim.study.processes import Processes
-from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import run_scenario
-from sphere_sim.study.workers import Workers, cores
+from sphere_sim.study.workers import TRIES, Workers, WorkersError
 
-SCENARIOS = draw_scenarios(6, 3)
-CONDITIONS = StudyConditions(duration=3.0, perturbation=3.0, latency=0.02).with_settings(
-    [("process_noise", "1e-3"), ("position_noise", "1e-3"), ("orientation_noise", "1e-3")]
+CONDITIONS = StudyConditions(duration=1.0, perturbation=3.0, latency=0.02).with_settings(
+    [("process_noise", "1e-3"), ("position_noise", "1e-3"), ("planning_effort", "20000")]
 )
-TASKS = [(i, (CONDITIONS, scenario)) for i, scenario in enumerate(SCENARIOS)]
+TASKS = [(i, (CONDITIONS, scenario)) for i, scenario in enumerate(draw_scenarios(4, 3))]
+LONG_CALLS = """
+import threading, time
+from sphere_sim.study.workers import Workers
+if __name__ == "__main__":
+    # This thread may take a signal, which is then handled in the main thread.
+    threading.Thread(target=time.sleep, args=(3600,), daemon=True).start()
+    with Workers(2) as workers:
+        list(workers.run(time.sleep, [(i, (3600,)) for i in range(9)], "nap"))
+"""
+WITHOUT_DESCRIPTORS = """
+import math, os
+from sphere_sim.study.workers import Workers
+if __name__ == "__main__":
+    with Workers(2) as workers:
+        try:
+            while True:
+                os.dup(0)
+        except OSError:
+            pass
+        next(workers.run(math.sqrt, [(i, (4,)) for i in range(9)], "root"))
+"""
 
 
-def make(workers: Workers) -> dict[int, RunRecord]:
+def make(workers: Workers) -> dict[int, str]:
+    """Return the record of each run of `TASKS`, without what depends on the machine."""
     with workers:
         made = dict(workers.run(run_scenario, TASKS, "run"))
     for record in made.values():
         for name in [name for name in record.results if name.startswith("solve_ms_")]:
             del record.results[name]
-    return made
+    return {index: record.as_json(index) for index, record in made.items()}
+
+
+def processes(parent: psutil.Process) -> list[psutil.Process]:
+    return [c for c in parent.children() if "study.workers" in " ".join(c.cmdline())]
 
 
 @pytest.fixture(scope="module")
-def made_here() -> dict[int, RunRecord]:
+def made_here() -> dict[int, str]:
     return make(Workers(1))
 
 
@@ -49,68 +78,117 @@ def cluster():
         yield cluster
 
 
-def test_all_cores_give_the_same_to_the_bit(made_here) -> None:
-    assert make(Workers(max(2, cores()))) == made_here
+def start(path: Path, program: str) -> "subprocess.Popen[str]":
+    path.write_text(program)
+    return subprocess.Popen(
+        [sys.executable, str(path)], start_new_session=True, text=True, stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+
+
+@pytest.fixture
+def napping(tmp_path):
+    """Start a program whose two processes are then busy for an hour."""
+    process = start(tmp_path / "naps.py", LONG_CALLS)
+    while len(processes(psutil.Process(process.pid))) < 2:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.01)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_two_processes_give_the_same_to_the_bit_and_end(made_here) -> None:
+    assert make(Workers(2)) == made_here
+    assert not processes(psutil.Process())
+
+
+def test_call_whose_process_is_killed_is_made_again() -> None:
+    tasks = [(0, (0.0,)), *((i, (1.0,)) for i in range(1, 5))]
+    seen, killed = [], []
+    with Workers(2) as workers:
+        for name, _ in workers.run(time.sleep, tasks, "nap"):
+            if not seen:
+                killed = processes(psutil.Process())
+                for child in killed:
+                    child.kill()
+            seen.append(name)
+    assert killed and sorted(seen) == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments", "words"),
+    [
+        (os._exit, (7,), rf"run \d: its process died {TRIES} times \(exit code 7\)"),
+        (math.sqrt, (-1.0,), r"run \d could not be made: ValueError: math"),
+    ],
+)
+def test_call_that_cannot_be_made_is_one_error(call, arguments, words) -> None:
+    with Workers(2) as workers, pytest.raises(WorkersError, match=words):
+        list(workers.run(call, [(i, arguments) for i in range(3)], "run"))
+
+
+def test_process_that_cannot_be_started_is_one_error(tmp_path) -> None:
+    _, message = start(tmp_path / "full.py", WITHOUT_DESCRIPTORS).communicate(timeout=PATIENCE)
+    assert message.splitlines()[-1].endswith(
+        "WorkersError: process 1 of 2 cannot be started (Too many open files); "
+        "give fewer --jobs, of which 1 needs none"
+    )
+
+
+@pytest.mark.parametrize("later", [0.0, 1.0], ids=["while they start", "while they work"])
+def test_interrupt_ends_all_processes_and_only_the_parent_reports(napping, later) -> None:
+    children = processes(psutil.Process(napping.pid))
+    time.sleep(later)
+    os.killpg(napping.pid, signal.SIGINT)
+    _, message = napping.communicate(timeout=PATIENCE)  # of the hour that the calls take
+    assert message.count("Traceback") == 1 and message.endswith("KeyboardInterrupt\n")
+    _, alive = psutil.wait_procs(children, timeout=PATIENCE)
+    assert not alive
+
+
+def test_no_process_outlives_a_killed_parent(napping) -> None:
+    children = processes(psutil.Process(napping.pid))
+    napping.kill()
+    _, alive = psutil.wait_procs(children, timeout=PATIENCE)
+    assert not alive
 
 
 def test_two_workers_of_a_cluster_give_the_same_to_the_bit(made_here, cluster) -> None:
     assert make(Workers(scheduler=cluster.scheduler_address)) == made_here
 
 
-def test_study_on_a_cluster_searches_best_known_times_there_too(
-    cluster, tmp_path, monkeypatch
-) -> None:
-    def run(*arguments: object) -> None:
-        raise AssertionError("a call on this machine")
-
-    monkeypatch.setattr(Processes, "run", run)
-    monkeypatch.setattr(os, "environ", {**os.environ, "XDG_CACHE_HOME": str(tmp_path)})
-    options = ["--draw", "2", "--duration", "0.5", "--strategy", "paper"]
-    where = ["--scheduler", cluster.scheduler_address, "--out", str(tmp_path / "out")]
-    assert main(["study", *options, *where]) == 0
-    assert len((tmp_path / "sphere_nmpc" / "best_known_times.jsonl").read_text().splitlines()) == 2
-
-
 def test_workers_with_other_code_are_refused(cluster, monkeypatch) -> None:
-    monkeypatch.setattr(cluster_module, "_same_code", lambda digest: False)
-    with pytest.raises(WorkersError, match="another version"):
-        make(Workers(scheduler=cluster.scheduler_address))
+    monkeypatch.setattr("sphere_sim.study.journal.code_digest", lambda: "1")
+    with pytest.raises(WorkersError, match="another version"), Workers(
+        scheduler=cluster.scheduler_address
+    ) as workers:
+        monkeypatch.setattr(
+            "distributed.Client.run", lambda self, function: {"tcp://worker": "2"}
+        )
+        list(workers.run(run_scenario, TASKS, "run"))
 
 
-def test_unreachable_scheduler_is_an_error(monkeypatch) -> None:
-    monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", 0.5)
-    with pytest.raises(WorkersError, match="cannot be reached"):
-        make(Workers(scheduler="tcp://127.0.0.1:1"))
-
-
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [(b"", r"no answer of a scheduler within 2.5 s"), (b"HTTP/1.1 400 Bad Request\r\n\r\n", "")],
-)
-def test_listener_that_is_no_scheduler_is_one_error_in_the_time_that_is_told(
-    answer, words, monkeypatch, caplog
-) -> None:
+@pytest.mark.parametrize("answer", [None, b"", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
+def test_address_without_a_scheduler_is_one_error(answer, monkeypatch) -> None:
     def serve() -> None:
         with suppress(OSError):
             while True:
                 connected.append(listener.accept()[0])
                 connected[-1].sendall(answer)
 
-    monkeypatch.setattr(cluster_module, "_CONNECT_TIMEOUT", 2.5)
+    monkeypatch.setattr(workers_module, "_CONNECT_TIMEOUT", 2.5)
     connected: list[socket.socket] = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        threading.Thread(target=serve, daemon=True).start()
         address = "tcp://{}:{}".format(*listener.getsockname())
-        with pytest.raises(WorkersError, match=rf"{address}: cannot be reached \(.*{words}"):
+        if answer is None:
+            listener.close()
+        else:
+            threading.Thread(target=serve, daemon=True).start()
+        with pytest.raises(WorkersError, match=rf"{address}: cannot be reached \("):
             make(Workers(scheduler=address))
-        listener.shutdown(socket.SHUT_RDWR)
-    assert bool(answer) != ("waiting for the scheduler" in caplog.text)
-
-
-def test_worker_is_no_scheduler(cluster) -> None:
-    address = next(iter(cluster.scheduler_info["workers"]))
-    with pytest.raises(WorkersError, match="given Dask's 'Worker', expected a scheduler"):
-        make(Workers(scheduler=address))
+        if answer is not None:
+            listener.shutdown(socket.SHUT_RDWR)
 
 
 def test_cluster_that_ends_is_one_error() -> None:
@@ -123,8 +201,3 @@ def test_cluster_that_ends_is_one_error() -> None:
         closing.close()
         with pytest.raises(WorkersError, match=r"run \d+ .*the scheduler is gone"):
             list(runs)
-
-
-def test_no_run_needs_no_cluster() -> None:
-    with Workers(scheduler="tcp://127.0.0.1:1") as workers:
-        assert list(workers.run(run_scenario, [], "run")) == []

@@ -20,7 +20,7 @@ from patience import PATIENCE
 from ros_graph import Graph, started
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.ros.network import RosEnvironmentError, use_loopback_only
+from sphere_nmpc.ros.network import use_loopback_only
 from sphere_sim.ros.session import other_publishers
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.other_publishers import (
@@ -68,27 +68,10 @@ def lock_of(folder: Path, domain: int) -> Path:
     return folder / f"sphere_nmpc_domain_{domain}.lock"
 
 
-def test_a_domain_that_is_set_and_empty_is_taken() -> None:
-    with own_domain() as domain:
-        assert domain == SESSION
-
-
-def test_a_domain_that_is_not_a_number_is_refused(monkeypatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
-    with pytest.raises(RosEnvironmentError, match="given 'abc'"), own_domain():
-        pass
-
-
 def test_nodes_in_the_domain_that_is_set_are_named(simulator) -> None:
     message = rf"ROS_DOMAIN_ID: given {SESSION}, .*\(/simulator\), expected .*unset ROS_DOMAIN_ID"
     with pytest.raises(DomainInUseError, match=message), own_domain():
         pass
-
-
-def test_search_goes_on_until_the_names_of_the_nodes_are_known(simulator, monkeypatch) -> None:
-    monkeypatch.setattr(other_publishers, "NAMED_WITHIN", PATIENCE)
-    monkeypatch.setattr(other_publishers, "_NAMES", 0.0)
-    assert [find_publishers() for _ in range(5)] == 5 * [["/simulator"]]
 
 
 def test_a_domain_in_use_is_passed_over(simulator, locks, domain_unset) -> None:

@@ -121,7 +121,12 @@ class Workers(contextlib.ExitStack):
         while waiting or busy:
             while waiting and len(busy) < self._jobs:
                 idle = next((each for each in self._children if each not in busy), None)
-                hand_out(idle or self._start())
+                try:
+                    hand_out(idle or self._start())
+                except WorkersError:
+                    if not self._children:
+                        raise
+                    self._jobs = len(self._children)  # go on with those that there are
             ready, _, _ = select.select(list(busy), [], [])
             for channel in [each for each in busy if each in ready]:
                 task = name, _ = busy.pop(channel)

@@ -47,6 +47,11 @@ def opened(folder: Path, lines: list[str]) -> dict[int, RunRecord]:
         return journal.records
 
 
+def texts(records: dict[int, RunRecord]) -> dict[int, str]:
+    """Return records as they are written, which is to the bit."""
+    return {index: record.as_json(index) for index, record in records.items()}
+
+
 BAD = {
     "rubbish": lambda line: "rubbish",
     "zeros": lambda line: "\0" * 1000,
@@ -72,7 +77,7 @@ def test_bad_line_is_one_warning_and_stays(tmp_path, lines, records, caplog, wha
     bad = BAD[what](lines[2])
     assert bad != lines[2]
     found = opened(tmp_path, [*lines[:2], bad, *lines[3:]])
-    assert found == {i: record for i, record in enumerate(records) if i != 1}
+    assert texts(found) == texts({i: record for i, record in enumerate(records) if i != 1})
     (warning,) = caplog.messages
     assert str(tmp_path / NAME) in warning and "(line 3)" in warning
     assert (tmp_path / NAME).read_text().splitlines()[2] == bad
@@ -85,7 +90,7 @@ def test_runs_are_added_after_damaged_lines(tmp_path, lines, records) -> None:
         for index in (1, 3):
             journal.append(index, records[index])
     with Journal(tmp_path, FINGERPRINT) as journal:
-        assert journal.records == dict(enumerate(records))
+        assert texts(journal.records) == texts(dict(enumerate(records)))
 
 
 @pytest.mark.parametrize("first", ["", "rubbish", "[]"])

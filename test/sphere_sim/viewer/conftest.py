@@ -23,7 +23,11 @@ def browser(tmp_path_factory) -> Iterator[Browser]:
 
 
 @pytest.fixture
-def page(browser) -> Browser:
-    """Return the browser with an empty page."""
+def page(browser) -> Iterator[Browser]:
+    """Return the browser with an empty page.
+
+    It is empty again afterwards: without a graphics card an open page takes a processor.
+    """
     browser.reset()
-    return browser
+    yield browser
+    browser.reset()

@@ -92,7 +92,7 @@ def test_wheel_is_complete(tree, tmp_path, quick_compiler) -> None:
         path.relative_to(tree).as_posix()
         for package in ("sphere_nmpc", "sphere_sim")
         for path in (tree / package).rglob("*")
-        if path.is_file()
+        if path.is_file() and "__pycache__" not in path.parts
     }
     share = "sphere_nmpc-0.1.0.data/data/share"
     assert sources <= names

@@ -61,6 +61,8 @@ DEPENDS = [
 """What decides the compiled solver; the Makefile has the same list."""
 FLAGS = [
     "-O3", "-std=gnu11", "-ffp-contract=fast", "-fno-math-errno", "-Wno-psabi", "-g0",
+    # Undoes the -fwrapv of Python's own options, so that every Python builds the same solver.
+    "-fstrict-overflow",
 ]
 LEVELS: dict[str, list[str]] = {"": []}
 """Compiler options by the suffix that ``hold_level`` in solver.c returns for a processor."""

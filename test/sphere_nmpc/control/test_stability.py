@@ -78,9 +78,8 @@ def test_neighbourhood_of_the_paper_is_one_hundredth_and_not_judged() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"goal": -GOAL}, {"input_weight": 1.0}, {"terminal_weight": 1e6}, {"max_speed": 50.0},
-        {"time": 0.0}, {"value": np.nan}, {"state": np.full(6, np.nan)},
-        {"next_input": np.array([np.inf, 0.0])},
+        {"goal": -GOAL}, {"input_weight": 1.0}, {"time": 0.0}, {"value": np.nan},
+        {"state": np.full(6, np.nan)},
     ],
 )
 def test_transition_to_another_value_function_back_in_time_or_to_nonsense_is_not_judged(

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.timing import (
-    MOST_LEAD,
     PLANNING_SHARE,
     ClockWatch,
     MissedSamples,
     PlanningTime,
-    SampleGrid,
 )
 
 SPACING = 0.01
@@ -104,16 +102,6 @@ def test_clock_in_lockstep_may_wait_and_hurry_and_begins_again_at_once() -> None
     assert watch.is_steady and not watch.has_returned
 
 
-def test_sampling_instants_are_those_of_the_earliest_tick_until_a_reset() -> None:
-    grid = SampleGrid(0.5)
-    found = [grid.instant(moment) for moment in (1.02, 1.5, 2.2, 2.51, 4.0)]
-    assert found == pytest.approx([1.02, 1.5, 2.0, 2.5, 4.0])
-    assert grid.missed == 2
-    grid.reset()
-    assert [grid.instant(moment) for moment in (3.3, 3.8)] == pytest.approx([3.3, 3.8])
-    assert grid.missed == 2
-
-
 def planning(pace: float | None = 1.0) -> PlanningTime:
     """Return the time to plan on a simulated clock of some pace; None on the system clock."""
     return PlanningTime(0.25, ClockWatch(False) if pace is None else running(pace))
@@ -128,19 +116,6 @@ def test_budget_is_a_share_of_the_period_on_the_wall_clock(pace: float | None) -
     assert one.after(7.0, 0.001) == pytest.approx(7.0 + 0.001 * pace)
     assert one.after(7.0, 30.0) == 7.5, "no command begins long after the clock that is known"
     assert PlanningTime(0.25, ClockWatch(simulated=True)).after(7.0, 0.01) == 7.0, "no pace yet"
-
-
-def test_lead_follows_from_recent_durations_in_control_time() -> None:
-    one = planning(5.0)
-    assert one.lead == 0.0
-    one.took(1.0, 0.0)
-    assert one.lead == pytest.approx(MOST_LEAD * 0.25)
-    for _ in range(8):
-        one.took(0.004, 0.01)
-    assert one.lead == pytest.approx(1.25 * (0.01 + 5.0 * 0.004))
-    for _ in range(8):
-        one.took(0.0002, 0.0)
-    assert one.lead == 0.0, "a negligible duration"
 
 
 def reported(missed_in: list[int], rate: int = 500) -> list[float]:

@@ -12,7 +12,6 @@ import pytest
 from compiled_solver import compiled
 
 from sphere_nmpc.solver.native import layout, library, memory
-from sphere_nmpc.solver.native.codegen import kernel_source
 from sphere_nmpc.solver.native.layout import FIELDS, SIZE, index
 
 SOLVE = """
@@ -64,9 +63,3 @@ def test_slot_writes_each_value_to_its_own_field(make_problem):
             given = np.atleast_1d(getattr(problem, field.name))
             assert np.array_equal(words[layout.span(field.name)], given), field.name
     assert words[index("time_budget")] == 0.25
-
-
-def test_kernels_without_drift_read_neither_momentum_nor_torques():
-    without, _, with_drift = kernel_source().partition("static void nominal_step_with_drift")
-    for name in ("torques[", "y[4]", "dy[4]", "wide_tangent"):
-        assert name not in without and name in with_drift

@@ -1,6 +1,5 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -81,21 +80,3 @@ def test_halving_the_step_gains_four_orders(drift):
     for part in (slice(0, 6), slice(6, 9))[: 1 if drift is NO_DRIFT else 2]:
         errors = (np.max(np.abs(each - truth)[:, part]) for each in (coarse, fine))
         assert 8.0 < next(errors) / next(errors) < 32.0
-
-
-def test_several_threads_predict_at_the_same_time():
-    holds = [hold(n, n, drift) for n in (1, 4, 4, 9) * 2 for drift in (NO_DRIFT, DRIFT)]
-    expected = [predict(*each, CONSTANTS, MAX_STEP) for each in holds]
-    together = [None] * len(holds)
-
-    def work(i):
-        for _ in range(50):
-            together[i] = predict(*holds[i], CONSTANTS, MAX_STEP)
-
-    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(holds))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for found, right in zip(together, expected, strict=True):
-        assert all(map(np.array_equal, found, right))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state, state_error
@@ -19,8 +18,6 @@ from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     SteadyRolling,
     steady_interval,
-    with_turns,
-    without_turns,
 )
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.world.plant.factory import make_plant
@@ -91,27 +88,6 @@ def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(di
     end = roll_out(beginning.state, inputs, durations, constants.as_array(), step)[-1]
     assert state_error(end, found.goal) < TUNING.arrival_error
     assert found.duration < distance / ROLLING.speed + 2.5
-
-
-def test_turns_are_added_to_the_longest_steady_rolling_and_can_be_taken_out_again() -> None:
-    _, search = planned(25.0, seed=1)
-    found = search.improve(20_000)
-    assert found is not None
-    interval, turns = steady_interval(np.diff(found.hold.times), ROLLING)
-    left_out = turns * ROLLING.turn_time
-    shorter = without_turns(found.hold, interval, left_out)
-    assert shorter.end == pytest.approx(found.hold.end - left_out)
-    again = with_turns(shorter, left_out, ROBOT.max_rotor_speed)
-    assert again.end == pytest.approx(found.hold.end)
-    for time in np.linspace(0.0, found.hold.end, 50):
-        np.testing.assert_allclose(again.at(time), found.hold.at(time), atol=1e-6)
-
-
-def test_turns_are_added_where_a_knot_is_in_the_middle_but_for_rounding() -> None:
-    speeds = np.tile([100.0, 100.0], (3, 1))
-    times = np.array([0.0, np.nextafter(0.5, 1.0), 1.0])
-    rolling = with_turns(FirstOrderHold(times, speeds), 4.0, 100.0)
-    np.testing.assert_array_equal(rolling.times, [0.0, 0.5, 4.5, 5.0])
 
 
 def test_known_arrival_is_improved_and_the_goal_is_reached_at_top_speed() -> None:

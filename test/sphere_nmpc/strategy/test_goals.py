@@ -7,21 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error, make_state
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import holdable_goal
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 ROBOT = RobotParameters()
 LIMIT = ROBOT.max_rotor_speed
 TUNING = TimeOptimalSettings()
 UPRIGHT = make_state(np.array([1.0, -2.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-TILTED = make_state(np.zeros(2), rotation.exponential(np.array([0.4, 0.0, 0.0])))
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
 DIRECTION, PUSHED = np.array([0.8, 0.6]), np.array([10.0, -5.0, 0.0])
 REACH = TUNING.reach_with_momentum
@@ -50,42 +47,6 @@ def test_goal_is_kept_without_momentum_and_where_it_can_be_held(held: HeldGoal) 
         for holding in (False, True):
             assert held.goal(situation(UPRIGHT, drift), None, holding) is UPRIGHT
             assert held.given_up == ""
-
-
-def test_change_of_the_orientation_is_told(held: HeldGoal) -> None:
-    drift = Drift(np.array([0.0, 40.0, 0.0]))
-    found = held.goal(situation(TILTED, drift), None, holding=False)
-    assert angle_error(found, TILTED) == pytest.approx(0.4, abs=5e-3)
-    told = f"orientation by {np.degrees(angle_error(found, TILTED)):.1f} deg"
-    assert told in held.given_up
-    assert held.goal(situation(TILTED, NO_DRIFT), None, holding=False) is TILTED
-    assert held.given_up == ""
-
-
-def test_goal_is_held_with_the_momentum_at_the_arrival(held: HeldGoal) -> None:
-    """Of a push and a slope the sum is held: their directions differ."""
-    drift = Drift(np.array([25.0, 5.0, 0.0]), slope_torque(ROBOT, np.radians(0.3), 2.0))
-    way = make_state(np.array([3.0, 0.0]), TILTED[QUATERNION])
-    travel = TUNING.manoeuvre_allowance + 3.0 / SteadyRolling.of(ROBOT.lumped, LIMIT).speed
-    now = situation(TILTED, drift, way)
-    ends = {None: drift.after_slope(travel), 1.3: drift.after_slope(1.3)}
-    found = []
-    for known, end in ends.items():
-        aimed = held.goal(now, None if known is None else end, holding=False)
-        np.testing.assert_array_equal(aimed, holdable_goal(TILTED, end))
-        found.append(aimed)
-    assert angle_error(*found) > 1e-2
-    # At rest nothing lies ahead.
-    resting = held.goal(now, None, holding=True)
-    np.testing.assert_array_equal(resting, holdable_goal(TILTED, drift))
-
-
-def test_out_of_balance_a_new_plan_holds_the_torque_whatever_the_momentum(held: HeldGoal) -> None:
-    """What the way adds to the momentum is not known; the plan's own prediction is then used."""
-    drift = Drift(np.array([10.0, 30.0, 0.0]), imbalance=OFFSET)
-    expected = holdable_goal(TILTED, replace(drift, momentum=np.zeros(3)))
-    assert angle_error(expected, holdable_goal(TILTED, drift)) > 1e-2
-    np.testing.assert_array_equal(held.goal(situation(TILTED, drift), None, False), expected)
 
 
 @pytest.mark.parametrize(
@@ -117,35 +78,6 @@ def test_rotors_are_unloaded_at_the_orientation_that_does_so_fastest(held: HeldG
     assert torque @ LOADING == pytest.approx(-np.linalg.norm(OFFSET), rel=1e-9)
     # It can be held there: neither is along the body's z axis.
     assert holdable_goal(aimed, drift) is aimed
-    # The other such orientation, half a turn about the offset away, is further.
-    half_turn = rotation.exponential(np.array([np.pi, 0.0, 0.0]))
-    other = make_state(UPRIGHT[:2], rotation.product(half_turn, aimed[QUATERNION]))
-    assert drift.torque_at_rest(other[QUATERNION]) @ LOADING == pytest.approx(torque @ LOADING)
-    assert angle_error(aimed, UPRIGHT) < angle_error(other, UPRIGHT) - 0.1
-
-
-def test_unloading_goes_on_until_the_rotors_are_half_loaded_on_the_other_side(
-    held: HeldGoal,
-) -> None:
-    def aim(drift: Drift, holding: bool = True) -> Vector:
-        return held.goal(situation(UPRIGHT, drift), None, holding)
-
-    first = aim(out_of_balance(92.0))
-    for momentum in (60.0, 5.0, -5.0, -49.0):
-        # The direction stays as it is where the momentum passes zero.
-        assert angle_error(aim(out_of_balance(momentum), momentum < 0.0), first) < 1e-6
-    assert aim(out_of_balance(-51.0)) is UPRIGHT and held.given_up == ""
-    # Where the imbalance was none, or after a reset, it ends as well.
-    for end in (held.reset, lambda: aim(Drift(60.0 * LOADING), False)):
-        assert aim(out_of_balance(92.0)) is not UPRIGHT and "unloads" in held.given_up
-        end()
-        assert held.given_up == "" and aim(out_of_balance(60.0)) is UPRIGHT
-    # It follows the direction of the momentum.
-    aim(out_of_balance(92.0))
-    turned = np.array([np.sin(0.3), np.cos(0.3), 0.0])
-    drift = Drift(70.0 * turned, imbalance=OFFSET)
-    torque = drift.torque_at_rest(aim(drift)[QUATERNION])
-    assert torque @ turned == pytest.approx(-np.linalg.norm(OFFSET), rel=1e-9)
 
 
 def on_the_way(place: Vector, distance: float, momentum: Vector | None = None) -> Situation:
@@ -174,15 +106,3 @@ def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:
     last = on_the_way((500.0 - 0.9 * REACH) * DIRECTION, 500.0, PUSHED)
     assert goals.aim(last, 10.0) == (last, True)
     assert goals.aim(last, 10.0) == (last, False)
-
-
-def test_intermediate_goal_of_steady_rolling_is_renewed_half_way_to_it() -> None:
-    goals, distance = IntermediateGoals(TUNING), 3.0 * TUNING.reach
-    first, is_new = goals.aim(on_the_way(np.zeros(2), distance), 0.0)
-    assert is_new
-    np.testing.assert_allclose(first.goal[POSITION], TUNING.reach * DIRECTION)
-    for share, expected in ((0.49, False), (0.51, True)):
-        here = share * TUNING.reach * DIRECTION
-        aimed, is_new = goals.aim(on_the_way(here, distance), 100.0)
-        assert is_new == expected
-    np.testing.assert_allclose(aimed.goal[POSITION], here + TUNING.reach * DIRECTION)

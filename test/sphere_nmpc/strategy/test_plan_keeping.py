@@ -10,7 +10,6 @@ import pytest
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.problem import SolveStatus
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan_keeping import (
@@ -56,27 +55,9 @@ def test_cases_settle_in_about_half_the_time_of_the_paper(case: int, latest: flo
     assert np.abs(slopes).max() <= ROBOT.max_rotor_acceleration * (1.0 + 1e-12)
 
 
-def test_reset_forgets_both_plans() -> None:
-    scenario, strategy = PAPER_CASES[1], PlanKeepingStrategy(SETTINGS, ROBOT)
-    first = Situation(0.0, scenario.start, scenario.goal, np.zeros(2), ROBOT.lumped)
-    fresh = strategy.plan(first).hold.speeds
-    strategy.plan(first)
-    strategy.reset()
-    np.testing.assert_array_equal(strategy.plan(first).hold.speeds, fresh)
-
-
 @pytest.fixture(scope="module")
 def solvers():
     return plan_keeping_solvers()
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_cheaper_sign_is_followed(solvers, make_problem, seed):
-    problem = make_problem("paper", seed)
-    for followed in (0, 1):
-        answer = solve_both_signs(solvers, problem, REST, followed)
-        assert answer.other is None or answer.solution.cost <= answer.other.cost
-        assert answer.inputs_for(answer.followed) is answer.solution.inputs
 
 
 def test_each_solution_aims_at_its_own_sign(solvers, make_problem):
@@ -88,22 +69,6 @@ def test_each_solution_aims_at_its_own_sign(solvers, make_problem):
     # The same two problems, and the followed one is the same in both.
     for sign in (0, 1):
         assert np.array_equal(answer.inputs_for(sign), mirrored.inputs_for(1 - sign))
-
-
-@pytest.mark.parametrize("followed", (0, 1))
-def test_other_sign_is_not_solved_for_just_before_the_goal(solvers, make_problem, followed):
-    problem = make_problem("paper", input_in_force=np.zeros(2))
-    goal = flipped_sign(problem.state) if followed else problem.state
-    answer = solve_both_signs(solvers, replace(problem, goal=goal), REST, followed)
-    assert answer.followed == followed
-    assert answer.other is None
-    assert answer.inputs_for(1 - followed) is answer.solution.inputs
-
-
-def test_failure_with_both_signs_shows_in_the_status(solvers, make_problem):
-    problem = make_problem("paper", state=np.full(6, np.nan))
-    answer = solve_both_signs(solvers, problem, REST, 0)
-    assert answer.solution.status is SolveStatus.NOT_FINITE
 
 
 def test_plan_that_reaches_the_goal_is_kept(solvers, make_problem):

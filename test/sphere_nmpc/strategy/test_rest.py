@@ -19,12 +19,8 @@ from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.strategy.rest import (
     MOMENTUM_TOLERANCE,
     TORQUE_TOLERANCE,
-    given_up_angle,
     hold_momentum,
     holdable_goal,
-    is_saturated,
-    ramp_to,
-    speeds_of_rest,
 )
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -33,23 +29,6 @@ ROBOT = RobotParameters()
 LIMIT = ROBOT.max_rotor_speed
 HEADING = rotation.exponential(np.array([0.0, 0.0, 0.8]))
 PLACE = np.array([1.5, -0.7])
-
-
-@pytest.mark.parametrize(
-    ("momentum", "expected", "saturated"),
-    [
-        ([0.0, 0.0, 0.0], [0.0, 0.0], False),
-        ([30.0, -40.0, 0.0], [30.0, -40.0], False),
-        ([130.0, -40.0, 0.0], [LIMIT, -40.0], True),
-        ([30.0, -140.0, 0.0], [30.0, -LIMIT], True),
-    ],
-)
-def test_speeds_of_rest_stay_within_the_limit(
-    momentum: list[float], expected: list[float], saturated: bool
-) -> None:
-    drift = Drift(rotation.matrix(HEADING) @ np.array(momentum))
-    np.testing.assert_allclose(speeds_of_rest(drift, HEADING, LIMIT), expected, rtol=1e-12)
-    assert is_saturated(drift, HEADING, LIMIT) is saturated
 
 
 @pytest.mark.parametrize(
@@ -76,23 +55,6 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
     # The momentum of the first tenth is picked up late: 2e-3 were measured, and 0.8 or more with
     # the rotors at rest.
     assert np.max(np.abs(plant.state - start)) < 5e-3
-
-
-def test_command_that_holds_momentum_ends_at_the_limit() -> None:
-    drift = Drift(slope=slope_torque(ROBOT, np.radians(1.0), 0.0))
-    hold = hold_momentum(FirstOrderHold.constant(3.0, np.zeros(2)), drift, HEADING, LIMIT, 8.0)
-    assert np.max(np.abs(hold.speeds)) == LIMIT
-    assert np.max(np.abs(drift.after_rest(HEADING, 8.0).rest_speeds(HEADING))) > LIMIT
-
-
-def test_ramp_ends_both_rotors_at_the_same_time_with_the_faster_one_at_the_limit() -> None:
-    start, target = np.array([10.0, -20.0]), np.array([60.0, 5.0])
-    ramp = ramp_to(2.0, start, target, 400.0)
-    assert ramp.start == 2.0 and ramp.end == pytest.approx(2.0 + 50.0 / 400.0)
-    np.testing.assert_array_equal(ramp.at(2.0), start)
-    np.testing.assert_allclose(ramp.at(ramp.end), target, rtol=1e-14)
-    middle: Vector = ramp.at(0.5 * (ramp.start + ramp.end))
-    np.testing.assert_allclose(middle, 0.5 * (start + target), rtol=1e-12)
 
 
 def drawn_drift(rng: np.random.Generator, offset: float = 0.0) -> Drift:
@@ -138,7 +100,7 @@ def test_push_turns_the_goal_by_no_more_than_the_tilt_of_the_momentum() -> None:
 
 @pytest.mark.parametrize("offset", [0.0, 2e-3], ids=["balanced", "2 mm"])
 def test_momentum_and_its_rate_are_both_held(offset: float) -> None:
-    for seed in range(40):
+    for seed in range(15):
         rng = np.random.default_rng(seed)
         goal = make_state(PLACE, rotation.random_quaternion(rng))
         drift, given = drawn_drift(rng, offset), goal.copy()
@@ -149,8 +111,3 @@ def test_momentum_and_its_rate_are_both_held(offset: float) -> None:
         assert np.linalg.norm(held[QUATERNION]) == pytest.approx(1.0, abs=1e-12)
         momentum, rate = along_z(held[QUATERNION], drift)
         assert momentum <= MOMENTUM_TOLERANCE + 1e-9 and rate <= TORQUE_TOLERANCE + 1e-9
-
-
-def test_small_change_is_not_told() -> None:
-    assert given_up_angle(0.009) == ""
-    assert "orientation by 5.0 deg" in given_up_angle(float(np.radians(5.0)))

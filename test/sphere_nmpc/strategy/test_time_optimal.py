@@ -12,20 +12,16 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, flipped_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.time_optimal.arrival import knot_durations
-from sphere_nmpc.strategy.time_optimal.planner import KnotGrid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.states import Following, replan
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 from sphere_sim.world.settings import SimulatorSettings
@@ -66,30 +62,6 @@ def errors(found: Trajectory, goal: Vector) -> Vector:
 def settling_time(found: Trajectory, goal: Vector, within: float = 1e-2) -> float:
     outside = np.flatnonzero(errors(found, goal) > within)
     return float(found.times[outside[-1] + 1]) if outside.size else 0.0
-
-
-@pytest.mark.parametrize("duration", [0.3, 4.99, 80.0])
-@pytest.mark.parametrize("to_next_instant", [0.25, 0.01])
-def test_knots_lie_at_sampling_instants_and_end_at_the_arrival(
-    duration: float, to_next_instant: float
-) -> None:
-    durations = knot_durations(duration, PERIOD, to_next_instant, TUNING)
-    assert np.sum(durations) == pytest.approx(duration, abs=1e-12)
-    assert np.all(durations > 0.0) and durations.size < 50
-    knots = np.cumsum(durations)[:-1]
-    phases = np.mod(knots - to_next_instant + 0.5 * PERIOD, PERIOD) - 0.5 * PERIOD
-    np.testing.assert_allclose(phases, 0.0, atol=1e-9)
-
-
-def test_first_knot_is_that_of_the_grid_unless_it_is_too_near_for_a_new_plan() -> None:
-    grid = KnotGrid(PERIOD, TUNING)
-    grid.begin(0.0)
-    for now in np.arange(0.0, 0.76, 0.01):
-        followed = grid.to_first_knot(now, new_plan=False)
-        assert 0.0 < followed <= PERIOD + 1e-9
-        assert abs(np.mod(now + followed + 0.1, PERIOD) - 0.1) < 1e-9
-        new = grid.to_first_knot(now, new_plan=True)
-        assert new >= 0.3 * PERIOD and np.isclose(new - followed, [0.0, PERIOD], atol=1e-9).any()
 
 
 def test_search_stops_at_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,32 +123,6 @@ def test_present_state_as_goal_needs_no_motion_with_either_sign() -> None:
         assert found.decisions[-1].plan.status is PlanStatus.HOLDING
 
 
-def test_sphere_at_rest_at_the_goal_leaves_only_beyond_the_leaving_error() -> None:
-    goal = PAPER_CASES[3].goal
-
-    def plan_at(strategy: TimeOptimalStrategy, time: float, error: float) -> PlanStatus:
-        state = goal + error * np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        return strategy.plan(Situation(time, state, goal, np.zeros(2), ROBOT.lumped)).status
-
-    between = 0.5 * (TUNING.least_dead_band + TUNING.leaving_error)
-    holding = TimeOptimalStrategy(SETTINGS, ROBOT)
-    assert plan_at(holding, 0.0, 0.5 * TUNING.least_dead_band) is PlanStatus.HOLDING
-    assert plan_at(holding, PERIOD, between) is PlanStatus.HOLDING
-    assert plan_at(holding, 2.0 * PERIOD, 1.1 * TUNING.leaving_error) is PlanStatus.SOLVED
-    # One that has not come to rest at the goal before plans a way there.
-    assert plan_at(TimeOptimalStrategy(SETTINGS, ROBOT), 0.0, between) is PlanStatus.SOLVED
-
-
-@pytest.mark.parametrize(
-    ("noise", "uncertainty", "expected"),
-    [(0.0, 0.0, 2e-3), (1e-4, 0.0, 5e-3), (1e-4, 4e-3, 1.2e-2), (1.0, 0.0, 6e-2)],
-)
-def test_dead_band_follows_noise_and_uncertainty_between_its_limits(
-    noise: float, uncertainty: float, expected: float
-) -> None:
-    assert TUNING.dead_band(noise, uncertainty) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("settings", [SETTINGS, HIGH_RATE], ids=["4 Hz", "100 Hz"])
 def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettings) -> None:
     def plans(strategy: TimeOptimalStrategy, case: int) -> list[Vector]:
@@ -215,16 +161,6 @@ def test_case_of_the_paper_settles_near_the_time_limit(
     arrivals = np.array([d.plan.arrival for d in found.decisions])
     arrivals = arrivals[np.isfinite(arrivals)]
     assert rate or np.all(np.diff(arrivals) <= 1e-9), "never delayed without disturbance"
-
-
-def test_wrong_parameters_are_estimated_on_the_way_and_noise_needs_no_new_manoeuvre() -> None:
-    scenario = PAPER_CASES[2]
-    robot = perturbed(ROBOT, 0.1, np.random.default_rng(10))
-    found = run(scenario, 7.5, robot)
-    assert settling_time(found, scenario.goal) < 6.0
-    assert errors(found, scenario.goal)[-1] < 1e-4
-    found = run(PAPER_CASES[3], 6.0, process_noise=1e-3, seed=4)
-    assert settling_time(found, PAPER_CASES[3].goal, within=5e-2) < 2.5
 
 
 def test_goal_that_changes_every_second_violates_no_limit() -> None:
@@ -286,7 +222,7 @@ def test_plan_that_is_followed_keeps_to_an_acceleration_learnt_meanwhile() -> No
     assert steepest(slower) < 1.01 * TUNING.attained_share * attained
 
 
-@pytest.mark.parametrize(("intervals", "component"), [(1, 0), (1, 4), (2, 1), (2, 3), (3, 2)])
+@pytest.mark.parametrize(("intervals", "component"), [(1, 0), (2, 3)])
 def test_plan_is_kept_where_it_ends_within_the_dead_band(intervals: int, component: int) -> None:
     """Too few knots are left to correct a disturbance of 1.2e-3 m or rad in full."""
     strategy, now = TimeOptimalStrategy(SETTINGS, ROBOT), situation(PAPER_CASES[3])
@@ -301,24 +237,13 @@ def test_plan_is_kept_where_it_ends_within_the_dead_band(intervals: int, compone
     assert kept.arrival < now.time + 1.35 * (arrival - now.time)
 
 
-def test_rest_of_a_plan_without_a_finite_cost_is_no_plan() -> None:
-    strategy, now = TimeOptimalStrategy(SETTINGS, ROBOT), situation(PAPER_CASES[3])
-    plan = strategy.plan(now)
-    followed = strategy._state
-    assert isinstance(followed, Following)
-    near = dataclasses.replace(now, time=plan.arrival - PERIOD, state=np.full(6, np.nan))
-    assert replan(followed, near, 2e-3, np.inf, SETTINGS) is None
-
-
 @pytest.mark.parametrize(
     ("away", "error"),
     [
-        ([4e-3, 0.0, 0.0, 0.0, 0.0], 2e-4),
-        ([0.0, 0.0, 0.0, 0.0, 5e-3], 2e-4),
         ([2e-3, -1e-3, 2e-3, 1e-3, -4e-3], 2e-4),
         ([1.5e-3, 0.0, 0.0, 0.0, 0.0], 1.5e-3),
     ],
-    ids=["4 mm ahead", "heading 5e-3", "all", "within the dead band"],
+    ids=["beyond", "within the dead band"],
 )
 def test_near_goal_is_reached_exactly_unless_it_is_within_the_dead_band(
     away: list[float], error: float
@@ -327,22 +252,3 @@ def test_near_goal_is_reached_exactly_unless_it_is_within_the_dead_band(
     goal = apply_error(AT_ORIGIN, np.array(away))
     found = errors(run(Scenario(AT_ORIGIN, goal), 5.0), goal)[-1]
     assert found < error if error < 1e-3 else found == pytest.approx(error, rel=1e-12)
-
-
-def test_coarse_arrival_that_cannot_be_solved_precisely_is_found_only_once() -> None:
-    # At rest 0.06 from the goal; the earliest arrival found coarsely takes 0.33 s, and no stretch
-    # of it arrives exactly.
-    state, goal = (
-        np.array([x, y, *(np.array(q) / np.linalg.norm(q))])
-        for x, y, *q in (
-            (-0.57792366, -1.66980493, -0.27058104, 0.17140981, 0.06163365, -0.94530729),
-            (-0.56376068, -1.65124704, -0.30430208, 0.15922537, 0.01927254, -0.93897609),
-        )
-    )
-    constants = LumpedConstants(0.300021, 0.0173971, 0.749914, 0.707533)
-    strategy = TimeOptimalStrategy(SETTINGS, ROBOT)
-    statuses = [
-        strategy.plan(Situation(k * PERIOD, state, goal, np.zeros(2), constants, 2e-5)).status
-        for k in range(3)
-    ]
-    assert PlanStatus.SOLVED in statuses

@@ -126,20 +126,6 @@ def test_process_that_waits_for_a_processor_is_kept(
     assert faults == []
 
 
-def test_result_that_arrives_while_the_process_is_looked_at_is_taken(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def finishes() -> bool:
-        assert select([worker._child.channel], [], [], PATIENCE)[0], "timed out"
-        return False
-
-    monkeypatch.setattr(process, "_PATIENCE", 0.0)
-    assert complete(worker, worker.submit(len)) == 0
-    monkeypatch.setattr(worker, "_waits", finishes)
-    assert complete(worker, worker.submit(len)) == 0
-    assert faults == []
-
-
 def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: WorkerProcess) -> None:
     assert complete(worker, worker.submit(len)) == 0
     os.kill(worker.pid, signal.SIGSTOP)
@@ -191,24 +177,3 @@ def test_process_ends_with_an_owner_that_is_killed() -> None:
     owner.kill()
     owner.communicate()
     until(lambda: not is_running(pid))
-
-
-def test_large_tasks_are_refused_rather_than_wait_for_a_process_that_stands_still(
-    worker: WorkerProcess,
-) -> None:
-    assert complete(worker, worker.submit(methodcaller("get", "nothing"))) is None
-    os.kill(worker.pid, signal.SIGSTOP)
-    replies: list[Reply[object]] = []
-
-    def submit() -> None:
-        replies.extend(worker.submit(methodcaller("get", "x" * 60_000)) for _ in range(8))
-
-    # Sending would wait for ever.
-    sending = threading.Thread(target=submit, daemon=True)
-    sending.start()
-    sending.join(PATIENCE)
-    assert not sending.is_alive()
-    assert [reply.error for reply in replies] == [""] * 2 + ["the worker is busy"] * 6
-    os.kill(worker.pid, signal.SIGCONT)
-    for reply in replies[:2]:
-        assert complete(worker, reply) is None

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from sphere_nmpc.estimation.estimators import make_estimator
 from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector, as_state
+from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
@@ -283,10 +282,15 @@ class Controller:
         if self._is_carried:
             mode = Mode.POSE_JUMPED
             return Decision(mode, self._ramp_to_rest(time, mode), None, pose_age=age)
-        estimate, failure = self._estimate(time)
+        goal, estimate = self._goal, None
+        failure: Exception = ArithmeticError("no estimate")
+        try:
+            estimate = self._estimator.estimate(time)
+        except Exception as error:
+            failure = error
+        covariance, drift = None, NO_DRIFT
         if estimate is not None:
-            state = estimate.state
-        goal = self._goal
+            state, covariance, drift = estimate.state, estimate.covariance, estimate.drift
         if goal is None or not self.enabled:
             mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
             plan = self._ramp_to_rest(time, mode, state)
@@ -294,8 +298,6 @@ class Controller:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
         else:
             mode, plan = self._plan(time, estimate, goal, time_budget)
-        covariance = None if estimate is None else estimate.covariance
-        drift = NO_DRIFT if estimate is None else estimate.drift
         decision = Decision(mode, plan, state, goal, age, covariance, drift)
         settings = self._settings
         reached = self._arrival.update(
@@ -315,13 +317,6 @@ class Controller:
     def _without_pose(self, time: float, mode: Mode, age: float) -> Decision:
         ramp, drift = self._ramp_to_rest(time, mode), self._estimator.drift
         return Decision(mode, ramp, None, pose_age=age, drift=drift)
-
-    def _estimate(self, time: float) -> tuple[Estimate | None, Exception]:
-        """Return the estimate for `time` [s]; where it fails None and the reason."""
-        try:
-            return self._estimator.estimate(time), ArithmeticError("no estimate")
-        except Exception as error:
-            return None, error
 
     def _plan(
         self, time: float, estimate: Estimate, goal: Vector, time_budget: float
@@ -346,7 +341,7 @@ class Controller:
         """Return the rest of the hold in force."""
         message = self._record(error)
         self._reset_strategy()
-        hold = self._hold_or_rest(self._commands.in_force, time)
+        hold = self._commands.in_force(time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:
@@ -356,18 +351,8 @@ class Controller:
         return self.last_failure
 
     def _ramp_to_rest(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
-        hold = self._hold_or_rest(self._commands.ramp_to_rest, time)
+        hold = self._commands.ramp_to_rest(time)
         return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
-
-    def _hold_or_rest(
-        self, command: Callable[[float], FirstOrderHold], time: float
-    ) -> FirstOrderHold:
-        """Return the command from `time` [s] on; where it fails rest, which `commit` ramps to."""
-        try:
-            return command(time)
-        except Exception as error:
-            self._record(error)
-            return FirstOrderHold.constant(time, np.zeros(INPUT_SIZE))
 
     def _reset_strategy(self) -> None:
         try:

@@ -7,18 +7,35 @@ for each command.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.control.timing import ClockWatch, PlanningTime, SampleGrid
+from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 
 _AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
+_EARLY = 0.25
+"""How much before its instant a tick may appear to be, in periods: the first one may be late.
+One may be late by up to the rest of a period before it counts for the next instant."""
+PLANNING_SHARE = 0.4
+"""Share of the control period that planning may take; the rest is for other processes."""
+_LEAST_SHARE = 0.1
+"""The same at a late tick, at the least."""
+_MOST_LEAD = 0.5
+"""Largest share of the control period by which a plan is made ahead, for planning and the
+transport of its command."""
+_RECENT = 8
+"""Newest plans from whose durations that of the next one is predicted."""
+_MARGIN = 1.25
+"""Predicted duration over the longest of these."""
+_NEGLIGIBLE = 0.02
+"""Share of the control period up to which a command counts as sent at its instant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +193,11 @@ class Schedule:
 class ClockedSchedule(Schedule):
     """Scheduler in real time: a plan at each instant of a sample grid, within part of its period.
 
-    A plan is made for the instant at which its command will be ready, predicted from recent
-    durations. The first plan towards a goal does not wait for the next instant: it begins a new
-    grid.
+    A timer fires late by chance, but never early, so that the earliest phase of its ticks counts
+    for the grid. A plan is made for the time at which its command will be ready, predicted from
+    recent durations: one that takes effect then is followed exactly, while a command that is late
+    has to start from the rotor speeds at that time, and departs from its plan. The first plan
+    towards a goal does not wait for the next instant: it begins a new grid.
 
     Parameters
     ----------
@@ -191,8 +210,10 @@ class ClockedSchedule(Schedule):
     def __init__(self, settings: ControllerSettings, watch: ClockWatch) -> None:
         self._settings = settings
         self._watch = watch
-        self._grid = SampleGrid(settings.control_period)
-        self._planning = PlanningTime(settings.control_period, watch)
+        self._origin: float | None = None
+        self._last = 0
+        self._missed = 0
+        self._took: deque[float] = deque(maxlen=_RECENT)
         self._starting = True
         self._late = 0.0
         self._pose_ahead: TimedPose | None = None
@@ -205,7 +226,7 @@ class ClockedSchedule(Schedule):
     @property
     def missed(self) -> int:
         """Sampling instants that passed without a tick."""
-        return self._grid.missed
+        return self._missed
 
     def pose_age(self, time: float, now: float | None) -> float:
         """Return the age at `now` of a pose of control time `time` [s]; nan if unknown."""
@@ -233,10 +254,30 @@ class ClockedSchedule(Schedule):
         refused = None
         if pose is not None and self._is_ahead(pose, now):
             refused, pose = pose.time - now, None
-        instant = self._grid.instant(now)
+        instant = self._instant(now)
         self._late = now - instant
-        request = self._request(instant, now, self._planning.lead + self.window)
+        request = self._request(instant, now, self._lead() + self.window)
         return Actions(refused=refused, observe=pose, plan=request)
+
+    def _instant(self, now: float) -> float:
+        """Return the sampling instant of a tick at `now` [s], and count those missed before it."""
+        period = self.timer_period
+        if self._origin is None:
+            self._origin, self._last = now, 0
+            return now
+        k = math.floor((now - self._origin) / period + _EARLY)
+        if self._origin + k * period > now:
+            self._origin = now - k * period
+        self._missed += max(0, k - self._last - 1)
+        self._last = k
+        return self._origin + k * period
+
+    def _lead(self) -> float:
+        """Return the predicted delay of a command behind its instant [s, control time]."""
+        expected = _MARGIN * max(self._took, default=0.0)
+        if expected < _NEGLIGIBLE * self.timer_period:
+            return 0.0
+        return min(expected, _MOST_LEAD * self.timer_period)
 
     def start(self, now: float, awaits_start: Callable[[float], bool]) -> Actions | None:
         """Return the first tick of a new grid if the next plan starts towards a goal.
@@ -249,19 +290,20 @@ class ClockedSchedule(Schedule):
 
     def restart(self, now: float) -> Actions:
         """Return the first tick of a new grid."""
-        self._grid.reset()
+        self._origin = None
         return self.tick(now)
 
     def command_time(self, request: PlanRequest, elapsed: float) -> float:
         """Return the control time [s] now that planning has taken `elapsed` [s, wall].
 
-        A simulated clock shows the same time throughout a callback, while the robot moves.
+        A simulated clock shows the same time throughout a callback, while the robot moves. A
+        command must not begin long after the clock that is known, whatever pace was measured.
         """
-        return self._planning.after(request.now, elapsed)
+        return request.now + min(elapsed * (self._watch.pace or 0.0), MOST_AHEAD)
 
     def completed(self, duration: float, solved: bool) -> None:
         """Record a plan that took `duration` from its request to its command [s, wall]."""
-        self._planning.took(duration, self._late)
+        self._took.append(self._late + duration * (self._watch.pace or 1.0))
         self._starting = self._starting and not solved
 
     def final_request(self, now: float) -> PlanRequest:
@@ -284,23 +326,24 @@ class ClockedSchedule(Schedule):
         """Restart on a new grid; see `Schedule.clock_jumped`."""
         if watch is not self._watch:
             self._watch = watch
-            self._planning = PlanningTime(self._settings.control_period, watch)
-        self._pose_ahead = None
-        self._grid.reset()
+            self._took.clear()
+        self._pose_ahead = self._origin = None
         self.goal_changed()
 
     def change(self, settings: ControllerSettings) -> None:
         """Apply new settings; another control period begins a new grid."""
         period, self._settings = self._settings.control_period, settings
         if settings.control_period != period:
-            self._planning = PlanningTime(settings.control_period, self._watch)
-            self._grid.reset(settings.control_period)
+            self._took.clear()
+            self._origin = None
 
     def _is_ahead(self, pose: TimedPose, now: float) -> bool:
         return pose.time - now > self._settings.pose_timeout
 
     def _request(self, instant: float, now: float, lead: float) -> PlanRequest:
-        return PlanRequest(instant + lead, now, self._planning.budget(instant, now))
+        period = self.timer_period
+        left = max(instant + PLANNING_SHARE * period - now, _LEAST_SHARE * period)
+        return PlanRequest(instant + lead, now, left / (self._watch.pace or 1.0))
 
 
 class LockstepSchedule(Schedule):

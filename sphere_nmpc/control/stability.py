@@ -73,15 +73,12 @@ class Sample:
     @property
     def inside(self) -> bool:
         """Whether the state is in the neighbourhood D of Remark 5."""
-        return math.sqrt(self.square_error) < neighbourhood_radius(
-            self.input_weight, self.terminal_weight, self.max_speed
-        )
+        return math.sqrt(self.square_error) < neighbourhood_radius(*self.weights)
 
     @property
-    def is_usable(self) -> bool:
-        """Whether every number is finite."""
-        numbers = (self.time, self.value, *self.state, *self.goal, *self.next_input)
-        return all(math.isfinite(number) for number in numbers)
+    def weights(self) -> tuple[float, float, float]:
+        """Alpha, beta and u_max."""
+        return self.input_weight, self.terminal_weight, self.max_speed
 
 
 @dataclass(frozen=True)
@@ -136,30 +133,22 @@ class StabilityMonitor:
 
     def update(self, sample: Sample) -> StabilityReport:
         """Take the newest sample and report on the transition that led to it."""
-        last, self._last = self._last, sample if sample.is_usable else None
+        numbers = (sample.time, sample.value, *sample.state, *sample.goal, *sample.next_input)
+        usable = all(math.isfinite(number) for number in numbers)
+        last, self._last = self._last, sample if usable else None
         change = allowed = float("nan")
-        if last is not None and self._last is not None and _comparable(last, sample):
+        comparable = last is not None and (
+            sample.time > last.time
+            and sample.weights == last.weights
+            and np.array_equal(sample.goal, last.goal)
+        )
+        if last is not None and usable and comparable:
             change, allowed = sample.value - last.value, -last.stage_cost
             if not last.inside:
                 self._judged += 1
                 self._violations += int(change > allowed)
                 self._not_nearer += int(sample.square_error >= last.square_error)
+        inside = usable and sample.inside
         return StabilityReport(
-            time=sample.time,
-            value_change=change,
-            allowed_change=allowed,
-            inside=sample.is_usable and sample.inside,
-            judged=self._judged,
-            violations=self._violations,
-            not_nearer=self._not_nearer,
+            sample.time, change, allowed, inside, self._judged, self._violations, self._not_nearer
         )
-
-
-def _comparable(before: Sample, after: Sample) -> bool:
-    return (
-        after.time > before.time
-        and np.array_equal(before.goal, after.goal)
-        and before.input_weight == after.input_weight
-        and before.terminal_weight == after.terminal_weight
-        and before.max_speed == after.max_speed
-    )

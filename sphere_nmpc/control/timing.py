@@ -1,8 +1,7 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Control time: pace and jumps of its clock, sampling instants, time to plan, missed samples."""
+"""Control time: pace and jumps of its clock, and missed sampling instants."""
 
-import math
 from collections import deque
 from itertools import pairwise
 
@@ -17,22 +16,6 @@ _HURRY = 3.0
 1: on a busy machine simulator and controller run by turns."""
 _STEADY_AFTER = 0.2
 """Wall time without a jump after which the clock is steady again [s]."""
-_EARLY = 0.25
-"""How much before its instant a tick may appear to be, in periods: the first one may be late.
-One may be late by up to the rest of a period before it counts for the next instant."""
-PLANNING_SHARE = 0.4
-"""Share of the control period that planning may take; the rest is for other processes."""
-MOST_LEAD = 0.5
-"""Largest share of the control period by which a plan is made ahead, for planning and the
-transport of its command."""
-_LEAST_SHARE = 0.1
-"""Share of the control period that planning may take even at a late tick."""
-_RECENT = 8
-"""Newest ticks from whose durations that of the next one is predicted."""
-_MARGIN = 1.25
-"""Predicted duration over the longest of these."""
-_NEGLIGIBLE = 0.02
-"""Share of the control period up to which a command counts as sent at its instant."""
 _COUNT_EVERY = 1.0
 """Least wall time between two readings of the numbers of samples [s]."""
 _INTERVALS = 5
@@ -156,94 +139,6 @@ class ClockWatch:
         while wall - readings[0][1] > _WINDOW and len(readings) > 1:
             readings.popleft()
         self._known_pace = self.pace or self._known_pace
-
-
-class SampleGrid:
-    """Sampling instants t_0 + k T [s], from the times at which a timer fires late.
-
-    The earliest phase counts: a timer fires late by chance, but never early.
-
-    Parameters
-    ----------
-    period : float
-        T [s].
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self.missed = 0
-        """Instants that passed without a tick."""
-        self.reset()
-
-    def reset(self, period: float | None = None) -> None:
-        """Begin a new grid at the next tick, with another period [s] if given."""
-        self._period = self._period if period is None else period
-        self._origin: float | None = None
-        self._last = 0
-
-    def instant(self, now: float) -> float:
-        """Return the sampling instant of a tick at `now` [s], and count those missed before it."""
-        if self._origin is None:
-            self._origin = now
-            return now
-        k = math.floor((now - self._origin) / self._period + _EARLY)
-        if self._origin + k * self._period > now:
-            self._origin = now - k * self._period
-        self.missed += max(0, k - self._last - 1)
-        self._last = k
-        return self._origin + k * self._period
-
-
-class PlanningTime:
-    """Time budget and lead of the next plan, from the measured pace of control time.
-
-    Parameters
-    ----------
-    control_period : float
-        Control time between two sampling instants [s].
-    watch : ClockWatch
-        Pace of control time.
-    """
-
-    def __init__(self, control_period: float, watch: ClockWatch) -> None:
-        self._period = control_period
-        self._watch = watch
-        self._took: deque[float] = deque(maxlen=_RECENT)
-
-    def budget(self, instant: float, now: float) -> float:
-        """Return the wall time [s] that the plan of a sampling instant may take.
-
-        It is requested at `now`; both `instant` and `now` are control times [s].
-        """
-        left = instant + PLANNING_SHARE * self._period - now
-        return max(left, _LEAST_SHARE * self._period) / (self._watch.pace or 1.0)
-
-    def after(self, now: float, elapsed: float) -> float:
-        """Return the control time [s] when `elapsed` of wall time [s] has passed since `now`.
-
-        It is no more than `MOST_AHEAD` later: a command must not begin long after the clock that
-        is known, however long it took and whatever pace was measured.
-        """
-        return now + min(elapsed * (self._watch.pace or 0.0), MOST_AHEAD)
-
-    def took(self, duration: float, late: float) -> None:
-        """Record the wall time [s] between the request of a plan and its command.
-
-        The request was `late` [s, control time] behind its sampling instant.
-        """
-        self._took.append(late + duration * (self._watch.pace or 1.0))
-
-    @property
-    def lead(self) -> float:
-        """Lead of a plan: predicted delay of its command behind the instant [s, control time].
-
-        A plan that takes effect at the instant it was made for is followed exactly. A command
-        that is late has to start from the rotor speeds at that time, and departs from its plan.
-        """
-        expected = _MARGIN * max(self._took, default=0.0)
-        if expected < _NEGLIGIBLE * self._period:
-            return 0.0
-        return min(expected, MOST_LEAD * self._period)
 
 
 class MissedSamples:

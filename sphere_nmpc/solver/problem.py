@@ -106,16 +106,6 @@ class HoldProblem:
         """N, the number of intervals and of free knots."""
         return int(self.durations.size)
 
-    def aimed_at(self, goal: Vector) -> "HoldProblem":
-        """Return the same problem with another goal, shape (6,)."""
-        return HoldProblem(
-            self.state, goal, self.input_in_force, self.durations, self.constants, self.lower,
-            self.upper, self.input_scale, self.terminal_weight, self.stage_weight,
-            self.input_weight, self.slew_weight, self.max_acceleration, self.max_step,
-            self.position_scale, self.drift, self.input_reference, self.momentum_row,
-            self.steady_interval, self.steady_axis, self.whole_turns,
-        )
-
 
 class SolveStatus(Enum):
     """Outcome of a solve."""

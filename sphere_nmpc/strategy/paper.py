@@ -99,35 +99,6 @@ def loops(problem: HoldProblem) -> list[Vector]:
     return guesses
 
 
-class Descent:
-    """Decrease of the cost from one sample period to the next.
-
-    Up to `settled_cost` [squared error] a plan counts as reaching the goal.
-    """
-
-    def __init__(self, settled_cost: float) -> None:
-        self._settled_cost = settled_cost
-        self._horizon_end = -np.inf
-        self._last_cost = np.inf
-
-    def has_ended(self, horizon_end: float, solution: HoldSolution) -> bool:
-        """Record a solution and return whether it is a stationary point short of the goal.
-
-        Parameters
-        ----------
-        horizon_end : float
-            End of the horizon [s]; between two knots it stays, and so does the cost.
-        solution : HoldSolution
-            Solution from the warm start, which is itself stationary where it took no iteration.
-        """
-        if horizon_end <= self._horizon_end:
-            return False
-        last, cost = self._last_cost, solution.cost
-        self._horizon_end, self._last_cost = horizon_end, cost
-        stationary = solution.iterations == 0 or not cost < (1.0 - _LEAST_DECREASE) * last
-        return stationary and cost > self._settled_cost
-
-
 class PaperStrategy:
     """Receding-horizon strategy of the paper; see `sphere_nmpc.strategy.contract.Strategy`.
 
@@ -163,7 +134,7 @@ class PaperStrategy:
         self._plans: tuple[FirstOrderHold | None, FirstOrderHold | None] = (None, None)
         self._followed = 0
         self._origin: float | None = None
-        self._descent = Descent(self._settled_cost)
+        self._horizon_end, self._last_cost = -np.inf, np.inf
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
@@ -204,7 +175,7 @@ class PaperStrategy:
         starts = [self._warm_start(plan, times[1:], rest) for plan in self._plans]
         best = self._solve(problem, (starts[0], starts[1]), self._followed, time_budget)
         solve_time, message = best.solve_time, ""
-        if self._descent.has_ended(float(times[-1]), best.solution):
+        if self._is_stationary(float(times[-1]), best.solution):
             message = NO_PROGRESS
             for guess in loops(problem):
                 left = time_budget - solve_time
@@ -215,6 +186,19 @@ class PaperStrategy:
                 if answer.solution.cost < best.solution.cost:
                     best, message = answer, ""
         return best, solve_time, message
+
+    def _is_stationary(self, horizon_end: float, solution: HoldSolution) -> bool:
+        """Record a solution from the warm start; return whether it is stationary off the goal.
+
+        Between two knots the end of the horizon [s] stays, and so does the cost. A warm start that
+        took no iteration is stationary itself.
+        """
+        if horizon_end <= self._horizon_end:
+            return False
+        last, cost = self._last_cost, solution.cost
+        self._horizon_end, self._last_cost = horizon_end, cost
+        stationary = solution.iterations == 0 or not cost < (1.0 - _LEAST_DECREASE) * last
+        return stationary and cost > self._settled_cost
 
     def _solve(
         self, problem: HoldProblem, starts: tuple[Vector, Vector], followed: int,

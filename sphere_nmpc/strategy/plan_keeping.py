@@ -90,13 +90,7 @@ class PlanKeepingStrategy(PaperStrategy):
 def plan_keeping_solvers(
     max_iterations: int = PLAN_KEEPING.max_iterations,
 ) -> tuple[HoldSolver, HoldSolver]:
-    """Return the solvers for the followed sign and for the other one.
-
-    Parameters
-    ----------
-    max_iterations : int, optional
-        Further cap on the iterations of both.
-    """
+    """Return the solvers for the followed sign and for the other one, with a cap of both."""
     caps = (PLAN_KEEPING.max_iterations, OTHER_SIGN_ITERATIONS)
     followed, other = (
         HoldSolver(replace(PLAN_KEEPING, max_iterations=min(max_iterations, cap))) for cap in caps
@@ -138,4 +132,4 @@ def solve_both_signs(
 
 
 def _signed(problem: HoldProblem, sign: int) -> HoldProblem:
-    return problem.aimed_at(flipped_sign(problem.goal)) if sign else problem
+    return replace(problem, goal=flipped_sign(problem.goal)) if sign else problem

@@ -54,47 +54,28 @@ class Slot:
         pointers = [array.ctypes.data for array in arrays]
         self._integers[span("durations", "workspace")] = pointers
         self.address = self._words.ctypes.data
-        self._state, self._goal = self._words[span("state")], self._words[span("goal")]
-        self._input_in_force = self._words[span("input_in_force")]
-        self._constants = self._words[span("constants")]
-        self._drift = self._words[span("drift")]
-        self._input_reference = self._words[span("input_reference")]
-        self._momentum_row = self._words[span("momentum_row")]
-        self._steady_axis = self._words[span("steady_axis")]
+        self._vectors = self._words[span("state", "steady_axis")]
         self._scalars = self._words[span("input_scale", "whole_turns")]
 
     def write_settings(self, settings: SolverSettings) -> None:
         """Write when to stop."""
         self._words[_SETTINGS] = (
-            settings.gradient_tolerance,
-            settings.decrease_tolerance,
-            settings.time_budget,
-            settings.target_cost,
-            settings.decrease_floor,
-            settings.initial_damping,
+            settings.gradient_tolerance, settings.decrease_tolerance, settings.time_budget,
+            settings.target_cost, settings.decrease_floor, settings.initial_damping,
         )
         self._integers[_MAX_ITERATIONS] = settings.max_iterations
 
     def write(self, problem: HoldProblem, start: Vector, time_budget: float) -> None:
         """Write a problem, the initial guess (N, 2) [rad/s] and the wall time of the solve [s]."""
-        self._state[:] = problem.state
-        self._goal[:] = problem.goal
-        self._input_in_force[:] = problem.input_in_force
-        self._constants[:] = problem.constants
-        self._drift[:] = problem.drift
-        self._input_reference[:] = problem.input_reference
-        self._momentum_row[:] = problem.momentum_row
-        self._steady_axis[:] = problem.steady_axis
+        vectors = (
+            problem.state, problem.goal, problem.input_in_force, problem.constants, problem.drift,
+            problem.input_reference, problem.momentum_row, problem.steady_axis,
+        )
+        np.concatenate(vectors, out=self._vectors)
         self._scalars[:] = (
-            problem.input_scale,
-            problem.terminal_weight,
-            problem.stage_weight,
-            problem.input_weight,
-            problem.slew_weight,
-            problem.max_acceleration,
-            problem.max_step,
-            problem.position_scale,
-            problem.whole_turns,
+            problem.input_scale, problem.terminal_weight, problem.stage_weight,
+            problem.input_weight, problem.slew_weight, problem.max_acceleration,
+            problem.max_step, problem.position_scale, problem.whole_turns,
         )
         self._integers[_STEADY_INTERVAL] = problem.steady_interval
         self._durations[:] = problem.durations
@@ -107,12 +88,7 @@ class Slot:
         """Return the solution, in arrays of its own."""
         words, integers = self._words, self._integers
         return HoldSolution(
-            self._inputs.copy(),
-            self._states.copy(),
-            self._momenta.copy(),
-            words.item(_COST),
-            STATUSES[integers.item(_STATUS)],
-            integers.item(_ITERATIONS),
-            words.item(_KKT_RESIDUAL),
-            words.item(_SOLVE_TIME),
+            self._inputs.copy(), self._states.copy(), self._momenta.copy(), words.item(_COST),
+            STATUSES[integers.item(_STATUS)], integers.item(_ITERATIONS),
+            words.item(_KKT_RESIDUAL), words.item(_SOLVE_TIME),
         )

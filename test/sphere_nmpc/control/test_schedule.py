@@ -9,13 +9,14 @@ import pytest
 
 from sphere_nmpc.control.schedule import (
     NOTHING,
+    PLANNING_SHARE,
     Actions,
     ClockedSchedule,
     LockstepSchedule,
     PlanRequest,
     TimedPose,
 )
-from sphere_nmpc.control.timing import PLANNING_SHARE, ClockWatch
+from sphere_nmpc.control.timing import ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import ControllerSettings
 

@@ -1,15 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Pace and jumps of control time, sampling instants, time to plan, missed samples."""
+"""Pace and jumps of control time, and missed samples."""
 
 import numpy as np
 import pytest
 
 from sphere_nmpc.control.timing import (
-    PLANNING_SHARE,
     ClockWatch,
     MissedSamples,
-    PlanningTime,
 )
 
 SPACING = 0.01
@@ -100,22 +98,6 @@ def test_clock_in_lockstep_may_wait_and_hurry_and_begins_again_at_once() -> None
     assert not watch.read(30.0, 1.001)
     assert watch.read(0.0, 1.002)
     assert watch.is_steady and not watch.has_returned
-
-
-def planning(pace: float | None = 1.0) -> PlanningTime:
-    """Return the time to plan on a simulated clock of some pace; None on the system clock."""
-    return PlanningTime(0.25, ClockWatch(False) if pace is None else running(pace))
-
-
-@pytest.mark.parametrize("pace", [None, 0.2, 1.0, 50.0])
-def test_budget_is_a_share_of_the_period_on_the_wall_clock(pace: float | None) -> None:
-    one, pace = planning(pace), pace or 1.0
-    assert one.budget(7.0, 7.0) == pytest.approx(PLANNING_SHARE * 0.25 / pace)
-    assert one.budget(7.0, 7.06) == pytest.approx((PLANNING_SHARE * 0.25 - 0.06) / pace)
-    assert one.budget(7.0, 8.0) == pytest.approx(0.025 / pace), "never none"
-    assert one.after(7.0, 0.001) == pytest.approx(7.0 + 0.001 * pace)
-    assert one.after(7.0, 30.0) == 7.5, "no command begins long after the clock that is known"
-    assert PlanningTime(0.25, ClockWatch(simulated=True)).after(7.0, 0.01) == 7.0, "no pace yet"
 
 
 def reported(missed_in: list[int], rate: int = 500) -> list[float]:

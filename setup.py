@@ -18,36 +18,20 @@ VERBS = (
     "demo", "simulator", "controller", "recorder", "goal", "viewer", "markers", "study",
     "benchmark", "report",
 )
+READING = ["rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "zstandard>=0.22"]
+"""To read recordings. Of rosbags the type store and the form in which bags hold QoS profiles are
+used; its minor versions below 1.0 change interfaces, as 0.11 did those of the reader."""
 EXTRAS = {
     "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6"],
-    # Of rosbags the type store and the form in which bags hold QoS profiles are used. Its minor
-    # versions below 1.0 change interfaces, as 0.11 did those of the reader, which tests use.
-    "record": [
-        "rosbags>=0.11,<0.12",
-        "mcap>=1.2,<2",
-        "mcap-ros2-support>=0.5,<1",
-        "ruamel.yaml>=0.18",
-        "zstandard>=0.22",
-    ],
+    "record": [*READING, "mcap-ros2-support>=0.5,<1"],
     "sim": ["rich>=13", "matplotlib>=3.8,<4"],
     "study": ["dask>=2024.8", "distributed>=2024.8"],
     "rigid": ["mujoco>=3.2,<5"],
     "viewer": ["viser>=1.0,<2"],
-    "report": [
-        "rosbags>=0.11,<0.12",
-        "mcap>=1.2,<2",
-        "ruamel.yaml>=0.18",
-        "zstandard>=0.22",
-        "matplotlib>=3.8,<4",
-        "pyarrow>=16",
-    ],
+    "report": [*READING, "matplotlib>=3.8,<4", "pyarrow>=16"],
     # launch_testing's pytest plugin breaks under pytest 9.
     "test": [
-        "pytest>=7.4,<9",
-        "pytest-xdist>=3.3",
-        "hypothesis>=6.100",
-        "ruff>=0.9",
-        "mypy>=1.14",
+        "pytest>=7.4,<9", "pytest-xdist>=3.3", "hypothesis>=6.100", "ruff>=0.9", "mypy>=1.14",
         "packaging",
     ],
 }

@@ -61,18 +61,10 @@ class ArrivalDetector:
         self.reached = False
 
     def update(self, time: float, error: float, tolerance: float, dwell: float) -> bool:
-        """Record the error at a sampling instant and return whether the goal is reached.
+        """Record the error at a sampling instant [s] and return whether the goal is reached.
 
-        Parameters
-        ----------
-        time : float
-            Sampling instant [s].
-        error : float
-            Distance to the goal [mixed units]; nan counts as not within the tolerance.
-        tolerance : float
-            Error below which the sphere is at the goal [mixed units].
-        dwell : float
-            Time for which the error has to stay below the tolerance [s].
+        The error [mixed units] has to stay below the tolerance for the time `dwell` [s]; nan
+        counts as not within it.
         """
         if not error < (_LEAVING * tolerance if self.reached else tolerance):
             self.reset()
@@ -221,18 +213,8 @@ def impossible_step(
     """Return what is wrong with a step between two poses that no rolling explains; else "".
 
     The sphere has then been carried: after a reset of the simulator, or where an estimator
-    corrects its pose. Taken for rolling, the step would be explained by a push.
-
-    Parameters
-    ----------
-    before, after : ndarray, shape (6,)
-        Measured states.
-    elapsed : float
-        Time between them [s].
-    robot : RobotParameters
-        Robot as built: its radius, and the speed that its rotors can give it.
-    settings : ControllerSettings
-        Noise of the poses.
+    corrects its pose. Taken for rolling, the step would be explained by a push. `before` and
+    `after` are measured states, shape (6,), a time `elapsed` [s] apart.
     """
     rate = math.sqrt(2.0) * robot.lumped.input_gain * robot.max_rotor_speed
     turn = _FASTEST * rate * elapsed + _SMALLEST

@@ -40,17 +40,7 @@ _NEGLIGIBLE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class TimedPose:
-    """A measured state with the time of its measurement.
-
-    Attributes
-    ----------
-    stamp : int
-        Time of measurement on the node's clock [ns].
-    time : float
-        The same as control time [s].
-    state : ndarray, shape (6,)
-        [x, y, qw, qx, qy, qz] [m; world frame], body to world.
-    """
+    """A measured state, shape (6,), with its stamp [ns] and the same as control time [s]."""
 
     stamp: int
     time: float

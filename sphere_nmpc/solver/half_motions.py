@@ -126,16 +126,9 @@ def _integral(time: float, first: Floats, second: Floats) -> Floats:
 def half_motions(
     end: Vector, begin: Vector, signals: Floats, levels: int, drives: Drives, constants: Vector
 ) -> Side:
-    """Return half motions from one end.
+    """Return half motions from the state `end`, shape (6,), of a robot with lumped constants (4,).
 
-    Parameters
-    ----------
-    end : ndarray, shape (6,)
-        State at the first knot.
-    begin, signals, levels, drives
-        As for `knots_of`, with the speeds of a motion from this end.
-    constants : ndarray, shape (4,)
-        Lumped constants [Rs, c1, r1, r3].
+    The other parameters as for `knots_of`, with the speeds of a motion from this end.
     """
     solver, count = library(), signals.shape[1]
     if solver is None:

@@ -8,8 +8,7 @@ from typing import Any
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver import plain
-from sphere_nmpc.solver.native.library import library
-from sphere_nmpc.solver.native.memory import Slot
+from sphere_nmpc.solver.native.library import Slot, library
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 
 
@@ -31,20 +30,10 @@ class HoldSolver:
     def solve(
         self, problem: HoldProblem, start: Vector, time_budget: float | None = None
     ) -> HoldSolution:
-        """Solve a problem from an initial guess.
+        """Solve a problem from the initial guess `start` of the knots u_1 ... u_N, (N, 2) [rad/s].
 
-        Parameters
-        ----------
-        problem : HoldProblem
-            The problem.
-        start : ndarray, shape (N, 2)
-            Initial guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
-        time_budget : float, optional
-            Wall time of this solve [s], instead of the one in the settings.
-
-        Returns
-        -------
-        HoldSolution
+        It is clipped to the bounds. `time_budget` is the wall time of this solve [s], instead of
+        the one in the settings.
         """
         settings = self.settings
         budget = settings.time_budget if time_budget is None else time_budget

@@ -48,26 +48,11 @@ def shoot(
     state: Vector, drift: Vector, inputs: Vector, durations: Vector, constants: Vector,
     max_step: float, left_out: Vector | None = None, derive: bool = False,
 ) -> Motion:
-    """Predict the motion along a first-order hold.
+    """Predict the motion along a first-order hold, differentiated by the knots if asked for.
 
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        x_0.
-    drift : ndarray, shape (8,)
-        Drift at the start, `sphere_nmpc.model.drift.Drift.as_array`.
-    inputs : ndarray, shape (N + 1, 2)
-        Knots u_0 ... u_N [rad/s].
-    durations : ndarray, shape (N,)
-        Interval lengths [s].
-    constants : ndarray, shape (4,)
-        Lumped constants [Rs, c1, r1, r3].
-    max_step : float
-        Longest integration step [s].
-    left_out : ndarray, shape (N,), optional
-        Time in each interval that is not integrated, but adds to the way in proportion [s].
-    derive : bool, optional
-        Whether to differentiate by the knots.
+    Parameters as for `sphere_nmpc.solver.roll_out.roll_out`, with the drift as an array (8,).
+    `left_out`, shape (N,), is the time [s] in each interval that is not integrated, but adds to
+    the way in proportion.
     """
     n = durations.size
     # Directions of an interval: quaternion and momentum at its start, and its two knots.
@@ -221,16 +206,8 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
     Each trial step minimises the damped Gauss-Newton model within the bounds. The damping follows
     the gain ratio (Nielsen's rule). Second derivatives of the states are left out: near a singular
     configuration of the robot they make the Hessian indefinite and a line search stall, while the
-    damped model always has a descent direction.
-
-    Parameters
-    ----------
-    problem : HoldProblem
-        The problem.
-    start : ndarray, shape (N, 2)
-        Initial guess of the knots u_1 ... u_N [rad/s]; clipped to the bounds.
-    settings : SolverSettings
-        When to stop.
+    damped model always has a descent direction. `start`, shape (N, 2), is the initial guess of the
+    knots u_1 ... u_N [rad/s]; it is clipped to the bounds.
     """
     began = time.perf_counter()
     lower, upper, v = (

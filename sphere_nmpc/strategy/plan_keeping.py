@@ -107,18 +107,9 @@ def solve_both_signs(
 ) -> SignedSolutions:
     """Solve for the followed sign and, unless that plan reaches the goal, for the other one.
 
-    Parameters
-    ----------
-    solvers : tuple of HoldSolver
-        For the followed sign and for the other; see `plan_keeping_solvers`.
-    problem : HoldProblem
-        With the goal's quaternion as given.
-    starts : tuple of ndarray, shape (N, 2) each
-        Warm start for the goal as given and for its negative [rad/s].
-    followed : int
-        Sign that was followed until now, 0 or 1.
-    time_budget : float, optional
-        Wall time of each of the two solves [s].
+    `problem` has the goal's quaternion as given; `starts` are the warm starts for it and for its
+    negative, (N, 2) each [rad/s]; `followed` is the sign that was followed until now, 0 or 1. Each
+    of the two solves may take `time_budget` of wall time [s].
     """
     solution = solvers[0].solve(_signed(problem, followed), starts[followed], time_budget)
     if solution.cost <= SETTLED_COST:

@@ -51,20 +51,9 @@ def is_saturated(drift: Drift, quaternion: Vector, max_speed: float) -> bool:
 def hold_momentum(
     hold: FirstOrderHold, drift: Drift, quaternion: Vector, max_speed: float, duration: float
 ) -> FirstOrderHold:
-    """Return the hold, extended to keep the sphere at rest for `duration` [s].
+    """Return the hold to an arrival, extended to keep the sphere at rest for `duration` [s].
 
-    Parameters
-    ----------
-    hold : FirstOrderHold
-        Rotor speeds to the arrival.
-    drift : Drift
-        Drift at its end.
-    quaternion : ndarray, shape (4,)
-        Orientation of the rest.
-    max_speed : float
-        Limit of the rotor speeds [rad/s].
-    duration : float
-        Time for which the momentum is held [s].
+    `drift` is that at the arrival; up to `max_speed` [rad/s] the rotors hold the momentum.
     """
     steps = max(1, round(duration / _SPACING))
     after = [duration * (i + 1) / steps for i in range(steps)]
@@ -90,19 +79,8 @@ def ramp_to(
 def holdable_goal(goal: Vector, drift: Drift, margin: float = 0.0) -> Vector:
     """Return the goal, shape (6,), with the nearest orientation that can be held.
 
-    Parameters
-    ----------
-    goal : ndarray, shape (6,)
-        Goal; its position can always be held.
-    drift : Drift
-        Drift at the arrival.
-    margin : float, optional
-        What is added to both tolerances [rad/s, rad/s^2], for the error of an estimated drift.
-
-    Returns
-    -------
-    ndarray, shape (6,)
-        The goal itself where it can be held, else a new array.
+    It is the same object where the drift at the arrival can be held there. `margin` is added to
+    both tolerances [rad/s, rad/s^2], for the error of an estimated drift.
     """
     q = goal[QUATERNION]
     found = _excess(q, drift, margin)

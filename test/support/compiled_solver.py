@@ -7,8 +7,7 @@ import ctypes
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.native.library import library
-from sphere_nmpc.solver.native.memory import Slot
+from sphere_nmpc.solver.native.library import Slot, library
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 
 

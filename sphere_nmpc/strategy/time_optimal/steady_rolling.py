@@ -51,10 +51,6 @@ class SteadyRolling:
         """Distance of a turn of the shell [m]."""
         return self.speed * self.turn_time
 
-    def turns_left_out(self, duration: float) -> int:
-        """Return the number of whole turns that are left out of an interval of `duration` [s]."""
-        return max(0, int(duration / self.turn_time - _LEAST_INTEGRATED))
-
 
 def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int]:
     """Return the index of the interval of steady rolling and the whole turns left out of it.
@@ -62,7 +58,7 @@ def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int
     Both are 0 without one. `durations` are the lengths of all intervals [s].
     """
     longest = int(np.argmax(durations))
-    turns = rolling.turns_left_out(float(durations[longest]))
+    turns = max(0, int(float(durations[longest]) / rolling.turn_time - _LEAST_INTEGRATED))
     return (longest, turns) if turns else (0, 0)
 
 

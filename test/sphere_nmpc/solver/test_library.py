@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from compiled_solver import compiled
 
-from sphere_nmpc.solver.native import layout, library, memory
+from sphere_nmpc.solver.native import layout, library
 from sphere_nmpc.solver.native.layout import FIELDS, SIZE, index
 
 SOLVE = """
@@ -55,7 +55,7 @@ def test_library_that_is_missing_or_of_another_layout_is_not_used(monkeypatch, t
 
 def test_slot_writes_each_value_to_its_own_field(make_problem):
     problem = make_problem("stages and slew", max_step=0.07)
-    slot = memory.Slot(compiled(), problem.intervals)
+    slot = library.Slot(compiled(), problem.intervals)
     slot.write(problem, np.zeros((problem.intervals, 2)), 0.25)
     words = np.ctypeslib.as_array((ctypes.c_double * SIZE).from_address(slot.address))
     for field in FIELDS:

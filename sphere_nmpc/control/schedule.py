@@ -102,16 +102,10 @@ class Schedule:
     """Whether control time advances while a plan is made."""
     window = 0.0
     """Commitment window: delay of commands for which plans are made further ahead [s]."""
-
-    @property
-    def timer_period(self) -> float | None:
-        """Control time between two calls of `tick` [s]; None if no timer is needed."""
-        return None
-
-    @property
-    def missed(self) -> int:
-        """Sampling instants that passed without a tick."""
-        return 0
+    timer_period: float | None = None
+    """Control time between two calls of `tick` [s]; None if no timer is needed."""
+    missed = 0
+    """Sampling instants that passed without a tick."""
 
     def pose_age(self, time: float, now: float | None) -> float:
         """Return the age at `now` of a pose of control time `time` [s]; nan if irrelevant."""
@@ -198,25 +192,15 @@ class ClockedSchedule(Schedule):
     """
 
     def __init__(self, settings: ControllerSettings, watch: ClockWatch) -> None:
-        self._settings = settings
+        self.timer_period = self._period = settings.control_period
+        self._pose_timeout = settings.pose_timeout
         self._watch = watch
         self._origin: float | None = None
         self._last = 0
-        self._missed = 0
         self._took: deque[float] = deque(maxlen=_RECENT)
         self._starting = True
         self._late = 0.0
         self._pose_ahead: TimedPose | None = None
-
-    @property
-    def timer_period(self) -> float:
-        """Control time between two calls of `tick` [s]."""
-        return self._settings.control_period
-
-    @property
-    def missed(self) -> int:
-        """Sampling instants that passed without a tick."""
-        return self._missed
 
     def pose_age(self, time: float, now: float | None) -> float:
         """Return the age at `now` of a pose of control time `time` [s]; nan if unknown."""
@@ -251,23 +235,23 @@ class ClockedSchedule(Schedule):
 
     def _instant(self, now: float) -> float:
         """Return the sampling instant of a tick at `now` [s], and count those missed before it."""
-        period = self.timer_period
+        period = self._period
         if self._origin is None:
             self._origin, self._last = now, 0
             return now
         k = math.floor((now - self._origin) / period + _EARLY)
         if self._origin + k * period > now:
             self._origin = now - k * period
-        self._missed += max(0, k - self._last - 1)
+        self.missed += max(0, k - self._last - 1)
         self._last = k
         return self._origin + k * period
 
     def _lead(self) -> float:
         """Return the predicted delay of a command behind its instant [s, control time]."""
         expected = _MARGIN * max(self._took, default=0.0)
-        if expected < _NEGLIGIBLE * self.timer_period:
+        if expected < _NEGLIGIBLE * self._period:
             return 0.0
-        return min(expected, _MOST_LEAD * self.timer_period)
+        return min(expected, _MOST_LEAD * self._period)
 
     def start(self, now: float, awaits_start: Callable[[float], bool]) -> Actions | None:
         """Return the first tick of a new grid if the next plan starts towards a goal.
@@ -322,16 +306,17 @@ class ClockedSchedule(Schedule):
 
     def change(self, settings: ControllerSettings) -> None:
         """Apply new settings; another control period begins a new grid."""
-        period, self._settings = self._settings.control_period, settings
-        if settings.control_period != period:
+        self._pose_timeout = settings.pose_timeout
+        if settings.control_period != self._period:
+            self.timer_period = self._period = settings.control_period
             self._took.clear()
             self._origin = None
 
     def _is_ahead(self, pose: TimedPose, now: float) -> bool:
-        return pose.time - now > self._settings.pose_timeout
+        return pose.time - now > self._pose_timeout
 
     def _request(self, instant: float, now: float, lead: float) -> PlanRequest:
-        period = self.timer_period
+        period = self._period
         left = max(instant + PLANNING_SHARE * period - now, _LEAST_SHARE * period)
         return PlanRequest(instant + lead, now, left / (self._watch.pace or 1.0))
 

@@ -28,7 +28,7 @@ from sphere_nmpc.solver.native.layout import problem_header
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out_with_momentum
 
-HORIZONS = (1, 2, 3, 4, 9, 40)
+HORIZONS = (1, 2, 3, 4, 12)
 WEIGHTS: tuple[dict[str, float], ...] = (
     {"input_weight": 1e-6},
     {"stage_weight": 0.3, "input_weight": 1e-4},

@@ -159,18 +159,6 @@ def test_window_is_limited_and_shrinks_while_commands_are_in_time(robot: Robot) 
     assert not robot.feedback.is_needed
 
 
-def test_command_that_is_late_by_less_than_the_spacing_of_measurements_is_in_time(robot) -> None:
-    """As from a controller whose clock has that spacing, too."""
-    robot.measure(0.80, 0.85, 0.90, 0.95)
-    robot.send(1.0, 0.0, 100.0)
-    robot.measure(1.0, 1.05)
-    assert robot.believed(1.05) == pytest.approx([5.0], abs=EXACT), "not withdrawn"
-    robot.arrive()
-    robot.measure(1.1)
-    assert robot.believed(1.05, 1.1) == pytest.approx([5.0, 10.0], abs=EXACT)
-    assert robot.feedback.window == 0.0
-
-
 def test_delay_and_loss_of_poses_follow_from_their_stamps() -> None:
     link = PoseLink()
     assert math.isnan(link.delay) and math.isnan(link.loss)

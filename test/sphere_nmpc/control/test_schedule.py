@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The schedulers in real time and in lockstep, driven with plain numbers."""
+"""The scheduler in real time, driven with plain numbers."""
 
 import math
 
@@ -10,9 +10,7 @@ import pytest
 from sphere_nmpc.control.schedule import (
     NOTHING,
     PLANNING_SHARE,
-    Actions,
     ClockedSchedule,
-    LockstepSchedule,
     PlanRequest,
     TimedPose,
 )
@@ -55,11 +53,6 @@ def instants(schedule: ClockedSchedule, *times: float) -> list[float]:
 @pytest.fixture
 def schedule() -> ClockedSchedule:
     return ClockedSchedule(PAPER, ClockWatch(simulated=False))
-
-
-@pytest.fixture
-def lockstep() -> LockstepSchedule:
-    return LockstepSchedule(ControllerSettings(strategy="paper"))
 
 
 def test_late_ticks_plan_for_their_instants_and_for_what_is_left_of_their_share(schedule) -> None:
@@ -147,19 +140,3 @@ def test_other_control_period_begins_a_new_grid_and_other_settings_keep_it(sched
     assert made[0].time_budget == pytest.approx(PLANNING_SHARE * 0.25)
     assert schedule.command(made[0], None) is None
     assert schedule.command(made[0], HOLD) is HOLD
-
-
-@pytest.mark.parametrize("now", [None, 0.0, 99.0])
-def test_lockstep_plans_once_for_each_pose_of_a_sampling_instant(lockstep, now) -> None:
-    assert lockstep.timer_period is None
-    assert lockstep.pose_received(pose(1.51), now) == NOTHING
-    first = pose(1.5)
-    expected = Actions(observe=first, plan=PlanRequest(1.5, 1.5, math.inf))
-    assert lockstep.pose_received(first, now) == expected
-    assert math.isnan(lockstep.pose_age(1.5, now)), "whatever the clock of the node shows"
-    assert lockstep.command_time(PlanRequest(1.5, 1.5, math.inf), elapsed=3.0) == 1.5
-    lockstep.enabled()
-    assert lockstep.disabled(1.5) == lockstep.tick(1.5) == NOTHING
-    assert lockstep.start(1.5, always) is None
-    assert lockstep.pose_received(first, now) == Actions(repeat=True)
-    assert lockstep.pose_received(pose(2.0), now).plan is not None

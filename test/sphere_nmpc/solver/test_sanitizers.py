@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 RUNS = Path(sanitized_runs.__file__)
 OPTIONS = (
-    "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O1 -std=gnu11 "
+    "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O0 -std=gnu11 "
     "-march=native -ffp-contract=fast -fno-math-errno -Wno-psabi -shared -fPIC"
 )
 RUNTIMES = {

@@ -97,8 +97,8 @@ def test_known_arrival_is_improved_and_the_goal_is_reached_at_top_speed() -> Non
     again = DistantSearch(search._planner, beginning, new_plan=True, start=found)
     better = again.improve(40_000)
     assert better is not None and better.duration <= found.duration
-    trajectory = run("time_optimal", 30.0, 30.0 / ROLLING.speed + 3.0)
-    assert state_error(trajectory.states[-1], goal_at(30.0)) < 1e-3
-    cruise = (trajectory.times > 3.0) & (trajectory.times < 30.0 / ROLLING.speed - 3.0)
+    trajectory = run("time_optimal", 15.0, 15.0 / ROLLING.speed + 3.0)
+    assert state_error(trajectory.states[-1], goal_at(15.0)) < 1e-3
+    cruise = (trajectory.times > 3.0) & (trajectory.times < 15.0 / ROLLING.speed - 3.0)
     fastest = np.max(np.abs(trajectory.speeds[cruise]), axis=1)
     assert np.mean(fastest > 0.9 * ROBOT.max_rotor_speed) > 0.95

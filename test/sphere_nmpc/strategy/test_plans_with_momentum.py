@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of the strategy `time_optimal` with momentum: at rest at their end, and after a push."""
+"""Plans of the strategy `time_optimal` with momentum: at rest at their end, within every limit."""
 
 import itertools
 from dataclasses import replace
@@ -10,7 +10,6 @@ import pytest
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import (
-    NO_DRIFT,
     Drift,
     imbalance_of_offset,
     momentum_of_push,
@@ -20,20 +19,16 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
-from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, KnotGrid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.states import Following, replan
+from sphere_nmpc.strategy.time_optimal.states import Following
 
 ROBOT = RobotParameters()
 TUNING = TimeOptimalSettings()
 PERIOD = 0.25
 EFFORT = 20_000
-PUSHED_AT = 0.75
-SETTINGS = ControllerSettings(planning_effort=1000)
-"""Hardly any search for an earlier arrival, so that the rest of the plan itself is judged."""
 START = make_state(np.array([0.7, -0.4]), rotation.exponential(np.array([0.4, -0.5, 0.6])))
 GOAL = make_state(np.zeros(2), rotation.exponential(np.array([0.0, 0.0, -0.5])))
 PUSH = momentum_of_push(ROBOT, np.array([0.6, 0.4]))
@@ -129,35 +124,3 @@ def test_first_and_last_ramp_keep_the_limit_of_any_solution(sign: float) -> None
     # Rounding of 100 rad/s in a tenth of a second.
     assert np.max(slopes[[0, -1]]) <= allowed + 1e-9
     np.testing.assert_allclose(arrival.hold.speeds[-1], drift.rest_speeds(GOAL[QUATERNION]))
-
-
-@pytest.fixture(scope="module")
-def followed() -> Following:
-    """Return a plan without momentum."""
-    return Following(arrival_at(situation(NO_DRIFT)), 0.0, planner())
-
-
-def pushed(plan: Following, size: float, direction: float) -> Situation:
-    """Return the situation on the way after a push of `size` [N s] in a direction [rad]."""
-    state, _ = plan.prediction(PUSHED_AT)
-    impulse = size * np.array([np.cos(direction), np.sin(direction)])
-    return replace(
-        situation(Drift(momentum_of_push(ROBOT, impulse))), time=PUSHED_AT, state=state,
-        input_in_force=plan.arrival.hold.at(PUSHED_AT),
-    )
-
-
-@pytest.mark.parametrize("direction", [-2.5, 0.0])
-def test_plan_is_continued_to_the_momentum_of_a_push(
-    followed: Following, direction: float
-) -> None:
-    now = pushed(followed, 0.9, direction)
-    found = replan(followed, now, TUNING.least_dead_band, np.inf, SETTINGS)
-    assert found is not None
-    hold = found.arrival.hold
-    np.testing.assert_array_equal(hold.speeds[0], now.input_in_force)
-    state, drift = integrated(now, hold)
-    # What the plan may leave, and the integration error of its steps of 50 ms.
-    assert state_error(state, GOAL) < TUNING.rolling_back_error + 1e-4
-    np.testing.assert_allclose(hold.speeds[-1], drift.rest_speeds(GOAL[QUATERNION]), atol=1e-9)
-    assert replan(followed, now, TUNING.least_dead_band, -np.inf, SETTINGS) is None, "too late"

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from sphere_nmpc.estimation.estimators import make_estimator
 from sphere_nmpc.model.drift import NO_DRIFT
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import INPUT_SIZE, Vector, as_state
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
@@ -341,7 +342,7 @@ class Controller:
         """Return the rest of the hold in force."""
         message = self._record(error)
         self._reset_strategy()
-        hold = self._commands.in_force(time)
+        hold = self._hold_or_rest(self._commands.in_force, time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:
@@ -351,8 +352,18 @@ class Controller:
         return self.last_failure
 
     def _ramp_to_rest(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
-        hold = self._commands.ramp_to_rest(time)
+        hold = self._hold_or_rest(self._commands.ramp_to_rest, time)
         return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
+
+    def _hold_or_rest(
+        self, command: Callable[[float], FirstOrderHold], time: float
+    ) -> FirstOrderHold:
+        """Return the command from `time` [s] on; where it fails rest, which `commit` ramps to."""
+        try:
+            return command(time)
+        except Exception as error:
+            self._record(error)
+            return FirstOrderHold.constant(time, np.zeros(INPUT_SIZE))
 
     def _reset_strategy(self) -> None:
         try:

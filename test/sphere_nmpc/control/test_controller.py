@@ -217,6 +217,8 @@ FAILING = {
     "judgement of the arrival": (ArrivalDetector, "update", False),
     "reset of the strategy": (Scripted, "reset", True),
     "command": (Commands, "joined", False),
+    "command in force": (Commands, "in_force", False),
+    "ramp to rest": (Commands, "ramp_to_rest", True),
 }
 """Class, attribute, and whether it is used only where no fresh pose is left."""
 
@@ -224,7 +226,8 @@ FAILING = {
 @pytest.mark.parametrize("part", FAILING)
 @pytest.mark.parametrize("enabled", [True, False])
 def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
-    controller: Controller, monkeypatch: pytest.MonkeyPatch, part: str, enabled: bool
+    controller: Controller, strategy: Scripted, monkeypatch: pytest.MonkeyPatch, part: str,
+    enabled: bool,
 ) -> None:
     def fail(*arguments: object) -> None:
         raise ArithmeticError("made to fail")
@@ -232,6 +235,8 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
     track(controller)
     controller.enabled = enabled
     owner, name, late = FAILING[part]
+    # Only then the command in force is asked for.
+    strategy.error = RuntimeError("no plan") if name == "in_force" else None
     time = SETTINGS.pose_timeout + 1.0 if late else PERIOD
     in_force = controller.speeds_at(time)
     with monkeypatch.context() as patch:
@@ -243,6 +248,7 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
     else:
         np.testing.assert_array_equal(hold.speeds[0], in_force)
         np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
+    strategy.error = None
     if enabled:
         assert controller.failures >= 1
         assert controller.last_failure == "ArithmeticError: made to fail"

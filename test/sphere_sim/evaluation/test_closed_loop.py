@@ -1,14 +1,16 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops without ROS: the paper's cases, late and noisy poses, failing strategies."""
+"""Closed loops without ROS: the paper's cases, late and noisy poses, weak drives, failures."""
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.quantity import NANOSECONDS
@@ -24,6 +26,8 @@ from sphere_sim.evaluation.metrics import (
     stay_below,
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -84,8 +88,8 @@ def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
     rng = np.random.default_rng(0)
     fields = ("shell_mass", "shell_radius", "shell_inertia", "rotor_mass", "rotor_axial_inertia")
     wrong = RobotParameters(**{f: getattr(ROBOT, f) * rng.uniform(0.97, 1.03) for f in fields})
-    found = run(4, 30.0, robot=wrong, process_noise=3e-4, seed=1)
-    tail = errors(4, found)[found.times > 20.0]
+    found = run(4, 18.0, robot=wrong, process_noise=3e-4, seed=1)
+    tail = errors(4, found)[found.times > 12.0]
     # Medians of 0.018 to 0.038 and excursions of up to 0.5 were seen over eight seeds.
     assert np.median(tail) < 0.06
     assert np.max(tail) < 1.0
@@ -131,7 +135,7 @@ def test_plans_made_ahead_and_sent_late_reach_the_goal_as_exactly() -> None:
     assert controller.estimator.plant.noise < 1e-4
 
 
-@pytest.mark.parametrize("latency", [0.0, 0.05, 0.7])
+@pytest.mark.parametrize("latency", [0.05, 0.7])
 def test_age_of_a_pose_is_the_latency_and_the_state_is_predicted(latency: float) -> None:
     settings = ControllerSettings(pose_timeout=2.0)
     found = run(3, 3.0, settings, latency=latency)
@@ -144,8 +148,7 @@ def test_age_of_a_pose_is_the_latency_and_the_state_is_predicted(latency: float)
 
 
 @pytest.mark.parametrize(
-    ("strategy", "plant"),
-    [("paper", "rolling"), ("time_optimal", "rolling"), ("time_optimal", "rigid_body")],
+    ("strategy", "plant"), [("paper", "rolling"), ("time_optimal", "rigid_body")]
 )
 def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant: str) -> None:
     if plant == "rigid_body":
@@ -162,3 +165,44 @@ def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant:
     states, goal = found.states[found.times > 8.0], PAPER_CASES[3].goal
     assert np.max(position_errors(states, goal)) < 0.03
     assert np.max(angle_errors(states, goal)) < np.radians(3.0)
+
+
+class ChangedOnTheWay(Controller):
+    """Controller of which a setting without influence on its plans changes on the way."""
+
+    def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
+        if time == 1.0:
+            self.change(replace(self._settings, pose_timeout=0.7))
+        return super().decide(time, time_budget)
+
+
+def test_change_of_an_unrelated_setting_changes_no_plan() -> None:
+    settings = ControllerSettings(strategy="time_optimal", planning_effort=60_000)
+    found, undisturbed = (
+        run(3, 4.0, settings, kind(settings, ROBOT)) for kind in (ChangedOnTheWay, Controller)
+    )
+    np.testing.assert_array_equal(found.states, undisturbed.states)
+
+
+@pytest.mark.parametrize("torque", [1.6, None])
+def test_unknown_drives_cost_little_time(torque: float | None) -> None:
+    """The lag of strong drives and the acceleration that weak ones attain are found."""
+    pytest.importorskip("mujoco")
+    # 2.9 s were seen with weak drives, 11.1 s where their delay was taken for wrong constants, for
+    # a lag or for momentum; 1.57 s on the ideal plant.
+    body, case = RigidBodySettings(torque_limit=torque or 0.0), PAPER_CASES[3]
+    plant = RigidBodyPlant(ROBOT, case.start, body)
+    simulator = Simulator(SimulatorSettings(initial_state=tuple(case.start)), ROBOT, plant)
+    settings = ControllerSettings()
+    controller = Controller(settings, ROBOT)
+    found = run_closed_loop(simulator, controller, case.goal, 5.0, settings.control_period)
+    estimated = controller.estimator.plant
+    if torque is None:
+        assert settling_time(3, found) < 2.0 and errors(3, found)[-1] < 1e-3
+        lag = 1.0 / body.for_robot(ROBOT).drive_bandwidth
+        assert estimated.lag == pytest.approx(lag, abs=5e-4)
+    else:
+        assert settling_time(3, found) < 3.5
+        attained = torque / ROBOT.rotor_axial_inertia
+        # The shell turns against its rotors, which attain a few per cent more relative to it.
+        assert attained < estimated.acceleration < 1.1 * attained

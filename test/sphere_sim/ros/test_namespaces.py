@@ -7,7 +7,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
 from rosgraph_msgs.msg import Clock
@@ -15,20 +14,11 @@ from std_msgs.msg import Bool
 
 from sphere_nmpc.model.state import as_state, state_error
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
-from sphere_sim.ros.simulator.node import SimulatorNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SECOND = ("-r", "__ns:=/second")
 FOLLOW = ("-p", "use_sim_time:=true")
 GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
-
-
-def test_frames_carry_the_prefix_that_is_given(graph) -> None:
-    graph.add(SimulatorNode([Parameter("frame_prefix", value="left_")]))
-    odometry = graph.collect(Odometry, "odom")
-    graph.until(lambda: odometry)
-    assert odometry[-1].child_frame_id == "left_base_link"
-    assert odometry[-1].header.frame_id == "world", "which all robots share"
 
 
 @pytest.mark.slow
@@ -65,10 +55,3 @@ def test_robot_in_a_namespace_is_one_of_its_own_and_both_reach_their_goals(graph
     for node in (first, second):
         output = node.stderr.read()
         assert "clock jumped" not in output and "other publisher" not in output
-
-
-@pytest.mark.slow
-def test_clock_that_the_user_remaps_precedes_that_of_the_namespace(graph) -> None:
-    clock = graph.probe.create_publisher(Clock, "/clock", 10)
-    with started("controller", *SECOND, "-r", "/clock:=/clock", *FOLLOW):
-        graph.until(lambda: clock.get_subscription_count() > 0)

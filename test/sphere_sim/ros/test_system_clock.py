@@ -10,16 +10,11 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_graph import started
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.messages import (
-    pose_from_ros,
-    pose_to_ros,
     stamp_from_ros,
 )
 from sphere_sim.ros.simulator.node import SimulatorNode
@@ -72,19 +67,3 @@ def test_stamps_are_those_of_the_system_clock_which_nothing_stops(
 def test_settings_that_need_a_clock_of_their_own_are_refused(settings) -> None:
     with pytest.raises(InvalidParameterError, match=f"{next(iter(settings))}.*clock: system"):
         SimulatorNodeSettings(clock="system", **settings)
-
-
-@pytest.mark.slow
-def test_goal_is_reached_on_the_system_clock_as_on_a_real_robot(graph) -> None:
-    with started("simulator", "-p", "clock:=system"), started("controller"):
-        poses = graph.collect(PoseStamped, "pose")
-        arrivals = graph.collect(Bool, "controller/at_goal", LATCHED)
-        goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
-        sender = graph.publisher(PoseStamped, "goal_pose")
-        graph.until(lambda: len(poses) > 10)
-        sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
-        graph.until(lambda: arrivals and arrivals[-1].data)
-        arrived = poses[-1]
-    assert state_error(pose_from_ros(arrived), CASE.goal) < 0.01
-    took = stamp_from_ros(arrived.header.stamp) - stamp_from_ros(goals[-1].header.stamp)
-    assert took > 5000 * MS, "the best known time is 5.1 s"

@@ -13,11 +13,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from visualization_msgs.msg import MarkerArray
 
-from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
-from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.node import TopicSource
@@ -67,8 +65,3 @@ def test_every_message_is_in_the_frame_that_is_set(graph) -> None:
     assert received["controller/predicted_path"][-1].poses[0].header.frame_id == FRAME
     assert {marker.header.frame_id for marker in markers[-1].markers} == {FRAME}
     graph.until(lambda: source.frames()[-1].state is not None)
-
-
-def test_name_that_tf_refuses_is_refused() -> None:
-    with pytest.raises(InvalidParameterError, match="expected a name that begins without /"):
-        FrameSettings(world_frame="/map")

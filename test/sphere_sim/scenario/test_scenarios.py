@@ -1,14 +1,34 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's cases and random scenarios."""
+"""The paper's cases, random scenarios, errors of the robot's parameters, and disturbances."""
+
+from dataclasses import asdict, replace
 
 import numpy as np
+import pytest
 from scipy import stats
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.controllability import distance_to_circle
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.cli.study import _KINDS
 from sphere_sim.scenario.draws import DRAWS
-from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
+from sphere_sim.scenario.perturbation import LIMITS, DisturbanceDraws, perturbed
+from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario, draw_scenarios
+from sphere_sim.world.disturbances import Push
+
+ROBOT = RobotParameters()
+MANY = draw_scenarios(400, 3, "upright")
+RANGE = DisturbanceDraws(push=(0.5, 1.0))
+
+
+def drawn(draws: DisturbanceDraws) -> list[Scenario]:
+    return [draws.applied_to(scenario) for scenario in MANY]
+
+
+def is_uniform(values: list[float], low: float, high: float) -> bool:
+    # Kolmogorov-Smirnov test at a level that one seed in a thousand fails.
+    return bool(stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3)
 
 
 def test_cases_are_those_of_section_4() -> None:
@@ -39,12 +59,11 @@ def test_positions_and_orientations_are_uniform() -> None:
     drawn = draw_scenarios(2000, 0)
     ends = np.array([s.start for s in drawn] + [s.goal for s in drawn])
     assert np.max(np.abs(ends[:, :2])) <= 3.0
-    # Kolmogorov-Smirnov test at a level that one seed in a thousand fails.
     for axis in range(2):
-        assert stats.kstest(ends[:, axis], stats.uniform(-3, 6).cdf).pvalue > 1e-3
+        assert is_uniform(ends[:, axis], -3, 3)
     # On SO(3) the height of any body axis is uniform in -1 ... 1, and so is that of the contact.
     heights = np.array([np.sin(distance_to_circle(x)) for x in ends])
-    assert stats.kstest(heights, stats.uniform(0, 1).cdf).pvalue > 1e-3
+    assert is_uniform(heights, 0, 1)
     np.testing.assert_allclose(np.mean(ends[:, 2:] ** 2, axis=0), 0.25, atol=0.02)
 
 
@@ -61,7 +80,7 @@ def test_each_kind_is_as_it_says() -> None:
     drawn = draw_scenarios(300, 1, "upright")
     assert all(not np.any(scenario.goal[3:5]) for scenario in drawn)
     headings = [2.0 * np.arctan2(s.goal[5], s.goal[2]) for s in drawn]
-    assert stats.kstest(headings, stats.uniform(-np.pi, 2.0 * np.pi).cdf).pvalue > 1e-3
+    assert is_uniform(headings, -np.pi, np.pi)
     drawn = draw_scenarios(400, 1, "typed")
     assert len({tuple(s.start) for s in drawn}) == 6
     headings = np.degrees(2.0 * np.arctan2([s.goal[5] for s in drawn], [s.goal[2] for s in drawn]))
@@ -73,3 +92,56 @@ def test_each_kind_is_as_it_says() -> None:
 
 def test_the_verb_offers_every_kind() -> None:
     assert tuple(DRAWS) == _KINDS
+
+
+def test_every_physical_parameter_varies_within_its_range_and_limits_stay() -> None:
+    def draw(seed: int) -> dict[str, float]:
+        return asdict(perturbed(ROBOT, 0.2, np.random.default_rng(seed)))
+
+    robots = [draw(seed) for seed in range(300)]
+    assert draw(1) == robots[1] != robots[2]
+    for name, nominal in asdict(ROBOT).items():
+        drawn = np.array([robot[name] for robot in robots])
+        if name in LIMITS:
+            assert np.all(drawn == nominal)
+        else:
+            ratios = drawn / nominal
+            assert np.all(np.abs(ratios - 1.0) <= 0.2 + 1e-12)
+            assert ratios.min() < 0.85 and ratios.max() > 1.15
+
+
+def test_fraction_of_zero_is_the_same_robot_and_one_out_of_range_is_refused() -> None:
+    assert perturbed(ROBOT, 0.0, np.random.default_rng(0)) is ROBOT
+    for fraction in (-0.1, 1.0, float("nan")):
+        with pytest.raises(InvalidParameterError):
+            perturbed(ROBOT, fraction, np.random.default_rng(0))
+
+
+def test_pushes_are_uniform_in_impulse_direction_and_time_which_may_be_given() -> None:
+    found = [scenario.push for scenario in drawn(RANGE)]
+    assert is_uniform([float(np.hypot(*push.impulse)) for push in found], 0.5, 1.0)
+    assert is_uniform([np.arctan2(*push.impulse) for push in found], -np.pi, np.pi)
+    assert is_uniform([push.time for push in found], 0.5, 3.0)
+    timed = [scenario.push for scenario in drawn(replace(RANGE, push_time=7.0))]
+    assert timed == [Push(7.0, push.impulse) for push in found]
+
+
+def test_slope_and_centre_of_mass_have_their_size_and_any_direction() -> None:
+    found = [s.disturbances for s in drawn(DisturbanceDraws(slope=0.01, offset=2e-3))]
+    assert {values["slope"] for values in found} == {0.01}
+    assert is_uniform([values["slope_direction"] for values in found], -np.pi, np.pi)
+    offsets = np.array([[values[f"mass_offset_{axis}"] for axis in "xyz"] for values in found])
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), 2e-3)
+    for axis in range(3):
+        assert is_uniform(list(offsets[:, axis]), -2e-3, 2e-3)
+
+
+def test_each_draw_is_the_same_whatever_else_is_drawn() -> None:
+    everything = drawn(replace(RANGE, slope=0.01, offset=2e-3))
+    alone = zip(drawn(RANGE), drawn(DisturbanceDraws(slope=0.01)), strict=True)
+    for together, (pushed, tilted) in zip(everything, alone, strict=True):
+        assert together.push == pushed.push
+        assert tilted.disturbances.items() <= together.disturbances.items()
+    own = replace(MANY[0], push=Push(1.0, (0.1, 0.2)), disturbances={"slope": 0.02})
+    kept = DisturbanceDraws().applied_to(own)
+    assert (kept.push, kept.disturbances) == (own.push, own.disturbances)

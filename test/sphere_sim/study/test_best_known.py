@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model.drift import (
-    NO_DRIFT,
     Drift,
     imbalance_of_offset,
     momentum_of_push,
@@ -89,12 +88,9 @@ def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"robot": {"shell_mass": 1.5}}, {"robot": {"max_rotor_acceleration": 250.0}},
-        {"robot": {"max_rotor_torque": 1.6}},
+        {"robot": {"shell_mass": 1.5}}, {"robot": {"max_rotor_torque": 1.6}},
         {"motion": {"goal": SCENARIOS[1].goal}}, {"motion": {"speeds": np.array([1.0, 0.0])}},
-        {"motion": {"drift": PUSHED}}, {"motion": {"drift": Drift(slope=np.array([0.1, 0.0]))}},
-        {"motion": {"drift": Drift(imbalance=np.array([0.1, 0.0, 0.0]))}},
-        {"SEARCH_VERSION": -1}, {"SEARCHES": 3}, {"EFFORT": 1000}, {"GRIDS": (0.5, 0.25)},
+        {"motion": {"drift": PUSHED}}, {"SEARCH_VERSION": -1}, {"EFFORT": 1000},
     ],
     ids=str,
 )
@@ -138,10 +134,7 @@ def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("kind", ["far", "pushed"])
-def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
-    kind, monkeypatch
-) -> None:
+def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(monkeypatch) -> None:
     """The end of the best motion is integrated in fine steps."""
     monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125, 0.0625))
     found = []
@@ -150,8 +143,7 @@ def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(
         best_known, "_settling",
         lambda arrival, situation: found.append(arrival) or settling(arrival, situation),
     )
-    (scenario,) = draw_scenarios(1, 4, "far" if kind == "far" else "upright")
-    drift = PUSHED if kind == "pushed" else NO_DRIFT
+    (scenario,), drift = draw_scenarios(1, 4, "upright"), PUSHED
     known = best_known_time(Motion(scenario.start, scenario.goal, drift=drift), ROBOT)
     (arrival,) = found
     hold, constants = arrival.hold, ROBOT.lumped.as_array()
@@ -175,24 +167,16 @@ def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:
     found = times()
     first, second = cache.read_bytes().splitlines()
     key = json.dumps(json.loads(first)[0]).encode()
-    damaged = [b"\xff", b"", b"{}", b"[1]", b"[[], 1.0]", b"[" * 100_000, first[:-3]]
-    damaged += [b"[%s, %s]" % (key, value) for value in (b"1", b"1, 1, 1", b"null, 1")]
-    damaged += [b"[%s, 0.1, %s]" % (key, value) for value in (b"-1", b"Infinity", b"null")]
+    damaged = [b"\xff", b"", b"[[], 1.0]", b"[" * 100_000, first[:-3], b"[%s, 0.1, -1]" % key]
     longer = b"[%s, 9.0, 0.4]" % key  # of several motions the shortest counts
     cache.write_bytes(b"\n".join([*damaged, first, longer, second, b""]))
     assert times() == found
     assert not caplog.messages
 
 
-@pytest.mark.parametrize("obstacle", ["file", "folder", "pipe"])
-def test_cache_that_cannot_be_used_is_one_warning(cache, searched, obstacle, caplog) -> None:
-    if obstacle == "file":
-        cache.parent.write_text("")
-    elif obstacle == "folder":
-        cache.mkdir(parents=True)
-    else:
-        cache.parent.mkdir()
-        os.mkfifo(cache)
+def test_cache_that_cannot_be_used_is_one_warning(cache, searched, caplog) -> None:
+    cache.parent.mkdir()
+    os.mkfifo(cache)
     assert times() == numbered(2)
     (warning,) = caplog.messages
     assert str(cache) in warning and "\n" not in warning

@@ -6,15 +6,12 @@ import json
 from pathlib import Path
 
 import import_graph
-import numpy as np
 import pytest
 
-import sphere_nmpc
-import sphere_sim
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.journal import _OF_RUNS, NAME, Journal, code_digest, fingerprint
+from sphere_sim.study.journal import _OF_RUNS, NAME, Journal, fingerprint
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import run_scenario
 
@@ -54,21 +51,13 @@ def texts(records: dict[int, RunRecord]) -> dict[int, str]:
 
 BAD = {
     "rubbish": lambda line: "rubbish",
-    "zeros": lambda line: "\0" * 1000,
-    "a list": lambda line: "[]",
     "deep": lambda line: "[" * 100_000,
-    "two in one": lambda line: line[:-40] + line,
     "run 77 of 4": lambda line: damaged(line, run=77),
-    "run true": lambda line: damaged(line, run=True),
     "no strategy": lambda line: damaged(line, results={"settled": True}),
-    "results a list": lambda line: damaged(line, results=["strategy", "settled"]),
-    "settled a text": lambda line: line.replace('"settled": false', '"settled": "false"'),
     "error NaN": lambda line: line.replace('"final_error": ', '"final_error": NaN, "a": '),
     "t huge": lambda line: line.replace('"t": [0.0', '"t": [1e999'),
-    "t a text": lambda line: line.replace('"t": [0.0', '"t": ["0.0"'),
     "t too short": lambda line: line.replace('"t": [0.0, ', '"t": ['),
     "u not in pairs": lambda line: line.replace('"u": [[0.0, 0.0], ', '"u": [[0.0], '),
-    "u flat": lambda line: damaged(line, u=np.ravel(json.loads(line)["u"]).tolist()),
 }
 
 
@@ -93,30 +82,10 @@ def test_runs_are_added_after_damaged_lines(tmp_path, lines, records) -> None:
         assert texts(journal.records) == texts(dict(enumerate(records)))
 
 
-@pytest.mark.parametrize("first", ["", "rubbish", "[]"])
-def test_journal_without_settings_is_refused_and_stays(tmp_path, lines, first) -> None:
+def test_journal_without_settings_is_refused_and_stays(tmp_path, lines) -> None:
     with pytest.raises(ResultFolderError, match=r"journal.jsonl, line 1: .* another folder"):
-        opened(tmp_path, [first, *lines[1:]])
+        opened(tmp_path, ["[]", *lines[1:]])
     assert len((tmp_path / NAME).read_text().splitlines()) == 5
-
-
-def test_fingerprint_changes_with_the_sources_of_a_run_alone(tmp_path, monkeypatch) -> None:
-    counting = ("sphere_nmpc/strategy/paper.py", "sphere_nmpc/solver/native/solver.c",
-                "sphere_nmpc/settings.py", "sphere_sim/world/push.py", "sphere_sim/study/study.py")
-    others = ("sphere_nmpc/ros/node.py", "sphere_sim/report/page.py", "sphere_sim/world/notes.txt")
-    for package in (sphere_nmpc, sphere_sim):
-        monkeypatch.setattr(package, "__file__", str(tmp_path / package.__name__ / "__init__.py"))
-    for name in (*counting, *others):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("1")
-
-    def digest() -> str:
-        return code_digest.__wrapped__()
-
-    for name in (*counting, *others):
-        before = digest()
-        (tmp_path / name).write_text("2")
-        assert (digest() != before) is (name in counting), name
 
 
 def test_all_modules_that_a_run_may_import_count() -> None:

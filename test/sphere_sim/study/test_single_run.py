@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run and what is recorded of it."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.scenario.scenarios import draw_scenarios
-from sphere_sim.study.conditions import OF_NODES, StudyConditions
+from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import RunRecord
 from sphere_sim.study.single_run import followed_inputs, prepare, run_scenario
 from sphere_sim.world.disturbances import Push
@@ -29,7 +29,6 @@ STATES_AGREE = 1e-8
 
 
 PUSHED = replace(SCENARIO, push=Push(1.234567891, (0.3, -0.4)))
-OFF_BALANCE = {"slope": 0.01, "slope_direction": 1.0, "mass_offset_x": 1e-3}
 
 
 @pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
@@ -62,9 +61,8 @@ def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
     np.testing.assert_allclose(state, between, atol=0.02)
 
 
-@pytest.mark.parametrize("rate", [0.0, 7.0])
-def test_recorded_inputs_reproduce_speeds_and_states(rate) -> None:
-    conditions = SHORT.with_settings([("control_rate", str(rate))])
+def test_recorded_inputs_reproduce_speeds_and_states() -> None:
+    conditions = SHORT.with_settings([("control_rate", "7.0")])
     simulator, controller = prepare(conditions, SCENARIO)
     period = conditions.controller.control_period
     trajectory = run_closed_loop(simulator, controller, SCENARIO.goal, 4.0, period)
@@ -88,10 +86,9 @@ def test_a_command_replaces_what_is_left_of_the_one_before() -> None:
     np.testing.assert_array_equal(inputs.speeds[:, 0], [0.0, 5.0, 2.5])
 
 
-@pytest.mark.parametrize("scenario", [SCENARIO, PUSHED])
-def test_record_is_read_back_to_the_bit(scenario) -> None:
-    record = run_scenario(SHORT, scenario)
-    assert record.at_push.size == (0 if scenario is SCENARIO else 11)
+def test_record_is_read_back_to_the_bit() -> None:
+    record = run_scenario(replace(SHORT, duration=2.0), PUSHED)
+    assert record.at_push.size == 11
     index, again = RunRecord.from_json(record.as_json(3))
     assert index == 3 and again.results == record.results
     for name in ("times", "speeds", "at_push"):
@@ -123,24 +120,3 @@ def test_settings_that_depend_on_each_other_are_accepted_in_any_order() -> None:
         assert there.robot.rotor_offset == float(settings[1][1])
     with pytest.raises(InvalidParameterError, match="rotor_offset"):
         SHORT.with_settings(small[:1])
-
-
-def test_names_that_a_study_reads_need_no_prefix() -> None:
-    groups = ("controller", "simulator", "robot", "rigid_body", "disturbances")
-    names = [
-        field.name
-        for group in groups
-        for field in fields(getattr(SHORT, group))
-        if field.name not in OF_NODES.get(group, ())
-    ]
-    assert len(names) == len(set(names))
-
-
-def test_setting_without_effect_does_not_change_a_run() -> None:
-    given = {"pose_rate": 50.0, "command_timeout": 0.1}
-    assert set(given) == set(OF_NODES["simulator"])
-    expected = run_scenario(SHORT, SCENARIO)
-    settings = replace(SHORT.simulator, **given)
-    found = run_scenario(replace(SHORT, simulator=settings), SCENARIO)
-    np.testing.assert_array_equal(found.speeds, expected.speeds)
-    assert found.results["final_error"] == expected.results["final_error"]

@@ -11,18 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
 from sphere_sim.scenario.scenarios import (
-    DISTURBANCE_COLUMNS,
-    PUSH_COLUMNS,
     draw_scenarios,
 )
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
-from sphere_sim.study.lower_bound import lower_bound
 from sphere_sim.study.motion import Motion
 from sphere_sim.study.record import PUSH_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
 from sphere_sim.study.study import Study
@@ -85,24 +81,6 @@ def test_table_has_a_row_a_run_in_order(done) -> None:
     assert [row["settled"] for row in found] == ["False", "False", "True"]
     assert [row["settle_time_s"] for row in found] == ["", "", "0.0"]
     assert [float(row["final_error"]) > SETTLED_ERROR for row in found] == [True, True, False]
-
-
-def test_document_explains_each_column() -> None:
-    document = (Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8")
-    columns = RESULT_COLUMNS + PUSH_RESULT_COLUMNS + PUSH_COLUMNS + DISTURBANCE_COLUMNS
-    assert [name for name in columns if f"`{name}`" not in document] == []
-
-
-def test_inputs_are_knots_of_each_run(done) -> None:
-    with np.load(done / "inputs.npz", allow_pickle=False) as inputs:
-        assert sorted(inputs) == ["t_0", "t_1", "t_2", "u_0", "u_1", "u_2"]
-        for i in range(3):
-            times, speeds = inputs[f"t_{i}"], inputs[f"u_{i}"]
-            assert speeds.shape == (times.size, 2)
-            assert (times[0], times[-1]) == (0.0, 1.0) and np.all(np.diff(times) > 0.0)
-
-
-def test_figure_is_written_to_print_and_to_look_at(done) -> None:
     assert [(done / name).read_bytes()[:4] for name in FIGURES] == [b"%PDF", b"\x89PNG"]
 
 
@@ -196,28 +174,11 @@ def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) 
     assert [row["ratio"] for row in rows(tmp_path / "time_optimal")] == ["0.0"] * 2
 
 
-def test_lower_bound_is_of_the_nominal_robot_and_none_with_drift(tmp_path) -> None:
-    slow = SHORT.with_settings([("max_rotor_speed", "60")])
-    make(tmp_path / "slow", conditions=replace(slow, duration=0.5), scenarios=SCENARIOS[:1])
-    (row,) = rows(tmp_path / "slow")
-    robot = RobotParameters(max_rotor_speed=60.0)
-    expected = lower_bound(SCENARIOS[0].start, SCENARIOS[0].goal, robot)
-    assert float(row["lower_bound_s"]) == expected
-    drifting = [
-        replace(SCENARIOS[2], push=Push(0.1, (0.1, 0.0))),
-        replace(SCENARIOS[2], disturbances={"slope": 1e-3}),
-        replace(SCENARIOS[2], disturbances={"mass_offset_z": 1e-4}),
-    ]
-    make(tmp_path / "drift", conditions=replace(SHORT, duration=0.5), scenarios=drifting)
-    assert [row["lower_bound_s"] for row in rows(tmp_path / "drift")] == [""] * 3
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
-def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path, error) -> None:
+def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path) -> None:
     def best_known(motions: list[Motion]) -> list[float]:
-        raise error
+        raise KeyboardInterrupt
 
-    with pytest.raises((KeyboardInterrupt, OSError)), Workers() as workers:
+    with pytest.raises(KeyboardInterrupt), Workers() as workers:
         Study(SCENARIOS, SHORT, tmp_path).run(workers, best_known)
     assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
     assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 3

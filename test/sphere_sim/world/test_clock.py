@@ -29,11 +29,6 @@ def run(clock: SimulatedClock, until: int, wall: float, cost: float = 0.0) -> fl
     return wall
 
 
-def test_instants_are_those_of_poses_and_samples() -> None:
-    clock = SimulatedClock(3 * MS, SAMPLE)
-    assert [clock.upcoming(now * MS) for now in (0, 498, 500)] == [3 * MS, SAMPLE, 501 * MS]
-
-
 @pytest.mark.parametrize(("factor", "wall"), [(0.5, 4.0), (1.0, 2.0), (20.0, 0.1), (0.0, 0.0)])
 def test_pace_is_kept(factor, wall) -> None:
     assert run(clock_at_zero(real_time_factor=factor), 2000 * MS, 0.0) == pytest.approx(wall)
@@ -96,17 +91,6 @@ def test_lockstep_waits_for_the_command_of_its_instant() -> None:
     assert clock.wait(POSE, 1.0) == 0.0
     clock.advanced(SAMPLE, 1.0)
     assert clock.awaited == SAMPLE
-
-
-def test_sampling_instants_are_those_that_the_controller_tells() -> None:
-    clock = clock_at_zero(lockstep=True, real_time_factor=0.0)
-    clock.resume(0, 0.0)
-    clock.set_sample_period(400 * MS, 0.0)
-    assert clock.awaited == 0, "an instant of any period"
-    clock.command_received(0, 0.0)
-    assert run(clock, 400 * MS, 0.0) == 0.0 and clock.awaited == 400 * MS
-    clock.set_sample_period(300 * MS, 0.0)
-    assert clock.awaited is None and clock.next_sample(400 * MS) == 600 * MS
 
 
 def test_wait_in_lockstep_ends_after_its_timeout_but_never_without_a_controller() -> None:

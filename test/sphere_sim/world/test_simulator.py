@@ -10,7 +10,6 @@ import pytest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error
-from sphere_sim.world.plant.rolling_plant import RollingPlant
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -49,21 +48,9 @@ def test_starts_at_rest_at_the_normalised_initial_state_and_goes_back_there() ->
     np.testing.assert_allclose(world.plant.state, start, atol=1e-15)
 
 
-def test_trajectory_is_followed_as_the_plant_would_alone() -> None:
-    world = simulator(WITHIN_LIMITS)
-    world.advance_to(seconds(1.3))
-    plant = RollingPlant(ROBOT, simulator().plant.state)
-    for duration, speeds in zip(
-        np.diff(WITHIN_LIMITS.times), WITHIN_LIMITS.speeds[1:], strict=True
-    ):
-        plant.advance(speeds, duration)
-    # Both divide the time into steps of their own: twice the method's error.
-    np.testing.assert_allclose(world.plant.state, plant.state, atol=1e-6)
-
-
 # A command that jumps is evaluated every 10 ms; 2e-5 was seen.
 @pytest.mark.parametrize(("jumps", "tolerance"), [(False, 1e-7), (True, 1e-3)])
-@pytest.mark.parametrize("chunk", [1_000_000, 3_333_333, 123_456_789])
+@pytest.mark.parametrize("chunk", [3_333_333, 123_456_789])
 def test_states_do_not_depend_on_the_chunks_in_which_time_passes(chunk, jumps, tolerance) -> None:
     whole, cut = (simulator(None if jumps else WITHIN_LIMITS) for _ in range(2))
     if jumps:
@@ -100,20 +87,6 @@ def test_process_noise_has_the_given_deviation_in_all_directions() -> None:
     assert not np.any(disturbances(4, 20)[:, 0] == added[:20, 0])
 
 
-def test_process_noise_comes_once_a_noise_period_also_when_it_is_switched_on_later() -> None:
-    world = simulator(noise_period=0.5)
-    start = world.plant.state
-    world.change(replace(world.settings, process_noise=0.1))
-    world.advance_to(seconds(0.499))
-    np.testing.assert_array_equal(world.plant.state, start)
-    world.advance_to(seconds(0.5))
-    moved = world.plant.state
-    assert np.linalg.norm(moved - start) > 1e-3
-    assert np.linalg.norm(moved[2:6]) == pytest.approx(1.0, abs=1e-15)
-    world.advance_to(seconds(0.999))
-    np.testing.assert_array_equal(world.plant.state, moved)
-
-
 def test_sensor_noise_has_the_deviations_asked_for_and_leaves_the_plant_alone() -> None:
     world = simulator(position_noise=0.02, orientation_noise=0.05)
     true = world.plant.state
@@ -148,9 +121,10 @@ def test_pose_is_the_state_at_its_stamp_and_comes_with_the_rate_and_latency_aske
         np.testing.assert_allclose(pose, truth.plant.state, atol=1e-9)
 
 
-@pytest.mark.parametrize("rate", [{"sensor_rate": 20.0}, {"pose_rate": 20.0}])
-def test_measurements_do_not_depend_on_when_poses_are_read(rate) -> None:
-    settings = dict(sensor_latency=0.05, sensor_dropout=0.3, position_noise=0.01, seed=4, **rate)
+def test_measurements_do_not_depend_on_when_poses_are_read() -> None:
+    settings = dict(
+        sensor_latency=0.05, sensor_dropout=0.3, position_noise=0.01, seed=4, sensor_rate=20.0
+    )
     often, rarely = (poses(step, **settings) for step in (10, 250))
     assert {stamp % (50 * MILLISECOND) for _, stamp, _ in often} == {0}
     for (_, stamp, pose), (_, other_stamp, other_pose) in zip(often, rarely, strict=True):

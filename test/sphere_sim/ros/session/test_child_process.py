@@ -71,20 +71,6 @@ def test_killed_process_names_the_signal_and_can_be_started_again(process) -> No
     assert process.output.split() == ["up", "up", "again"]
 
 
-def test_first_start_discards_an_old_log_unless_it_is_to_be_kept(process) -> None:
-    process.log.write_text("of yesterday\n")
-    start(process)
-    first = process.pid
-    start(process)
-    assert process.pid != first and not psutil.pid_exists(first)
-    assert process.output.split() == ["up", "up"]
-    process.kill()
-    later = ChildProcess("waiting", process.command, process.log, append=True)
-    start(later)
-    later.kill()
-    assert process.output.split() == ["up", "up", "up"]
-
-
 def test_process_that_ignores_sigint_and_sigterm_is_killed(process, monkeypatch) -> None:
     from sphere_sim.ros.session import child_process
 
@@ -100,13 +86,6 @@ def test_kill_ends_what_the_process_has_started(process) -> None:
     grandchild = psutil.Process(int(process.output.split()[-1]))
     process.kill()
     until(lambda: not grandchild.is_running() or grandchild.status() == psutil.STATUS_ZOMBIE)
-
-
-def test_uncaught_exceptions_are_counted(process) -> None:
-    start(process, "fail")
-    assert process.wait(PATIENCE) == 1
-    assert process.tracebacks == 1
-    assert process.ending == "waiting ended, exit code 1"
 
 
 def test_processes_of_a_set_end_together_and_leave_it(process, tmp_path) -> None:

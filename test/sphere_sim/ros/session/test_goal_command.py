@@ -13,10 +13,8 @@ from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
-from rosgraph_msgs.msg import Clock
-from std_srvs.srv import SetBool
 
-from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_sim.ros.session.goal_command import main, parse
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -28,7 +26,6 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     [
         (["1", "-2.5"], [1, -2.5, 1, 0, 0, 0]),
         (["0", "0", "--yaw", str(math.pi)], [0, 0, 0, 0, 0, 1]),
-        (["0", "0", "--yaw", "6.2832"], [0, 0, -1, 0, 0, 0]),
         (["0", "0", "--yaw", "-90", "--degrees"], [0, 0, 0.5**0.5, 0, 0, -(0.5**0.5)]),
         (["-1", "2", "--quaternion", "0.5", "-0.5", "0.5", "0.5"], [-1, 2, 0.5, -0.5, 0.5, 0.5]),
         (["--case", "2"], PAPER_CASES[2].goal),
@@ -44,10 +41,7 @@ def test_arguments_name_a_goal(arguments, expected) -> None:
         (["1"], "given 1 numbers"),
         (["1", "2", "--case", "1"], "--case brings its own"),
         (["1", "2", "--quaternion", "1", "1", "0", "0"], "norm 1.41421"),
-        (["nan", "2"], "expected finite numbers"),
-        (["1", "2", "--yaw", "1", "--quaternion", "1", "0", "0", "0"], "not allowed with"),
         (["1", "2", "--yaw", "90"], "--yaw: given 90 rad, expected -6.283 to 6.283; --degrees"),
-        (["1", "2", "--yaw", "400", "--degrees"], "--yaw: given 400 deg, expected -360 to 360"),
         (["1", "2", "--degrees"], "--degrees: given without --yaw"),
     ],
 )
@@ -62,15 +56,25 @@ def test_missing_controller_exits_with_1(capsys) -> None:
     assert "no controller was ready within 0.3 s" in capsys.readouterr().err
 
 
-class Served(threading.Thread):
-    """A node in a context of its own, beside that of the command."""
+class Controller(threading.Thread):
+    """A controller without status that confirms goals or not, in a context of its own."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, confirms: bool) -> None:
         super().__init__(daemon=True)
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self.node = rclpy.create_node(name, context=self._context)
+        self.node = rclpy.create_node("controller", context=self._context)
         self._done = threading.Event()
+        self.received: list[np.ndarray] = []
+        self._confirms = confirms
+        self._active = self.node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
+        self._active.publish(PoseStamped())  # the goal before this one
+        self.node.create_subscription(PoseStamped, "goal_pose", self._take, 1)
+
+    def _take(self, message: PoseStamped) -> None:
+        self.received.append(pose_from_ros(message))
+        if self._confirms:
+            self._active.publish(message)
 
     def run(self) -> None:
         executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
@@ -88,47 +92,6 @@ class Served(threading.Thread):
         self._done.set()
         self.join()
         self._context.try_shutdown()
-
-
-class Controller(Served):
-    """A controller that confirms goals, or does not, and has no status."""
-
-    def __init__(self, confirms: bool) -> None:
-        super().__init__("controller")
-        self.received: list[np.ndarray] = []
-        self._confirms = confirms
-        self._active = self.node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
-        self._active.publish(PoseStamped())  # the goal before this one
-        self.node.create_subscription(PoseStamped, "goal_pose", self._take, 1)
-
-    def _take(self, message: PoseStamped) -> None:
-        self.received.append(pose_from_ros(message))
-        if self._confirms:
-            self._active.publish(message)
-
-
-class Robot(Served):
-    """A sphere at rest with a simulated clock, which can enable and disable the controller."""
-
-    def __init__(self) -> None:
-        super().__init__("robot")
-        self._began = time.monotonic()
-        self._pose = self.node.create_publisher(PoseStamped, "pose", 10)
-        self._clock = self.node.create_publisher(Clock, "/clock", 10)
-        self._enable = self.node.create_client(SetBool, "controller/enable")
-        self.node.create_timer(0.02, self._send)
-
-    def enable(self, data: bool) -> None:
-        assert self._enable.wait_for_service(PATIENCE)
-        answered = threading.Event()
-        future = self._enable.call_async(SetBool.Request(data=data))
-        future.add_done_callback(lambda _: answered.set())
-        assert answered.wait(PATIENCE)
-
-    def _send(self) -> None:
-        stamp = round((time.monotonic() - self._began) * 1e9)
-        self._pose.publish(pose_to_ros(PAPER_CASES[1].start, stamp, 0.3))
-        self._clock.publish(Clock(clock=stamp_to_ros(stamp)))
 
 
 @pytest.mark.parametrize(("confirms", "code"), [(True, 0), (False, 1)])
@@ -150,25 +113,10 @@ def test_goal_is_sent_once_and_its_acceptance_printed(confirms, code, capsys, mo
 @pytest.mark.slow
 def test_what_the_controller_waits_for_is_told_with_the_remedy(capsys, monkeypatch) -> None:
     monkeypatch.setattr("sphere_sim.ros.session.goal_command._ANSWER_TIMEOUT", PATIENCE)
-
-    def told(x: int) -> str:
-        assert main([str(x), "0", "--timeout", str(PATIENCE)]) == 0
-        return capsys.readouterr().out.partition("in force")[2]
-
-    def told_with(words: str, x: int) -> str:
-        end = time.monotonic() + PATIENCE
-        while words not in (line := told(x)):
-            assert time.monotonic() < end, line
-        return line
-
-    options = "-p", "use_sim_time:=true", "-p", "goal_memory:=0.0"
-    with started("controller", *options):
-        assert told_with("no publisher", 1).startswith(", but the controller waits: 'no clock: ")
-        with Robot() as robot:
-            line = told_with("progress", 2)
-            assert line == "; /controller/status reports the progress\n"
-            robot.enable(False)
-            assert told_with("disabled", 3) == (
-                ", but the controller waits: disabled: ros2 service call /controller/enable "
-                'std_srvs/srv/SetBool "{data: true}"\n'
-            )
+    with started("controller", "-p", "use_sim_time:=true"):
+        end, told = time.monotonic() + PATIENCE, ""
+        while "no publisher" not in told:
+            assert time.monotonic() < end, told
+            assert main(["1", "0", "--timeout", str(PATIENCE)]) == 0
+            told = capsys.readouterr().out.partition("in force")[2]
+    assert told.startswith(", but the controller waits: 'no clock: ")

@@ -97,41 +97,6 @@ def test_wrong_messages_move_nothing_and_are_logged_once(graph, capfd, kind) -> 
     assert "given" in line
 
 
-def test_speeds_are_limited_and_the_rotors_ramp_to_rest_when_commands_stop(graph, capfd) -> None:
-    simulator(graph, real_time_factor=5.0, pose_rate=200.0, command_timeout=0.5)
-    joints = graph.collect(JointState, "joint_states")
-    graph.publisher(Float64MultiArray, "rotor_commands").publish(
-        Float64MultiArray(data=[1e6, -60.0])
-    )
-    graph.until(lambda: joints and joints[-1].velocity[0] == 100.0)
-    graph.until(lambda: joints[-1].velocity[0] == 0.0)
-    assert capfd.readouterr().err.count("command limited: given more than") == 1
-    times = np.array([stamp_from_ros(message.header.stamp) for message in joints]) / 1e9
-    rates = np.diff(speeds(joints), axis=0) / np.diff(times)[:, None]
-    assert np.max(np.abs(rates)) <= SLEW * (1 + 1e-9)
-    assert np.max(np.abs(speeds(joints))) == 100.0
-    commanded = times[np.any(speeds(joints) != 0.0, axis=1)]
-    # The ramp takes 100 / 400 s after the time-out.
-    assert commanded[-1] - commanded[0] == pytest.approx(0.5 + 0.25, abs=0.05)
-
-
-def test_trajectory_takes_precedence_and_names_are_matched(graph) -> None:
-    node = simulator(graph, real_time_factor=5.0)
-    joints = graph.collect(JointState, "joint_states")
-    commands = graph.publisher(Float64MultiArray, "rotor_commands")
-    sender = graph.publisher(JointTrajectory, "rotor_trajectory")
-    # Several that arrive between two calls of the executor are all received.
-    swapped = tuple(reversed(JOINT_NAMES))
-    for speed in (10.0, 20.0, 30.0, 40.0):
-        sender.publish(trajectory((0.0, (20.0, speed)), (9.0, (20.0, speed)), names=swapped))
-    graph.until(lambda: node._receiver.received == 4)
-    graph.until(lambda: joints and tuple(joints[-1].velocity) == (40.0, 20.0))
-    received = len(joints)
-    commands.publish(Float64MultiArray(data=[-90.0, -90.0]))
-    graph.until(lambda: node._receiver.received == 5 and len(joints) > received + 30)
-    assert np.all(speeds(joints)[received:] == (40.0, 20.0))
-
-
 def test_late_trajectory_is_told_where_it_matters_and_then_stops_the_rotors(graph, capfd) -> None:
     node = simulator(graph, real_time_factor=2.0)
     joints = graph.collect(JointState, "joint_states")

@@ -12,8 +12,7 @@ from printed_model import PrintedModel
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, angle_error, position_error
-from sphere_nmpc.model.torque import rotor_acceleration
+from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import PlantDivergedError, RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -61,7 +60,7 @@ def perturbed(seed):
     return replace(ROBOT, **{name: getattr(ROBOT, name) * rng.uniform(0.8, 1.2) for name in names})
 
 
-@pytest.mark.parametrize("robot", [ROBOT, ROBOT, perturbed(3), perturbed(4)])
+@pytest.mark.parametrize("robot", [ROBOT, perturbed(3)])
 def test_follows_the_rolling_plant_with_ideal_drives(robot):
     start, speeds = draw(robot.shell_mass != 1.0)
     ideal = run(RollingPlant(robot, start), speeds)
@@ -85,7 +84,7 @@ def test_follows_the_rolling_plant_with_ideal_drives(robot):
     np.testing.assert_array_equal(readings(plant), before)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_one_sign_separates_the_printed_eq_12_from_the_motion(seed):
     start, speeds = draw(seed, knots=4)
     contact = run(RigidBodyPlant(ROBOT, start, IDEAL_DRIVES), speeds).state
@@ -111,19 +110,6 @@ def test_momentum_about_the_contact_point_stays_zero_and_is_kept_where_it_is_dis
     np.testing.assert_array_equal(plant.state, elsewhere)
     np.testing.assert_array_equal(plant.rotor_speeds, before)
     np.testing.assert_allclose(plant.momentum, 0.0, atol=1e-5)
-
-
-def test_torque_is_that_of_the_model():
-    start, speeds = draw(5, knots=3)
-    settings = replace(IDEAL_DRIVES, drive_bandwidth=500.0)
-    plant = run(RigidBodyPlant(ROBOT, start, settings), speeds[:2])
-    plant.advance(0.5 * (speeds[1] + speeds[2]), 0.25)
-    acceleration = rotor_acceleration()(
-        plant.state[QUATERNION], plant.rotor_speeds, (speeds[2] - speeds[1]) / 0.5,
-        ROBOT.lumped.as_array(),
-    )
-    predicted = ROBOT.rotor_axial_inertia * np.array(acceleration).ravel()
-    np.testing.assert_allclose(plant.rotor_torques, predicted, atol=2e-3)
 
 
 def test_torque_stays_within_its_limit_and_the_rotor_lags_behind():

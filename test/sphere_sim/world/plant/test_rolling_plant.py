@@ -3,7 +3,6 @@
 """The ideal plant: accuracy, conserved quantities and its interface."""
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -88,12 +87,3 @@ def test_rotors_have_angles_and_are_stopped_by_reset_and_not_by_displace() -> No
     plant.reset(START)
     for still in (plant.rotor_speeds, plant.rotor_angles, plant.velocity, plant.rotor_torques):
         assert not np.any(still)
-
-
-@pytest.mark.parametrize("parts", [2, 50])
-def test_interval_in_parts_ends_where_the_whole_one_does(parts: int) -> None:
-    whole, cut = RollingPlant(ROBOT, START), RollingPlant(ROBOT, START)
-    whole.advance(FULL, 0.5)
-    for i in range(parts):
-        cut.advance(FULL * (i + 1) / parts, 0.5 / parts)
-    np.testing.assert_allclose(cut.state, whole.state, atol=1e-7)  # twice the method's error

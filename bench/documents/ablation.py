@@ -37,8 +37,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.output.files import write_atomically
-from sphere_sim.scenario.draws import DRAWS
-from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import DRAWS, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.journal import fingerprint
 from sphere_sim.study.progress import shown

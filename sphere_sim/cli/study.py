@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sphere_sim.study.motion import Motion
 
 _KINDS = ("anywhere", "far", "kilometre", "circle", "half_turn", "upright", "typed")
-"""Names of `sphere_sim.scenario.draws.DRAWS`, whose import would load NumPy; a test compares."""
+"""Names of `scenario.scenarios.DRAWS`, whose import would load NumPy; a test compares."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
 _STEEPEST, _FARTHEST_OFF = 28.0, 30.0  # [degree], [mm]
 """Largest numbers that are accepted."""

@@ -51,42 +51,17 @@ class Trajectory:
 
 
 def run_closed_loop(
-    simulator: Simulator,
-    controller: Controller,
-    goal: Vector,
-    duration: float,
-    control_period: float,
-    output_period: float = 0.01,
-    latency: float = 0.0,
+    simulator: Simulator, controller: Controller, goal: Vector, duration: float,
+    control_period: float, output_period: float = 0.01, latency: float = 0.0,
     push: Push | None = None,
 ) -> Trajectory:
-    """Simulate a plant under control.
+    """Simulate a plant at its start under a new controller with a goal, shape (6,).
 
-    Parameters
-    ----------
-    simulator : Simulator
-        Simulator at its start.
-    controller : Controller
-        A new controller.
-    goal : ndarray, shape (6,)
-        Goal of the run.
-    duration : float
-        Length of the run [s].
-    control_period : float
-        Time between sampling instants [s].
-    output_period : float, optional
-        Spacing of the rows of the trajectory [s]; the controller does not see it.
-    latency : float, optional
-        Age of the newest pose at a sampling instant [s]; its stamp is the time of measurement.
-        Before the run the sphere is measured at rest at its start. Only for a sensor without
-        rate, latency and drop-outs of its own.
-    push : Push, optional
-        Push during the run.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a latency is given for a sensor that has its own.
+    The run lasts `duration`, with a sampling instant every `control_period` and a row of the
+    trajectory every `output_period`, which the controller does not see [s]. `latency` is the age
+    of the newest pose at a sampling instant [s]; its stamp is the time of measurement, and before
+    the run the sphere is measured at rest. `InvalidParameterError` is raised if it is given for a
+    sensor that has rate, latency or drop-outs of its own.
     """
     if latency and not simulator.settings.is_sensor_plain:
         raise InvalidParameterError("latency", latency, "0 for a sensor with rate or latency")

@@ -136,40 +136,23 @@ class GoalRun:
 
 
 def measure(
-    times: Vector,
-    states: Vector,
-    goal: Vector,
-    rotor_speeds: Vector,
-    rotor_torques: Vector,
+    times: Vector, states: Vector, goal: Vector, rotor_speeds: Vector, rotor_torques: Vector,
     solve_times: Vector,
 ) -> Metrics:
-    """Return the metrics of a run towards one goal.
+    """Return the metrics of a run towards one goal, shape (6,).
 
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        Times since the goal was set [s], n > 0.
-    states : ndarray, shape (n, 6)
-        States at these times.
-    goal : ndarray, shape (6,)
-        The goal.
-    rotor_speeds, rotor_torques : ndarray, shape (m, 2)
-        Rotor speeds [rad/s] and torques [N m] at any times.
-    solve_times : ndarray, shape (k,)
-        Solve times [s].
+    `states`, shape (n, 6), are at `times` since the goal was set [s]. Rotor speeds [rad/s] and
+    torques [N m], shape (m, 2), and the solve times [s], (k,), are of any times.
     """
     errors = state_errors(states, goal)
     stay = stay_below(times, errors)
     return Metrics(
-        settled=stay is not None,
-        settle_time_s=math.nan if stay is None else stay.since,
+        settled=stay is not None, settle_time_s=math.nan if stay is None else stay.since,
         final_error=float(errors[-1]),
         final_position_error_m=float(position_errors(states[-1:], goal)[0]),
         final_orientation_error_rad=float(angle_errors(states[-1:], goal)[0]),
-        max_rotor_speed=_peak(rotor_speeds),
-        max_rotor_torque_nm=_peak(rotor_torques),
-        solve_ms_p50=_percentile(solve_times, 50.0),
-        solve_ms_p99=_percentile(solve_times, 99.0),
+        max_rotor_speed=_peak(rotor_speeds), max_rotor_torque_nm=_peak(rotor_torques),
+        solve_ms_p50=_percentile(solve_times, 50.0), solve_ms_p99=_percentile(solve_times, 99.0),
     )
 
 

@@ -29,8 +29,6 @@ SEED_COLUMN = "seed"
 
 LARGEST_FILE = 2**28
 """Largest file that is read [bytes]; about a million rows."""
-LONGEST_LINE = 2**20
-"""Longest line that is read [characters]."""
 LARGEST_SEED = 2**31 - 1
 """Largest seed."""
 STRONGEST_PUSH = 1e3
@@ -58,13 +56,7 @@ class ScenarioFileError(SphereNmpcError, ValueError):
 
 
 def read_scenarios(path: Path) -> list[Scenario]:
-    """Read all scenarios of a file, at least one.
-
-    Raises
-    ------
-    ScenarioFileError
-        Naming file, line and column, what is given and what is expected.
-    """
+    """Read all scenarios of a file, at least one; `ScenarioFileError` names what is wrong."""
     try:
         _refuse_unreadable(path)
         # utf-8-sig: some spreadsheets write a byte order mark before the first name.
@@ -96,19 +88,8 @@ def _refuse_unreadable(path: Path) -> None:
         )
 
 
-def _lines(path: Path, file: TextIO) -> Iterator[str]:
-    number = 0
-    while line := file.readline(LONGEST_LINE):
-        number += 1
-        if len(line) == LONGEST_LINE:
-            raise ScenarioFileError(
-                path, "an endless line", f"at most {LONGEST_LINE - 1} characters", number
-            )
-        yield line
-
-
 def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
-    reader = csv.reader(_lines(path, file), strict=True)
+    reader = csv.reader(file, strict=True)
     header: list[str] | None = None
     number = 0
     while True:

@@ -26,12 +26,8 @@ def perturbed(
     """Return a robot with each physical parameter times 1 + fraction * U(-1, 1).
 
     `fraction` is from 0 (the same robot) to below 1. Parameters that no robot can have, such as
-    rotors outside the shell, are all drawn again.
-
-    Raises
-    ------
-    InvalidParameterError
-        If the fraction is not in its range, or no possible robot is found.
+    rotors outside the shell, are all drawn again. `InvalidParameterError` is raised if the
+    fraction is not in its range, or no possible robot is found.
     """
     if not 0.0 <= fraction < 1.0:
         raise InvalidParameterError("perturbation", fraction, "a fraction from 0 to below 1")

@@ -1,14 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios of runs: the paper's cases and random ones."""
+"""Scenarios of runs: the paper's cases, and random ones of kinds that are difficult in other ways.
 
+SciPy is imported where it is used, as it takes long to load.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector, as_state
-from sphere_sim.scenario.draws import DRAWS
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import Vector, as_state, make_state
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 PUSH_COLUMNS = ("push_x", "push_y", "push_time")
 """Columns of scenario files for a push: impulse [N s; world], time [s]."""
@@ -72,8 +80,109 @@ PAPER_CASES: dict[int, Scenario] = {
 """The four cases of section 4 of the paper, where case 4 has noise and parameter errors."""
 
 
+Ends = tuple[Vector, Vector]
+"""Start and goal."""
+
+_NEAREST, _FARTHEST = 10.0, 60.0
+"""Limits of the distance of a far goal [m]."""
+_HALF_SIDE = 3.0
+"""Half the side of the square of the positions, centred at the origin [m]."""
+
+
+def anywhere(rng: np.random.Generator) -> Ends:
+    """Return positions uniform in +-3 m and orientations uniform on SO(3)."""
+    start, goal = (_state(rng) for _ in range(2))
+    return start, goal
+
+
+def far(rng: np.random.Generator) -> Ends:
+    """Return a goal 10 to 60 m away in any direction, orientations uniform on SO(3)."""
+    return _away(rng, rng.uniform(_NEAREST, _FARTHEST))
+
+
+def kilometre(rng: np.random.Generator) -> Ends:
+    """Return a goal 1 km away in any direction, orientations uniform on SO(3)."""
+    return _away(rng, 1000.0)
+
+
+def circle(rng: np.random.Generator) -> Ends:
+    """Return orientations with the contact point on the circle Gamma (Eq. 16)."""
+    start, goal = (make_state(_position(rng), _on_circle(rng)) for _ in range(2))
+    return start, goal
+
+
+def half_turn(rng: np.random.Generator) -> Ends:
+    """Return equal positions and orientations that differ by half a turn about any axis."""
+    from scipy.spatial.transform import Rotation
+
+    start = _state(rng)
+    axis = rng.normal(size=3)
+    turn = Rotation.from_rotvec(np.pi * axis / np.linalg.norm(axis))
+    w, *vector = start[2:]
+    return start, make_state(start[:2], _quaternion(turn * Rotation.from_quat([*vector, w])))
+
+
+def upright(rng: np.random.Generator) -> Ends:
+    """Return starts as of `anywhere` and upright goals: turned about the vertical alone."""
+    start, position, heading = _state(rng), _position(rng), rng.uniform(-np.pi, np.pi)
+    turn = np.array([np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)])
+    return start, make_state(position, turn)
+
+
+def typed(rng: np.random.Generator) -> Ends:
+    """Return what a person types: round numbers and symmetric directions.
+
+    Starts at the origin, upright, upside down, on a side or with the contact point on the circle
+    Gamma between the rotors; goals at 0 to 10 m straight or diagonally ahead, upright, of
+    headings in steps of 15 degrees.
+    """
+    half = np.sqrt(0.5)
+    starts = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (half, 0, half, 0), (half, half, 0, 0),
+              (0.5, 0.5, 0.5, 0.5))
+    distance = rng.choice([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0])
+    direction = rng.choice([-1, 0, 1], size=2)
+    heading = np.radians(15.0 * rng.integers(24))
+    return make_state((0.0, 0.0), starts[rng.integers(len(starts))]), make_state(
+        distance * direction, (np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading))
+    )
+
+
+DRAWS: dict[str, Callable[[np.random.Generator], Ends]] = {
+    draw.__name__: draw for draw in (anywhere, far, kilometre, circle, half_turn, upright, typed)
+}
+"""All kinds by name; each takes a generator and returns start and goal."""
+
+
+def _away(rng: np.random.Generator, distance: float) -> Ends:
+    start, bearing = _state(rng), rng.uniform(0.0, 2.0 * np.pi)
+    position = start[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
+    return start, make_state(position, random_quaternion(rng))
+
+
+def _state(rng: np.random.Generator) -> Vector:
+    quaternion = random_quaternion(rng)
+    return make_state(_position(rng), quaternion)
+
+
+def _position(rng: np.random.Generator) -> Vector:
+    return rng.uniform(-_HALF_SIDE, _HALF_SIDE, size=2)
+
+
+def _on_circle(rng: np.random.Generator) -> Vector:
+    from scipy.spatial.transform import Rotation
+
+    # The contact point is on Gamma if the body's z axis is horizontal.
+    heading, roll = rng.uniform(0.0, 2.0 * np.pi, size=2)
+    return _quaternion(Rotation.from_euler("ZYZ", [heading, 0.5 * np.pi, roll]))
+
+
+def _quaternion(rotation: "Rotation") -> Vector:
+    x, y, z, w = rotation.as_quat()
+    return np.array([w, x, y, z])
+
+
 def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scenario]:
-    """Return random scenarios of one of the kinds in `sphere_sim.scenario.draws.DRAWS`.
+    """Return random scenarios of one of the kinds in `DRAWS`.
 
     Scenario i depends on the seed alone, not on `number`.
     """

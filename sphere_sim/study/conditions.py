@@ -59,11 +59,8 @@ class StudyConditions:
         simulator, robot, rigid_body and disturbances needs no prefix such as in
         ``controller.horizon``.
 
-        Raises
-        ------
-        InvalidParameterError
-            If there is no such setting or no study reads it, one is given twice, or the values
-            are not in their ranges.
+        `InvalidParameterError` is raised if there is no such setting or no study reads it, one is
+        given twice, or the values are not in their ranges.
         """
         given: dict[str, dict[str, str]] = {}
         for name, text in assignments:

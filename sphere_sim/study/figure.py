@@ -25,9 +25,7 @@ FIGURES = ("figure.pdf", "figure.png")
 
 
 def draw(
-    folder: Path,
-    results: Mapping[str, Results],
-    summaries: Mapping[str, dict[str, Any]],
+    folder: Path, results: Mapping[str, Results], summaries: Mapping[str, dict[str, Any]],
     about: str,
 ) -> None:
     """Draw settling times, their ratios to the best known ones, final errors and failures.

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import sphere_nmpc
 import sphere_sim
@@ -33,9 +33,6 @@ _OF_RUNS = ("evaluation", "scenario", "study", "world")
 """Packages of `sphere_sim` that a run may execute."""
 _SOURCES = (".py", ".c", ".h")
 _RESULTS = ("runs.csv", "inputs.npz", "summary.json")
-_LONGEST_LINE = 2**28
-"""Longest line that is read [bytes]; a run of a day has fewer. After a power failure a file may
-end in any number of zeros."""
 _LISTED = 5
 """Largest number of damaged lines whose numbers a warning lists."""
 
@@ -158,13 +155,14 @@ class Journal:
     def _read(self, fingerprint: dict[str, Any]) -> None:
         end, damaged = 0, []
         with self._path.open("rb") as file:
-            for number, line in enumerate(_whole_lines(file), start=1):
+            for number, line in enumerate(file, start=1):
+                if not line.endswith(b"\n"):
+                    break  # it was being written when the study was stopped
                 if number == 1:
                     self._compare(line, fingerprint)
                 elif not self._add(line, fingerprint["runs"]):
                     damaged.append(number)
                 end += len(line)
-        # A last line without an end was being written when the study was stopped.
         self._file.truncate(end)
         if end == 0:
             self._write(json.dumps(fingerprint))
@@ -212,13 +210,6 @@ class Journal:
             os.fsync(self._file.fileno())
         except OSError as error:
             raise NotWrittenError(self._path, error) from None
-
-
-def _whole_lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield all lines but a last one without an end; too long ones in pieces."""
-    while line := file.readline(_LONGEST_LINE):
-        if line.endswith(b"\n") or len(line) == _LONGEST_LINE:
-            yield line
 
 
 def _differences(recorded: Any, given: Any, name: str = "") -> Iterator[str]:

@@ -22,16 +22,10 @@ AT_REST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Start and goal of a motion; it ends at rest, with the momentum in the rotors.
+    """States at start and goal of a motion; it ends at rest, with the momentum in the rotors.
 
-    Attributes
-    ----------
-    start, goal : ndarray, shape (6,)
-        States.
-    speeds : ndarray, shape (2,)
-        Rotor speeds at the start [rad/s].
-    drift : Drift
-        Momentum at the start, slope and imbalance.
+    `speeds` are those of the rotors at the start [rad/s], shape (2,), and `drift` has the momentum
+    at the start, slope and imbalance.
     """
 
     start: Vector

@@ -54,13 +54,8 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     try:
         simulator, controller = prepare(conditions, scenario)
         trajectory = run_closed_loop(
-            simulator,
-            controller,
-            scenario.goal,
-            conditions.duration,
-            conditions.controller.control_period,
-            latency=conditions.latency,
-            push=scenario.push,
+            simulator, controller, scenario.goal, conditions.duration,
+            conditions.controller.control_period, latency=conditions.latency, push=scenario.push,
         )
         inputs = followed_inputs(trajectory.holds, conditions.duration)
         results = _results(trajectory, scenario.goal, inputs)
@@ -173,12 +168,9 @@ def _value_decrease(
             continue
         report = monitor.update(
             Sample(
-                time=k * settings.control_period,
-                state=settings.units.scaled(decision.state),
-                goal=settings.units.scaled(goal),
-                value=decision.plan.cost,
-                next_input=decision.plan.hold.speeds[1],
-                input_weight=settings.alpha,
+                time=k * settings.control_period, state=settings.units.scaled(decision.state),
+                goal=settings.units.scaled(goal), value=decision.plan.cost,
+                next_input=decision.plan.hold.speeds[1], input_weight=settings.alpha,
                 terminal_weight=settings.terminal_weight,
                 max_speed=conditions.robot.max_rotor_speed,
             )

@@ -52,9 +52,7 @@ class Study:
     strategies: tuple[str, ...] = ()
 
     def run(
-        self,
-        workers: Workers,
-        best_known: BestKnown | None = None,
+        self, workers: Workers, best_known: BestKnown | None = None,
         observer: Observer | None = None,
     ) -> dict[str, dict[str, Any]]:
         """Make the runs that are not recorded yet and write all results.
@@ -63,11 +61,6 @@ class Study:
         these are found. A figure that cannot be drawn is a warning.
 
         Returns the summary of each strategy.
-
-        Raises
-        ------
-        SphereNmpcError
-            If the folder cannot take the results, or the runs cannot be made.
         """
         contradiction = self.conditions.contradiction()
         if contradiction is not None:
@@ -105,10 +98,7 @@ class Study:
         return replace(self.conditions, controller=controller)
 
     def _records(
-        self,
-        conditions: StudyConditions,
-        journal: Journal,
-        workers: Workers,
+        self, conditions: StudyConditions, journal: Journal, workers: Workers,
         observer: Observer | None,
     ) -> list[RunRecord]:
         if observer is not None:
@@ -150,19 +140,15 @@ class Study:
             )
 
     def _write(
-        self,
-        folders: Mapping[str, Path],
-        records: Mapping[str, Sequence[RunRecord]],
-        motions: Mapping[str, Sequence[Motion]],
-        times: Mapping[str, Sequence[float]],
+        self, folders: Mapping[str, Path], records: Mapping[str, Sequence[RunRecord]],
+        motions: Mapping[str, Sequence[Motion]], times: Mapping[str, Sequence[float]],
     ) -> tuple[dict[str, dict[str, Any]], dict[Path, dict[str, list[dict[str, Value]]]]]:
         """Write all tables; return summaries by strategy and results by folder."""
         robot = self.conditions.robot
         results = {
             name: with_bounds(
                 [record.results for record in found],
-                [motion.lower_bound(robot) for motion in motions[name]],
-                times.get(name),
+                [motion.lower_bound(robot) for motion in motions[name]], times.get(name),
             )
             for name, found in records.items()
         }
@@ -178,12 +164,9 @@ class Study:
         return summaries, tables
 
     def _draw(
-        self,
-        folder: Path,
-        results: Mapping[str, Sequence[dict[str, Value]]],
+        self, folder: Path, results: Mapping[str, Sequence[dict[str, Value]]],
         summaries: Mapping[str, dict[str, Any]],
     ) -> None:
-        """Draw the figure of a folder."""
         about = describe(self.conditions, len(self.scenarios))
         shown = {name: summaries[name] for name in results}
         files = " and ".join(str(folder / name) for name in FIGURES)

@@ -28,13 +28,8 @@ Results = Sequence[dict[str, Value]]
 """Results of each run by the names of `RESULT_COLUMNS`."""
 
 _DISTRIBUTIONS = (
-    "settle_time_s",
-    "ratio",
-    "final_error",
-    "final_position_error_m",
-    "final_orientation_error_rad",
-    "loose_settle_time_s",
-    "tail_error_p95",
+    "settle_time_s", "ratio", "final_error", "final_position_error_m",
+    "final_orientation_error_rad", "loose_settle_time_s", "tail_error_p95",
 )
 _PEAKS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque_nm")
 

@@ -25,8 +25,6 @@ Task = tuple[Any, tuple[Any, ...]]
 
 _CONNECT_TIMEOUT = 15.0
 """How long to wait for the scheduler [s]."""
-_TOLD_AFTER = 2.0
-"""Wait for the scheduler after which it is said [s]."""
 _AHEAD = 4
 """Tasks submitted for each thread of the cluster, so that none is idle."""
 
@@ -66,12 +64,8 @@ class Workers(contextlib.ExitStack):
     The pool of `concurrent.futures` is not used: its processes outlive a parent that is killed,
     and when one of them ends unexpectedly it does not report during which call, and cancels all.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes on this machine; with 1 the calls are made in this process.
-    scheduler : str, optional
-        Address of an existing Dask scheduler to use instead.
+    With one of `jobs` the calls are made in this process. `scheduler` is the address of a Dask
+    scheduler to use instead.
     """
 
     def __init__(self, jobs: int = 1, scheduler: str | None = None) -> None:
@@ -87,13 +81,8 @@ class Workers(contextlib.ExitStack):
     ) -> Iterator[tuple[Any, Any]]:
         """Yield name and result of each task as it is done, in any order.
 
-        The call is a function of a module; `what` is what a task is called in errors.
-
-        Raises
-        ------
-        WorkersError
-            If processes cannot be started, the scheduler cannot be reached, its workers run other
-            code, a call raises, or its process ends in each of `TRIES` attempts.
+        The call is a function of a module; `what` is what a task is called in errors. That of a
+        call in this process is raised as it is, any other one as `WorkersError`.
         """
         if self._address is not None and tasks:
             if self._client is None:
@@ -211,7 +200,7 @@ def _joined_cluster(address: str) -> Iterator[Any]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         # A client that fails to connect takes half a minute more, and then shows a traceback.
-        asyncio.run(_find_scheduler(address))
+        asyncio.run(asyncio.wait_for(_find_scheduler(address), _CONNECT_TIMEOUT))
         client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except Exception as error:  # the answer of another program can cause any, also MemoryError
         reason = printable_line(str(error) or type(error).__name__)
@@ -230,30 +219,17 @@ def _joined_cluster(address: str) -> Iterator[Any]:
 
 
 async def _find_scheduler(address: str) -> None:
-    """Raise unless a Dask scheduler answers at an address within `_CONNECT_TIMEOUT`."""
+    """Raise unless a Dask scheduler answers at an address."""
     from distributed import Security
     from distributed.comm import connect
 
-    async def ask() -> object:
-        security = Security().get_connection_args("client")
-        comm = await connect(address, timeout=_CONNECT_TIMEOUT, **security)
-        try:
-            await comm.write({"op": "identity", "reply": True})
-            return (await comm.read())["type"]
-        finally:
-            comm.abort()
-
-    asking = asyncio.ensure_future(ask())
-    done, _ = await asyncio.wait({asking}, timeout=_TOLD_AFTER)
-    if not done:
-        _log.warning(
-            "sphere_nmpc study: waiting for the scheduler %s, at most %g s", address,
-            _CONNECT_TIMEOUT,
-        )
+    security = Security().get_connection_args("client")
+    comm = await connect(address, timeout=_CONNECT_TIMEOUT, **security)
     try:
-        found = await asyncio.wait_for(asking, _CONNECT_TIMEOUT - _TOLD_AFTER)
-    except asyncio.TimeoutError:
-        raise OSError(f"no answer of a scheduler within {_CONNECT_TIMEOUT:g} s") from None
+        await comm.write({"op": "identity", "reply": True})
+        found = (await comm.read())["type"]
+    finally:
+        comm.abort()
     if found != "Scheduler":
         raise ValueError(f"given Dask's {shown(found)}, expected a scheduler")
 

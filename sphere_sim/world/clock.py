@@ -18,31 +18,16 @@ class SimulatedClock:
     On a machine that is too slow time is lost, rather than caught up in a burst that no
     controller can follow; `achieved` returns the real-time factor that was achieved.
 
-    Parameters
-    ----------
-    pose_period, sample_period : int
-        Spacing of the instants at which something is published, and of sampling instants [ns].
-    real_time_factor : float
-        Simulated over wall time; 0 is as fast as possible.
-    lockstep : bool
-        Whether time stops at each sampling instant until its command has arrived.
-    lockstep_timeout : float
-        Longest such wait [s, wall].
-    paused : bool
-        Whether time is stopped at first.
-    keeps_up : bool
-        Whether lost time is caught up in one step: the system clock also advances while the
-        simulating process is delayed.
+    `pose_period` and `sample_period` are the spacings of the instants at which something is
+    published, and of sampling instants [ns]. `real_time_factor` is simulated over wall time; 0 is
+    as fast as possible. In `lockstep` time stops at each sampling instant until its command has
+    arrived, at most for `lockstep_timeout` [s, wall]. A clock that `keeps_up` catches up lost time
+    in one step: the system clock also advances while the simulating process is delayed.
     """
 
     def __init__(
-        self,
-        pose_period: int,
-        sample_period: int,
-        real_time_factor: float = 1.0,
-        lockstep: bool = False,
-        lockstep_timeout: float = 5.0,
-        paused: bool = False,
+        self, pose_period: int, sample_period: int, real_time_factor: float = 1.0,
+        lockstep: bool = False, lockstep_timeout: float = 5.0, paused: bool = False,
         keeps_up: bool = False,
     ) -> None:
         self._pose_period = pose_period

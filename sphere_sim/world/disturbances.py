@@ -11,29 +11,15 @@ from sphere_nmpc.quantity import quantity, validate
 
 @dataclass(frozen=True)
 class Push:
-    """Push at the centre of the sphere.
+    """Push at the centre of the sphere."""
 
-    Attributes
-    ----------
-    time : float
-        From the start of the run [s].
-    impulse : tuple of float
-        x, y [N s; world frame].
-    """
-
-    time: float
-    impulse: tuple[float, float]
+    time: float  # from the start of the run [s]
+    impulse: tuple[float, float]  # x, y [N s; world frame]
 
 
 @dataclass(frozen=True)
 class DisturbanceSettings:
-    """Slope of the floor, offset of the centre of mass, and friction against rolling.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Slope of the floor, offset of the centre of mass, and friction against rolling."""
 
     slope: float = quantity(
         0.0, "rad", "Inclination of the floor; x and y are measured in the floor", minimum=0.0,
@@ -73,7 +59,6 @@ class DisturbanceSettings:
         """Acceleration of free fall [m/s^2; world frame, which is that of the floor]."""
         along = GRAVITY * math.sin(self.slope)
         return (
-            along * math.cos(self.slope_direction),
-            along * math.sin(self.slope_direction),
+            along * math.cos(self.slope_direction), along * math.sin(self.slope_direction),
             -GRAVITY * math.cos(self.slope),
         )

@@ -61,13 +61,7 @@ class CommandFollower:
         )
 
     def follow_speeds(self, speeds: Vector, time: float) -> None:
-        """Follow rotor speeds [rad/s], shape (2,), received at `time` [s].
-
-        Raises
-        ------
-        InvalidInputError
-            If there are not two finite numbers.
-        """
+        """Follow rotor speeds [rad/s], two finite numbers, received at `time` [s]."""
         given = np.asarray(speeds, dtype=float)
         if given.shape != (INPUT_SIZE,) or not np.all(np.isfinite(given)):
             raise InvalidInputError(
@@ -105,9 +99,7 @@ class CommandFollower:
 
 
 def beyond(
-    robot: RobotParameters,
-    planned: Mapping[str, float],
-    controller: str,
+    robot: RobotParameters, planned: Mapping[str, float], controller: str,
     torque_limit: float = math.inf,
 ) -> str:
     """Return in one line which limits of the robot plans exceed; empty if there are none.

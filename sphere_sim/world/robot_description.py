@@ -97,11 +97,7 @@ def _add_rotor_shapes(
 
 
 def _add_shape(
-    link: ElementTree.Element,
-    kind: str,
-    material: str,
-    tilt: tuple[float, float],
-    shape: str,
+    link: ElementTree.Element, kind: str, material: str, tilt: tuple[float, float], shape: str,
     **dimensions: float | list[float],
 ) -> None:
     element = add_element(link, kind)

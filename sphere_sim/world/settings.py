@@ -12,13 +12,7 @@ PLANTS = ("rolling", "rigid_body")
 
 @dataclass(frozen=True)
 class SimulatorSettings:
-    """Settings of the simulator: plant, start, drives, noise and pose sensor.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Settings of the simulator: plant, start, drives, noise and pose sensor."""
 
     plant: str = quantity(
         "rolling", "-", "What is simulated: ideal rolling, or bodies with contact and drives",

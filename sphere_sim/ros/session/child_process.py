@@ -57,18 +57,9 @@ class ChildProcess:
     so that what the command has started is ended too, and a Ctrl-C of the terminal does not reach
     it: the parent decides when it ends.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    command : sequence of str
-        Program and arguments, see `verb_command`.
-    log : Path
-        File for standard error, and for standard output unless `options` redirect it.
-    append : bool, optional
-        Whether to keep what an earlier object has written to the log.
-    **options
-        Further arguments of `subprocess.Popen`, such as ``stdout``, ``env`` or ``cwd``.
+    `name` is for messages, `command` is the program with its arguments, see `verb_command`. `log`
+    takes standard error, and standard output unless `options` of `subprocess.Popen` redirect it;
+    with `append` it keeps what an earlier object has written.
     """
 
     def __init__(

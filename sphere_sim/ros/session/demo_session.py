@@ -76,14 +76,9 @@ class DemoSession:
     def prepare(self, goal: Vector, tolerance: float, hold: float, timeout: float) -> GoalRun:
         """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.
 
-        Returns the run to the goal, which gets its poses while the node is served.
-
-        Raises
-        ------
-        NotReadyError, GoalNotAcceptedError
-            If the nodes are not ready within `timeout` [s].
-        DomainInUseError
-            If other publishers have appeared in the domain meanwhile.
+        Returns the run to the goal, which gets its poses while the node is served. An error is
+        raised if the nodes are not ready within `timeout` [s], or other publishers have appeared
+        in the domain meanwhile.
         """
         end = time.monotonic() + timeout
         self._runner.sender.wait_for_controller(timeout)

@@ -85,14 +85,7 @@ def parse(arguments: Sequence[str]) -> tuple[Vector, float]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Send the goal; see `parse` for the arguments.
-
-    Returns
-    -------
-    int
-        0 when the goal is in force, also where the controller waits for something else; 1 when it
-        is not.
-    """
+    """Send the goal; return 0 when it is in force, whatever the controller waits for, or 1."""
     given = list(sys.argv[1:] if args is None else args)
     goal, timeout = parse(without_ros_arguments(given))
     start_ros(given)

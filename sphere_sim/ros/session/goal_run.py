@@ -29,39 +29,15 @@ class StalledError(SphereNmpcError):
 
 
 def wait_until_settled(
-    run: GoalRun,
-    spin: Callable[[], object],
-    deadline: float,
-    stall_timeout: float = STALL_TIMEOUT,
-    not_before: float = -math.inf,
-    linger: float = 0.0,
+    run: GoalRun, spin: Callable[[], object], deadline: float,
+    stall_timeout: float = STALL_TIMEOUT, not_before: float = -math.inf, linger: float = 0.0,
 ) -> float | None:
-    """Serve the node until the sphere has settled at its goal, or the time is up.
+    """Return the control time at which the sphere reached its goal [s]; None if it did not.
 
-    Parameters
-    ----------
-    run : GoalRun
-        The run, which is given its poses while the node is served.
-    spin : callable
-        Serves the node for a moment.
-    deadline : float
-        Control time at which the goal is given up [s].
-    stall_timeout : float, optional
-        Wall time without progress of control time after which the run is given up [s].
-    not_before : float, optional
-        See `GoalRun.settled_at`.
-    linger : float, optional
-        How long to serve the node after that, at most until the deadline [s, control time].
-
-    Returns
-    -------
-    float or None
-        Control time at which the goal was reached [s]; None if the time was up before.
-
-    Raises
-    ------
-    StalledError
-        If control time stands still.
+    `spin` serves the node for a moment, which gives the run its poses. It is called until the
+    run has settled, see `GoalRun.settled_at`, and for `linger` [s, control time] after that, at
+    most until `deadline` [s, control time]. `StalledError` is raised after `stall_timeout` [s,
+    wall time] without progress of control time.
     """
     settled, end = None, deadline
     newest, advanced = -math.inf, time.monotonic()
@@ -89,12 +65,9 @@ class GoalRunner:
         node.create_subscription(PoseStamped, "pose", self._take_pose, _NEWEST)
 
     def prepare(self, timeout: float) -> None:
-        """Wait for the controller and a first pose.
+        """Wait for the controller and a first pose, at most `timeout` [s, wall time].
 
-        Raises
-        ------
-        GoalNotAcceptedError
-            If one of them is not there within `timeout` [s, wall time].
+        `GoalNotAcceptedError` is raised if one of them is not there by then.
         """
         end = time.monotonic() + timeout
         self.sender.wait_for_controller(timeout)
@@ -117,12 +90,7 @@ class GoalRunner:
         """Send a goal, shape (6,), and return the control time [s] until the sphere reached it.
 
         It is None where the goal is given up, after `timeout` [s, control time]; the other times
-        are those of `GoalSender.send`.
-
-        Raises
-        ------
-        GoalNotAcceptedError, StalledError
-            If the controller does not confirm the goal, or control time stands still.
+        and the errors are those of `GoalSender.send` and `wait_until_settled`.
         """
         sent = self.time
         run = self.send(goal, send_timeout, repeat)

@@ -44,10 +44,7 @@ class GoalSender:
     def wait_for_controller(self, timeout: float) -> None:
         """Wait until the controller is matched, and every other subscriber of the goal.
 
-        Raises
-        ------
-        GoalNotAcceptedError
-            If that does not happen within `timeout` [s].
+        `GoalNotAcceptedError` is raised if that does not happen within `timeout` [s].
         """
         topic = self._publisher.topic_name
         if not serve_until(self._spin, self._is_matched, timeout):
@@ -61,25 +58,11 @@ class GoalSender:
     def send(
         self, goal: Vector, shell_radius: float, timeout: float, repeat: float = math.inf
     ) -> None:
-        """Publish the goal, shape (6,), and wait for it to be in force.
+        """Publish the goal, shape (6,), and wait for it to be in force, at most `timeout` [s].
 
-        Parameters
-        ----------
-        goal : ndarray, shape (6,)
-            The goal.
-        shell_radius : float
-            Height of the centre [m].
-        timeout : float
-            Longest wait [s].
-        repeat : float, optional
-            Wall time after which a goal without confirmation is published again [s]; by default
-            it is published once. A controller that was killed stays matched for some time, so
-            that the first message may be lost.
-
-        Raises
-        ------
-        GoalNotAcceptedError
-            If the controller does not confirm it in time.
+        Without confirmation it is published again after `repeat` [s, wall time], as a controller
+        that was killed stays matched for some time. `GoalNotAcceptedError` is raised if the
+        controller does not confirm it in time.
         """
         self._accepted = None
         end = time.monotonic() + timeout

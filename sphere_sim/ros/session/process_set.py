@@ -14,11 +14,7 @@ class ProcessSet:
     """Child processes by name, all of which are ended when the context is left.
 
     A second Ctrl-C while they are being ended is ignored, as it would leave processes behind.
-
-    Parameters
-    ----------
-    logs : Path
-        Folder for their output, a file ``NAME.log`` each.
+    Their output goes to the folder `logs`, a file ``NAME.log`` each.
     """
 
     def __init__(self, logs: Path) -> None:

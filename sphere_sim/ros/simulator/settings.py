@@ -14,13 +14,7 @@ CLOCKS = ("simulated", "system")
 
 @dataclass(frozen=True)
 class SimulatorNodeSettings(SimulatorSettings):
-    """Settings of the simulator, and of the clock and the frames of its node.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Settings of the simulator, and of the clock and the frames of its node."""
 
     clock: str = quantity(
         "simulated", "-",
@@ -32,8 +26,7 @@ class SimulatorNodeSettings(SimulatorSettings):
         "Prefix of base_link in frame names; if empty, the node's namespace",
     )
     real_time_factor: float = quantity(
-        1.0, "-",
-        "Simulated over wall time; 0 is as fast as possible",
+        1.0, "-", "Simulated over wall time; 0 is as fast as possible",
         minimum=0.0, maximum=1000.0, live=True,
     )
     lockstep: bool = quantity(
@@ -41,8 +34,7 @@ class SimulatorNodeSettings(SimulatorSettings):
         "Stop the clock at each sampling instant until the rotor command for it has arrived",
     )
     lockstep_timeout: float = quantity(
-        5.0, "s",
-        "Wall time after which waiting in lockstep ends with a warning",
+        5.0, "s", "Wall time after which waiting in lockstep ends with a warning",
         minimum=0.01, maximum=3600.0,
     )
     sample_period: float = quantity(
@@ -78,17 +70,10 @@ class SimulatorNodeSettings(SimulatorSettings):
 
 @dataclass(frozen=True)
 class PushSettings:
-    """Settings of pushes, for plants that can be pushed.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Settings of pushes, for plants that can be pushed."""
 
     push_impulse: tuple[float, ...] = quantity(
-        (0.5, 0.0), "N s",
-        "Impulse of a push at the centre of the sphere: x, y in the world",
+        (0.5, 0.0), "N s", "Impulse of a push at the centre of the sphere: x, y in the world",
         minimum=-1e3, maximum=1e3, live=True,
     )
 

@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.contract import step_scale
 from sphere_sim.world.plant.momentum_balance import MomentumBalance
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
 1e-6 for the robot of Table 1."""
+
+_REFERENCE = RobotParameters()
+"""Robot of Table 1, for which the constants were measured."""
 
 _Numbers = tuple[float, ...]
 
@@ -32,9 +34,7 @@ class RollingPlant:
     """Ideal plant; for the arguments see `sphere_sim.world.plant.factory.make_plant`."""
 
     def __init__(
-        self,
-        robot: RobotParameters,
-        state: Vector,
+        self, robot: RobotParameters, state: Vector,
         disturbances: DisturbanceSettings | None = None,
     ) -> None:
         self._robot = robot
@@ -117,7 +117,7 @@ class RollingPlant:
 
     @property
     def rotor_torques(self) -> Vector:
-        """Motor torques [N m], shape (2,) (Eq. 45), at the present instant."""
+        """Motor torques over the last step [N m], shape (2,) (Eq. 45)."""
         if self._has_momentum:
             y = (*self._y, *self._momentum)
             shell = self._balance.angular_acceleration(y, self._speeds, self._acceleration)
@@ -155,8 +155,7 @@ class RollingPlant:
         for i in range(steps):
             here, there = i / steps, (i + 1) / steps
             y = step(
-                y,
-                a1 + (b1 - a1) * here, a2 + (b2 - a2) * here,
+                y, a1 + (b1 - a1) * here, a2 + (b2 - a2) * here,
                 a1 + (b1 - a1) * there, a2 + (b2 - a2) * there, h,
             )
         self._y = y[:6]
@@ -209,8 +208,7 @@ class RollingPlant:
         c11, c12, c13, c22, c23, determinant = self._inverse(y)
         h1, h2 = -self._rotor_inertia * u1, -self._rotor_inertia * u2
         return (
-            (c11 * h1 + c12 * h2) / determinant,
-            (c12 * h1 + c22 * h2) / determinant,
+            (c11 * h1 + c12 * h2) / determinant, (c12 * h1 + c22 * h2) / determinant,
             (c13 * h1 + c23 * h2) / determinant,
         )
 
@@ -242,8 +240,7 @@ def _inertia_about_centre(robot: RobotParameters) -> tuple[float, float, float]:
     bodies = (
         (robot.rotor_mass, robot.rotor_axial_inertia, robot.rotor_transverse_inertia),
         (
-            robot.counterweight_mass,
-            robot.counterweight_axial_inertia,
+            robot.counterweight_mass, robot.counterweight_axial_inertia,
             robot.counterweight_transverse_inertia,
         ),
     )
@@ -253,3 +250,22 @@ def _inertia_about_centre(robot: RobotParameters) -> tuple[float, float, float]:
             own[axis] = axial
             total += own
     return float(total[0]), float(total[1]), float(total[2])
+
+
+def time_scale(robot: RobotParameters) -> float:
+    """Return the robot's unit of time, 1 / (c1 u_max), over that of Table 1 [-]."""
+    return _fastest_rate(_REFERENCE) / _fastest_rate(robot)
+
+
+def step_scale(robot: RobotParameters) -> float:
+    """Return the factor on steps of integration [-]: the time scale as a power of two, at most 1.
+
+    Rounded, so that errors of the parameters change neither the steps nor, thereby, the rounding
+    of results. Slow robots have the steps of Table 1, as gravity acts on all at the same pace.
+    """
+    return min(1.0, 2.0 ** round(math.log2(time_scale(robot))))
+
+
+def _fastest_rate(robot: RobotParameters) -> float:
+    """Return c1 u_max [rad/s]."""
+    return robot.lumped.input_gain * robot.max_rotor_speed

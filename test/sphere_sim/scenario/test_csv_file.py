@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sphere_sim.scenario.csv_file import (
-    LARGEST_FILE,
     STATE_COLUMNS,
     ScenarioFileError,
     read_scenarios,
@@ -110,10 +109,3 @@ def test_what_is_no_file_is_refused_unread(tmp_path) -> None:
         (tmp_path / "pipe", "a pipe"), (Path("/dev/zero"), "a device"),
     ):
         assert error_of(path).given == expected
-
-
-def test_endless_line_is_refused_by_its_number(tmp_path) -> None:
-    path = write(tmp_path, HEADER + ",who", f'{ROW},"')
-    os.truncate(path, LARGEST_FILE)
-    error = error_of(path)
-    assert error.line == 3 and error.given == "an endless line"

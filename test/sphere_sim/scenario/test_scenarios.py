@@ -12,9 +12,8 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.controllability import distance_to_circle
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.cli.study import _KINDS
-from sphere_sim.scenario.draws import DRAWS
 from sphere_sim.scenario.perturbation import LIMITS, DisturbanceDraws, perturbed
-from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import DRAWS, PAPER_CASES, Scenario, draw_scenarios
 from sphere_sim.world.disturbances import Push
 
 ROBOT = RobotParameters()

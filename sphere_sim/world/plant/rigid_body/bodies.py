@@ -15,34 +15,20 @@ from sphere_nmpc.model.state import Vector
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Rigid body.
-
-    Attributes
-    ----------
-    name : str
-    mass : float
-        [kg].
-    position : ndarray, shape (3,)
-        Centre of mass [m; body frame of the sphere].
-    inertia : ndarray, shape (3, 3)
-        About its own centre of mass [kg m^2; body frame of the sphere].
-    """
+    """Rigid body; vectors and matrices are in the body frame of the sphere."""
 
     name: str
-    mass: float
-    position: Vector
-    inertia: Vector
+    mass: float  # [kg]
+    position: Vector  # of the centre of mass [m], shape (3,)
+    inertia: Vector  # about the centre of mass [kg m^2], shape (3, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """Shell, rotors and counterweights; rotor i turns about axis i of the body frame.
 
-    Attributes
-    ----------
-    shell : Body
-    rotors, counterweights : tuple of Body
-        At +d and -d on the body's x and y axes; a counterweight without mass is left out.
+    Rotors and counterweights are at +d and -d on the body's x and y axes; a counterweight without
+    mass is left out.
     """
 
     shell: Body
@@ -51,9 +37,7 @@ class Mechanism:
 
 
 def build_mechanism(
-    robot: RobotParameters,
-    balanced: bool = True,
-    mass_offset: Sequence[float] = (0.0, 0.0, 0.0),
+    robot: RobotParameters, balanced: bool = True, mass_offset: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Mechanism:
     """Return the bodies of Fig. 1.
 
@@ -63,12 +47,8 @@ def build_mechanism(
     transverse axes, the motion stays the same. With `balanced` the shell's centre of mass is moved
     so that the common centre of mass is the centre of the sphere; the shell's inertia about the
     centre stays as given. `mass_offset` is how far the common centre of mass is moved beyond that
-    [m; body frame], also by the shell's.
-
-    Raises
-    ------
-    InvalidParameterError
-        If no shell of the given mass and inertia allows these corrections.
+    [m; body frame], also by the shell's. `InvalidParameterError` is raised if no shell of the
+    given mass and inertia allows these corrections.
     """
     rotor = robot.rotor_axial_inertia, robot.rotor_transverse_inertia
     weight = robot.counterweight_axial_inertia, robot.counterweight_transverse_inertia

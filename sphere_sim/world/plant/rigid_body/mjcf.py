@@ -33,18 +33,10 @@ _MAX_CELLS = 1000
 
 @dataclass(frozen=True, eq=False)
 class RoughFloor:
-    """Height field on a square grid about the origin.
+    """Height field on a square grid about the origin."""
 
-    Attributes
-    ----------
-    heights : ndarray, shape (n, n)
-        Height above the lowest point [m]; rows along y, columns along x.
-    extent : float
-        Half the side of the square [m].
-    """
-
-    heights: Vector
-    extent: float
+    heights: Vector  # above the lowest point [m], shape (n, n); rows along y, columns along x
+    extent: float  # half the side of the square [m]
 
     @property
     def span(self) -> float:
@@ -85,9 +77,7 @@ def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
 
 
 def make_mjcf(
-    robot: RobotParameters,
-    settings: RigidBodySettings,
-    disturbances: DisturbanceSettings,
+    robot: RobotParameters, settings: RigidBodySettings, disturbances: DisturbanceSettings,
     floor: RoughFloor | None = None,
 ) -> str:
     """Return the model of the robot on its floor.
@@ -145,9 +135,7 @@ def servo_gain(robot: RobotParameters, settings: RigidBodySettings) -> float:
 
 
 def _add_robot(
-    world: ElementTree.Element,
-    robot: RobotParameters,
-    settings: RigidBodySettings,
+    world: ElementTree.Element, robot: RobotParameters, settings: RigidBodySettings,
     disturbances: DisturbanceSettings,
 ) -> None:
     mechanism = build_mechanism(robot, settings.balanced, disturbances.mass_offset)

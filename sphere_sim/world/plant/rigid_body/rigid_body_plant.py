@@ -43,23 +43,18 @@ class RigidBodyPlant:
     """Plant of rigid bodies; for the arguments see `sphere_sim.world.plant.factory.make_plant`.
 
     The world frame is that of the floor: x and y are coordinates in it, also on a slope.
-
-    Raises
-    ------
-    MissingEngineError
-        If MuJoCo is not installed.
-    InvalidParameterError
-        If the robot cannot be built of rigid bodies.
+    `InvalidParameterError` is raised if the robot cannot be built of rigid bodies.
     """
 
     def __init__(
-        self,
-        robot: RobotParameters,
-        state: Vector,
-        settings: RigidBodySettings | None = None,
+        self, robot: RobotParameters, state: Vector, settings: RigidBodySettings | None = None,
         disturbances: DisturbanceSettings | None = None,
     ) -> None:
-        self._mj = _load_engine()
+        try:
+            import mujoco
+        except ImportError as error:
+            raise MissingEngineError from error
+        self._mj: Any = mujoco
         settings = RigidBodySettings() if settings is None else settings
         self._settings = settings.for_robot(robot)
         self._radius = robot.shell_radius
@@ -166,10 +161,7 @@ class RigidBodyPlant:
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step of `duration` [s] in which the reference ramps to `speeds_end` [rad/s].
 
-        Raises
-        ------
-        PlantDivergedError
-            If the state is no longer finite.
+        `PlantDivergedError` is raised if the state is no longer finite.
         """
         steps = max(1, math.ceil(duration / self._settings.time_step - 1e-9))
         slope = (speeds_end - self._reference) / duration
@@ -211,11 +203,3 @@ class RigidBodyPlant:
         for column, unit in zip(columns, np.eye(8), strict=True):
             self._mj.mj_mulM(self._model, self._workspace, column, unit)
         return columns
-
-
-def _load_engine() -> Any:
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingEngineError from error
-    return mujoco

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity, validate
-from sphere_sim.world.plant.contract import step_scale, time_scale
+from sphere_sim.world.plant.rolling_plant import step_scale, time_scale
 
 _BANDWIDTH = 300.0  # [rad/s]
 _CONTACT_TIME_CONSTANT, _TIME_STEP = 0.004, 0.002  # [s]
@@ -21,11 +21,6 @@ class RigidBodySettings:
     """Effects that the ideal plant does not have; docs/rigid_body.md explains the defaults.
 
     Where 0 is the robot's own value, `for_robot` derives it.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
     """
 
     drive_bandwidth: float = quantity(
@@ -86,8 +81,7 @@ class RigidBodySettings:
         if 0.0 < self.contact_time_constant < 2.0 * self.time_step * (1.0 - 1e-9):
             # MuJoCo would soften the contact without a warning.
             raise InvalidParameterError(
-                "contact_time_constant",
-                self.contact_time_constant,
+                "contact_time_constant", self.contact_time_constant,
                 f"at least twice time_step = {self.time_step:g} s",
             )
 
@@ -104,8 +98,7 @@ class RigidBodySettings:
             _SHORTEST_STEP, min(scale * _TIME_STEP, 0.5 * given if given else math.inf)
         )
         return replace(
-            self,
-            drive_bandwidth=self.drive_bandwidth or _BANDWIDTH / time_scale(robot),
+            self, drive_bandwidth=self.drive_bandwidth or _BANDWIDTH / time_scale(robot),
             torque_limit=self.torque_limit or robot.full_torque,
             contact_time_constant=given or max(scale * _CONTACT_TIME_CONSTANT, 2.0 * step),
             time_step=step,

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops without ROS: the paper's cases, late and noisy poses, weak drives, failures."""
+"""Closed loops without ROS: the paper's cases, late and noisy poses, weak drives."""
 
 import itertools
 from dataclasses import replace
@@ -15,9 +15,6 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.paper import PaperStrategy
-from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import (
     angle_errors,
@@ -93,23 +90,6 @@ def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
     # Medians of 0.018 to 0.038 and excursions of up to 0.5 were seen over eight seeds.
     assert np.median(tail) < 0.06
     assert np.max(tail) < 1.0
-    limits_are_kept(found)
-
-
-def test_strategy_that_fails_at_times_only_costs_time() -> None:
-    class Unreliable(PaperStrategy):
-        calls = 0
-
-        def plan(self, situation: Situation) -> Plan:
-            self.calls += 1
-            if self.calls % 4 == 0:
-                raise RuntimeError("at times")
-            return super().plan(situation)
-
-    controller = Controller(PAPER, ROBOT, Unreliable(PAPER, ROBOT))
-    found = run(3, 20.0, controller=controller)
-    assert controller.failures == 10
-    assert settling_time(3, found) < 20.0
     limits_are_kept(found)
 
 

@@ -46,14 +46,6 @@ def test_columns_may_come_in_any_order_with_extras_and_blank_lines(tmp_path) -> 
     assert (scenario.seed, scenario.extra) == (7, {"who": "näme, with comma"})
 
 
-def test_seed_is_the_number_of_the_row_where_it_is_left_out(tmp_path) -> None:
-    # The byte order mark is no part of the first name.
-    marked = write(tmp_path, HEADER, ROW, ROW, encoding="utf-8-sig")
-    assert [s.seed for s in read_scenarios(marked)] == [0, 1]
-    found = read_scenarios(write(tmp_path, HEADER + ",seed", ROW + ",5", ROW + ","))
-    assert [s.seed for s in found] == [5, 1]
-
-
 @pytest.mark.parametrize(
     ("lines", "line", "column", "given"),
     [

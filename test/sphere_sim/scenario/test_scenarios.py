@@ -80,11 +80,7 @@ def test_each_kind_is_as_it_says() -> None:
     assert all(not np.any(scenario.goal[3:5]) for scenario in drawn)
     headings = [2.0 * np.arctan2(s.goal[5], s.goal[2]) for s in drawn]
     assert is_uniform(headings, -np.pi, np.pi)
-    drawn = draw_scenarios(400, 1, "typed")
-    assert len({tuple(s.start) for s in drawn}) == 6
-    headings = np.degrees(2.0 * np.arctan2([s.goal[5] for s in drawn], [s.goal[2] for s in drawn]))
-    assert set(np.round(headings / 15.0, 9) % 24.0) == set(range(24))
-    for scenario in drawn:
+    for scenario in draw_scenarios(50, 1, "typed"):
         x, y = abs(scenario.goal[:2])
         assert (x == y or not x or not y) and max(x, y) <= 10.0
 
@@ -123,16 +119,6 @@ def test_pushes_are_uniform_in_impulse_direction_and_time_which_may_be_given() -
     assert is_uniform([push.time for push in found], 0.5, 3.0)
     timed = [scenario.push for scenario in drawn(replace(RANGE, push_time=7.0))]
     assert timed == [Push(7.0, push.impulse) for push in found]
-
-
-def test_slope_and_centre_of_mass_have_their_size_and_any_direction() -> None:
-    found = [s.disturbances for s in drawn(DisturbanceDraws(slope=0.01, offset=2e-3))]
-    assert {values["slope"] for values in found} == {0.01}
-    assert is_uniform([values["slope_direction"] for values in found], -np.pi, np.pi)
-    offsets = np.array([[values[f"mass_offset_{axis}"] for axis in "xyz"] for values in found])
-    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), 2e-3)
-    for axis in range(3):
-        assert is_uniform(list(offsets[:, axis]), -2e-3, 2e-3)
 
 
 def test_each_draw_is_the_same_whatever_else_is_drawn() -> None:

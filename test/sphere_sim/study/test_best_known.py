@@ -16,10 +16,7 @@ from sphere_nmpc.model.drift import (
     momentum_of_push,
     slope_torque,
 )
-from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import state_error
-from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import best_known
 from sphere_sim.study.best_known import BestKnownTimes, best_known_time, best_known_times
@@ -132,46 +129,6 @@ def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     # A search for a motion from rest to rest in place would never end.
     slight = Drift(momentum=momentum_of_push(ROBOT, np.array([1e-4, 0.0])))
     assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == (0.0, 0.0)
-
-
-def test_settling_is_when_the_error_of_the_motion_falls_below_the_threshold(monkeypatch) -> None:
-    """The end of the best motion is integrated in fine steps."""
-    monkeypatch.setattr(best_known, "GRIDS", (0.25, 0.125, 0.0625))
-    found = []
-    settling = best_known._settling
-    monkeypatch.setattr(
-        best_known, "_settling",
-        lambda arrival, situation: found.append(arrival) or settling(arrival, situation),
-    )
-    (scenario,), drift = draw_scenarios(1, 4, "upright"), PUSHED
-    known = best_known_time(Motion(scenario.start, scenario.goal, drift=drift), ROBOT)
-    (arrival,) = found
-    hold, constants = arrival.hold, ROBOT.lumped.as_array()
-    last = int(np.flatnonzero(hold.times < hold.end - 0.3)[-1])
-    state, drift = arrival.states[last], replace(drift, momentum=arrival.momenta[last])
-    now, outside = hold.times[last], []
-    while now < hold.end - 1e-9:
-        later = min(now + 1e-3, hold.end)
-        state, momentum = integrate_with_drift(
-            state, drift, hold.at(now), hold.at(later), later - now, constants, 1e-3
-        )
-        now, drift = later, replace(drift, momentum=momentum)
-        if state_error(state, scenario.goal) >= SETTLED_ERROR:
-            outside.append(now)
-    assert known.duration == hold.end
-    assert outside[-1] < known.settling < outside[-1] + 0.015
-    assert 0.005 < known.duration - known.settling < 0.2
-
-
-def test_damaged_lines_of_the_cache_are_skipped(cache, caplog) -> None:
-    found = times()
-    first, second = cache.read_bytes().splitlines()
-    key = json.dumps(json.loads(first)[0]).encode()
-    damaged = [b"\xff", b"", b"[[], 1.0]", b"[" * 100_000, first[:-3], b"[%s, 0.1, -1]" % key]
-    longer = b"[%s, 9.0, 0.4]" % key  # of several motions the shortest counts
-    cache.write_bytes(b"\n".join([*damaged, first, longer, second, b""]))
-    assert times() == found
-    assert not caplog.messages
 
 
 def test_cache_that_cannot_be_used_is_one_warning(cache, searched, caplog) -> None:

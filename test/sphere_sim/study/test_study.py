@@ -183,13 +183,3 @@ def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path) -> None
     assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
     assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 3
     assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
-
-
-def test_figure_that_cannot_be_drawn_is_one_warning(tmp_path, monkeypatch, caplog) -> None:
-    monkeypatch.undo()
-    # A folder has the name of the figure.
-    (tmp_path / FIGURES[0]).mkdir()
-    make(tmp_path)
-    (warning,) = caplog.messages
-    assert str(tmp_path / FIGURES[0]) in warning and "\n" not in warning
-    assert len(rows(tmp_path)) == 3 and (tmp_path / "summary.json").exists()

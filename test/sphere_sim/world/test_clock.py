@@ -37,33 +37,12 @@ def test_pace_is_kept(factor, wall) -> None:
     assert run(changed, 2000 * MS, 0.0) == pytest.approx(wall)
 
 
-def test_small_delay_is_caught_up_without_a_burst() -> None:
-    clock = clock_at_zero()
-    clock.advanced(POSE, 0.050)
-    assert clock.wait(POSE, 0.050) == pytest.approx(0.005)
-    now, wall = POSE, 0.050
-    while now < 20 * POSE:
-        wall += clock.wait(now, wall)
-        now += POSE
-        clock.advanced(now, wall)
-    assert wall == pytest.approx(0.200)
-    assert clock.lost == 0.0
-
-
 def test_time_lost_to_a_slow_machine_is_given_up() -> None:
     clock = clock_at_zero()
     wall = run(clock, 1000 * MS, 0.0, cost=0.020)
     assert wall == pytest.approx(2.0, rel=0.05)
     assert clock.lost == pytest.approx(1.0, abs=0.15)
     assert clock.achieved(1000 * MS, wall) == pytest.approx(0.5, rel=0.05)
-
-
-def test_pause_stops_time_and_causes_no_delay() -> None:
-    clock = clock_at_zero()
-    clock.pause()
-    assert clock.wait(0, 100.0) == math.inf and clock.stops
-    clock.resume(0, 100.0)
-    assert clock.wait(0, 100.0) == pytest.approx(0.01) and not clock.stops
 
 
 def test_step_runs_to_the_next_sample_that_the_controller_tells_and_pauses() -> None:

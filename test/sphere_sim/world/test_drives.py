@@ -83,7 +83,6 @@ LARGE = RobotParameters(
     ("robot", "torque_limit", "figures"),
     [
         (LARGE, 3.2, ("3.2 N m", "45 N m", "50 rad/s^2")),
-        (RobotParameters(max_rotor_torque=2.0), 1.6, ("1.6 N m", "2 N m")),
         (RobotParameters(), 3.2, None),
         (RobotParameters(max_rotor_torque=1.6), 1.6, None),
     ],
@@ -100,7 +99,6 @@ def test_drives_that_are_too_weak_for_the_robot_are_named(robot, torque_limit, f
     ("changes", "torque_limit", "figures"),
     [
         ({"max_rotor_speed": 120.0}, 3.2, ("120 rad/s", "100 rad/s", "as in this node")),
-        ({"max_rotor_acceleration": 500.0}, 9.0, ("500 rad/s^2", "400 rad/s^2")),
         ({}, 1.6, ("400 rad/s^2", "200 rad/s^2", "1.6 N m")),
         ({}, 3.2, None),
         ({"max_rotor_acceleration": 1000.0, "max_rotor_torque": 3.0}, 3.2, None),

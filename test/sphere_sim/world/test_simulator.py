@@ -130,13 +130,3 @@ def test_measurements_do_not_depend_on_when_poses_are_read() -> None:
     for (_, stamp, pose), (_, other_stamp, other_pose) in zip(often, rarely, strict=True):
         assert stamp == other_stamp
         np.testing.assert_array_equal(pose, other_pose)
-
-
-def test_losses_have_the_given_share_and_do_not_change_other_poses() -> None:
-    noisy = dict(sensor_rate=1000.0, position_noise=0.01, seed=2)
-    whole = {stamp: pose for _, stamp, pose in poses(**noisy)}
-    seen = poses(**noisy, sensor_dropout=0.2)
-    # Five standard deviations of 1000 draws.
-    assert abs(len(seen) / len(whole) - 0.8) < 0.065
-    for _, stamp, pose in seen:
-        np.testing.assert_array_equal(pose, whole[stamp])

@@ -97,10 +97,9 @@ class RigidBodyPlant:
         velocity[_VELOCITY] = self._rolling_velocity() + np.append(slip, 0.0)
 
     def push(self, impulse: ArrayLike) -> None:
-        """Apply an impulse [N s; world frame], shape (2,) or (3,), at the centre."""
+        """Apply a horizontal impulse [N s; world frame], shape (2,), at the centre."""
         force = np.zeros(8)
-        given = np.asarray(impulse, dtype=float)
-        force[: given.size] = given
+        force[:2] = impulse
         self._data.qvel[:] += np.linalg.solve(self._mass_matrix(), force)
 
     def tilt(self, slope: float, direction: float) -> None:
@@ -113,11 +112,6 @@ class RigidBodyPlant:
         """State [m, -; world frame, body to world], shape (6,)."""
         place = self._data.qpos
         return np.concatenate((place[POSITION], place[_TURN]))
-
-    @property
-    def height(self) -> float:
-        """Height of the centre over the plane, or over the lowest point of a rough floor [m]."""
-        return float(self._data.qpos[2])
 
     @property
     def body_rate(self) -> Vector:

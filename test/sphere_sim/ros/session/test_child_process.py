@@ -88,18 +88,6 @@ def test_kill_ends_what_the_process_has_started(process) -> None:
     until(lambda: not grandchild.is_running() or grandchild.status() == psutil.STATUS_ZOMBIE)
 
 
-def test_processes_of_a_set_end_together_and_leave_it(process, tmp_path) -> None:
-    with ProcessSet(tmp_path) as processes:
-        for name in ("one", "other", "third"):
-            start(processes.add(name, process.command))
-        processes.add("never", ["never"])
-        one, other, third = (processes[name] for name in ("one", "other", "third"))
-        processes.stop("one")
-        assert one.code == 7 and other.running and third.running
-        assert list(processes.pids) == ["other", "third", "never"]
-    assert (other.code, third.code, list(processes)) == (7, 7, [])
-
-
 @pytest.mark.slow
 def test_unexpected_end_of_a_verb_quotes_its_output(tmp_path) -> None:
     with ProcessSet(tmp_path) as processes:

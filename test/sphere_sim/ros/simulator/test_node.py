@@ -3,27 +3,28 @@
 """The simulator over real DDS: commands, services, clock and what it refuses."""
 
 import math
+import time
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry
 from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.messages import JOINT_NAMES, pose_from_ros, stamp_from_ros, stamp_to_ros
 from sphere_sim.ros.simulator import state_publisher
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -129,25 +130,6 @@ def test_late_trajectory_is_told_where_it_matters_and_then_stops_the_rotors(grap
     assert "rotor_trajectory late: given an end" in capfd.readouterr().err
 
 
-def test_pose_clock_and_odometry_have_the_same_increasing_stamps(graph) -> None:
-    simulator(graph, real_time_factor=10.0, pose_rate=40.0)
-    poses = graph.collect(PoseStamped, "pose")
-    odometry = graph.collect(Odometry, "odom")
-    clock = graph.collect(Clock, "/clock")
-    reports = graph.collect(DiagnosticArray, "/diagnostics")
-    graph.until(lambda: len(poses) > 60 and odometry and clock and len(reports) > 1)
-    stamps = [stamp_from_ros(pose.header.stamp) for pose in poses]
-    assert np.all(np.diff(stamps) == 25 * MS)
-    ticks = [stamp_from_ros(message.clock) for message in clock]
-    assert np.all(np.diff(ticks) > 0) and not np.any(np.array(ticks) % (25 * MS))
-    assert poses[0].header.frame_id == odometry[0].header.frame_id == "world"
-    assert poses[0].pose.position.z == 0.3
-    names = [(status.name, status.hardware_id) for status in reports[-1].status]
-    assert names == [("simulator: clock", "sphere"), ("simulator: commands", "sphere")]
-    values = values_of(reports[-1].status[0])
-    assert 0.0 < float(values["real time factor"]) <= 11.0 and values["paused"] == "false"
-
-
 def test_clock_stops_goes_one_sample_and_runs_on(graph) -> None:
     def pause(wanted: bool) -> bool:
         return graph.call(SetBool, "simulator/pause", SetBool.Request(data=wanted)).success
@@ -215,6 +197,41 @@ def test_lockstep_holds_the_clock_until_its_instant_is_answered(graph) -> None:
     for message in joints:
         expected = 200.0 * stamp_from_ros(message.header.stamp) / 1e9
         assert message.velocity[0] == pytest.approx(expected)
+
+
+def test_stamps_are_those_of_the_system_clock_which_nothing_stops(
+    graph, monkeypatch, capfd
+) -> None:
+    node = simulator(graph, clock="system")
+    poses, odometry = graph.collect(PoseStamped, "pose"), graph.collect(Odometry, "odom")
+    joints = graph.collect(JointState, "joint_states")
+    graph.until(lambda: len(poses) > 50 and odometry and joints)
+    graph.spin()
+    now = time.time_ns()
+    for message in (poses[-1], odometry[-1], joints[-1]):
+        # The clocks differ by 1.8e9 s; a message may take a minute on a busy machine.
+        assert abs(now - stamp_from_ros(message.header.stamp)) < 60_000 * MS
+    assert graph.probe.count_publishers("/clock") == 0
+    answer = graph.call(SetBool, "simulator/pause", SetBool.Request(data=True))
+    assert not answer.success and "clock: system" in answer.message
+    assert not graph.call(Trigger, "simulator/step", Trigger.Request()).success
+    result = node.set_parameters([Parameter("real_time_factor", value=2.0)])[0]
+    assert not result.successful and "clock: system" in result.reason
+    with pytest.raises(InvalidParameterError, match=r"lockstep.*clock: system"):
+        SimulatorNodeSettings(clock="system", lockstep=True)
+
+    time.sleep(0.5)  # the node is not served
+    served = time.time_ns()
+    graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) > served + 100 * MS)
+    assert node._simulated_clock.lost == 0.0
+    stamps = np.array([stamp_from_ros(message.header.stamp) for message in poses])
+    assert np.all(np.diff(stamps) > 0) and np.all((stamps - stamps[0]) % (10 * MS) == 0)
+    assert np.max(np.diff(stamps)) > 400 * MS, "one step over the gap, no burst"
+
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9)
+    graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) > real() + 3500 * 10**9)
+    assert "system clock jumped: given a jump of 3600.0" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("plant", ["rolling", "rigid_body"])

@@ -3,11 +3,14 @@
 """The ideal plant: accuracy, conserved quantities and its interface."""
 
 import numpy as np
+import pytest
+from other_robots import ROBOTS, states
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
+from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
@@ -87,3 +90,16 @@ def test_rotors_have_angles_and_are_stopped_by_reset_and_not_by_displace() -> No
     plant.reset(START)
     for still in (plant.rotor_speeds, plant.rotor_angles, plant.velocity, plant.rotor_torques):
         assert not np.any(still)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_steps_of_the_rolling_plant_are_short_enough(monkeypatch, name) -> None:
+    robot, start = ROBOTS[name], as_state([0.0, 0.0, 0.03, 0.454, 0.88, 0.1363])
+    limit = robot.max_rotor_speed
+    knots = np.random.default_rng(0).uniform(-limit, limit, (6, 2))
+    ramp = 2.0 * limit / robot.max_rotor_acceleration
+    usual = states(RollingPlant(robot, start), knots, ramp)
+    monkeypatch.setattr(rolling_plant, "MAX_STEP", 5e-4)
+    fine = states(RollingPlant(robot, start), knots, ramp)
+    np.testing.assert_allclose(usual[:, :2], fine[:, :2], atol=1e-5 * robot.shell_radius)
+    np.testing.assert_allclose(usual[:, 2:], fine[:, 2:], atol=1e-5)

@@ -125,7 +125,7 @@ def main() -> int:
         rows.append(row)
         cells = (format(row[name], how) for name, how in _COLUMNS.items())
         print(f"| {' | '.join(cells)} |", flush=True)
-    write_json(options, {"machine": about, "rows": rows})
+    write_json(options.json, {"machine": about, "rows": rows})
     return 0
 
 

@@ -99,7 +99,7 @@ def main() -> int:
         "load_average_after": machine()["load_average"],
     }
     print(summary)
-    write_json(options, {"machine": about, "summary": summary, "runs": runs})
+    write_json(options.json, {"machine": about, "summary": summary, "runs": runs})
     return 0 if summary["misses"] == 0 and summary["settled"] == len(runs) else 1
 
 

@@ -6,7 +6,6 @@ Times of messages are those of their publication, as the middleware reports them
 observer measures the same.
 """
 
-import argparse
 import json
 import os
 import platform
@@ -79,7 +78,8 @@ class Observer:
             DiagnosticStatus, "controller/status", self._take_status, 1000
         )
         # These are read without the executor, which takes longer for a message than the nodes do,
-        # and so belong to a node of their own.
+        # and so belong to a node of their own. rclpy has no other call that returns the time of
+        # publication: its events executor cannot serve callbacks that take it.
         self._reader = rclpy.create_node("reader")
         self._frequent: list[tuple[Any, Callable[[bytes, dict[str, int]], None]]] = [
             (self._reader.create_subscription(kind, topic, _ignore, 1000, raw=True), take)
@@ -145,21 +145,31 @@ class Observer:
 
 
 @contextmanager
+def node_processes(
+    simulator: dict[str, object], controller: dict[str, object]
+) -> Iterator[ProcessSet]:
+    """Run both nodes with these parameters in a domain of their own, to which rclpy is set up."""
+    follow: dict[str, object] = {"use_sim_time": True}
+    with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
+        for verb, parameters in (("simulator", simulator), ("controller", follow | controller)):
+            nodes.start(verb, ["--ros-args", *parameter_options(parameters)])
+        rclpy.init(args=[])
+        try:
+            yield nodes
+        finally:
+            rclpy.try_shutdown()
+
+
+@contextmanager
 def running(
     simulator: dict[str, object], controller: dict[str, object], keep_poses: bool = True
 ) -> Iterator[Observer]:
     """Run both nodes with these parameters; yield their observer, with time paused."""
-    on_system_clock = simulator.get("clock") == "system"
-    paused: dict[str, object] = {"start_paused": not on_system_clock}
-    follow: dict[str, object] = {"use_sim_time": not on_system_clock}
-    with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
-        for verb, own in (("simulator", paused | simulator), ("controller", follow | controller)):
-            nodes.start(verb, ["--ros-args", *parameter_options(_PRIORITY | own)])
-        rclpy.init()
-        try:
-            yield Observer(nodes, keep_poses)
-        finally:
-            rclpy.try_shutdown()
+    simulated = simulator.get("clock") != "system"
+    simulator = {**_PRIORITY, "start_paused": simulated, **simulator}
+    controller = {**_PRIORITY, "use_sim_time": simulated, **controller}
+    with node_processes(simulator, controller) as nodes:
+        yield Observer(nodes, keep_poses)
 
 
 @contextmanager
@@ -186,11 +196,11 @@ def machine() -> dict[str, object]:
     }
 
 
-def write_json(options: argparse.Namespace, result: dict[str, object]) -> None:
-    """Write the result to the file of ``--json``."""
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(result, indent=2) + "\n")
+def write_json(path: Path | None, result: dict[str, object]) -> None:
+    """Write the result to the file of ``--json``, if it is given."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=2) + "\n")
 
 
 def _ignore(_: bytes) -> None:

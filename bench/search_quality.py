@@ -93,7 +93,7 @@ def main() -> None:
               f"{found['wall_time_ms_p50']:18.1f} {found['wall_time_ms_p99']:5.1f}  "
               f"{found['ratio_p50']:9.3f} {found['ratio_p90']:.3f} {found['ratio_max']:.3f}",
               flush=True)
-    write_json(options, {"machine": machine(), "options": vars(options) | {"json": None},
+    write_json(options.json, {"machine": machine(), "options": vars(options) | {"json": None},
                          "rows": rows})
 
 

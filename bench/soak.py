@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Long runs to random goals: memory, open files, processes, quaternion norm and missed goals.
+"""Long runs to random goals: memory, open files, quaternion norm and missed goals.
 
     python bench/soak.py lockstep --minutes 60 --json out/soak_lockstep.json    # simulated minutes
     python bench/soak.py realtime --minutes 10 --json out/soak_realtime.json    # 500 Hz
@@ -13,9 +13,7 @@ first and over the last minute of simulated time (a tenth of the run where that 
 import argparse
 import math
 import sys
-import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +21,12 @@ import psutil
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from node_runs import PATIENCE, machine, write_json
+from node_runs import PATIENCE, machine, node_processes, write_json
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.ros.messages import seconds, stamp_from_ros
-from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError
 from sphere_sim.ros.session.process_set import ProcessSet
@@ -38,16 +35,11 @@ DEADLINE = 60.0
 """Time to a goal after which it counts as missed [s]."""
 REACH = 2.0
 """Largest |x| and |y| of a goal [m]."""
-_SPIN_PERIOD = 0.02
-"""Wall time between two readings of the newest messages [s]."""
-_SAMPLE_PERIOD = 0.5
-"""Wall time between two samples of the processes [s]."""
+_SPIN_PERIOD, _SAMPLE_PERIOD, _REPORT_PERIOD = 0.02, 0.5, 20.0
+"""Wall time between two readings of the newest messages, samples of the processes, lines [s]."""
 _MINUTE = 60.0
 _MEGABYTE = 2.0**20
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-Sample = tuple[float, dict[str, tuple[int, int, int]]]
-"""Simulated time [s], and of each node memory [bytes], open files and child processes."""
 
 
 class Soak:
@@ -57,41 +49,35 @@ class Soak:
         self._nodes = nodes
         self._processes = {n: psutil.Process(pid) for n, pid in nodes.pids.items()}
         self._rng = np.random.default_rng(seed)
-        self._node = rclpy.create_node("soak")
+        node = rclpy.create_node("soak")
         self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._goals = GoalRunner(self._node, self._spin)
-        self._node.create_subscription(PoseStamped, "pose", self._take_pose, _NEWEST)
-        self._node.create_subscription(
-            DiagnosticStatus, "controller/status", self._take_status, _NEWEST
-        )
-        self._sampled = -math.inf
+        self._executor.add_node(node)
+        self._goals = GoalRunner(node, self._spin)
+        node.create_subscription(PoseStamped, "pose", self._take_pose, _NEWEST)
+        node.create_subscription(DiagnosticStatus, "controller/status", self._take_status, _NEWEST)
+        self._sampled = self._reported = -math.inf
         self.status: dict[str, str] = {}
-        self.samples: list[Sample] = []
+        self.samples: dict[str, list[tuple[float, ...]]] = {name: [] for name in self._processes}
+        """Of each node simulated time [s], memory [bytes], open files and child processes."""
         self.norms: list[tuple[float, float]] = []
+        """Simulated time [s] and deviation of the quaternion's norm from one."""
         self.settled: list[float] = []
         self.missed: list[float] = []
 
-    def run(self, duration: float, report: Callable[[str], object]) -> None:
-        """Send goals for a simulated time [s]; `report` is given a line of progress at times."""
+    def run(self, duration: float) -> None:
+        """Send goals for a simulated time [s]."""
         self._goals.prepare(PATIENCE)
         # The memory that a node takes to start is no growth.
-        self.samples.clear()
+        for samples in self.samples.values():
+            samples.clear()
         self.norms.clear()
-        self._sampled = -math.inf
-        end, reported = self._goals.time + duration, time.monotonic()
+        end = self._goals.time + duration
         while self._goals.time < end:
             self._one_goal(end)
-            if time.monotonic() > reported + 20.0:
-                reported = time.monotonic()
-                left = end - self._goals.time
+            if time.monotonic() > self._reported + _REPORT_PERIOD:
+                self._reported = time.monotonic()
                 counts = f"{len(self.settled)} reached, {len(self.missed)} missed"
-                report(f"{left:.0f} s left, {counts}")
-
-    def close(self) -> None:
-        """Destroy the node."""
-        self._executor.shutdown()
-        self._node.destroy_node()
+                print(f"{end - self._goals.time:.0f} s left, {counts}", flush=True)
 
     def _one_goal(self, end: float) -> None:
         """Run to a random goal; one that the end of the run cuts short does not count."""
@@ -115,8 +101,11 @@ class Soak:
         if time.monotonic() > self._sampled + _SAMPLE_PERIOD:
             self._sampled = time.monotonic()
             self._nodes.check()
-            sample = {name: _sample(process) for name, process in self._processes.items()}
-            self.samples.append((self._goals.time, sample))
+            for name, process in self._processes.items():
+                children = len(process.children(recursive=True))
+                self.samples[name].append(
+                    (self._goals.time, process.memory_info().rss, process.num_fds(), children)
+                )
 
     def _take_pose(self, message: PoseStamped) -> None:
         turn = message.pose.orientation
@@ -129,27 +118,27 @@ class Soak:
 
 def main() -> int:
     """Run, print the figures, and return 0 if no goal was missed."""
-    given = _parse()
-    duration = _MINUTE * given.minutes
-    wall = time.monotonic()
-    with (
-        own_domain() as domain,
-        tempfile.TemporaryDirectory() as logs,
-        ProcessSet(Path(logs)) as nodes,
-    ):
-        earlier = _shared_memory(domain)
-        for verb, parameters in _parameters(given).items():
-            options = [part for item in parameters for part in ("-p", item)]
-            nodes.start(verb, ["--ros-args", *options])
-        rclpy.init(args=[])
-        try:
-            soak = Soak(nodes, given.seed)
-            soak.run(duration, lambda line: print(line, flush=True))
-            soak.close()
-        finally:
-            rclpy.try_shutdown()
-        pids = list(nodes.pids.values())
-    left = [pid for pid in pids if psutil.pid_exists(pid)]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("mode", choices=("lockstep", "realtime"))
+    parser.add_argument("--minutes", type=float, default=10.0, help="simulated")
+    parser.add_argument("--rate", type=float, default=500.0,
+                        help="of poses and control in real time [Hz]")
+    parser.add_argument("--strategy", default="time_optimal")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    if given.mode == "lockstep":
+        simulator: dict[str, object] = {
+            "lockstep": True, "real_time_factor": 0.0, "pose_rate": 20.0, "lockstep_timeout": 30.0
+        }
+        controller: dict[str, object] = {"lockstep": True}
+    else:
+        simulator = {"pose_rate": given.rate}
+        controller = {"control_rate": given.rate, "command_rate": given.rate}
+    wall, duration = time.monotonic(), _MINUTE * given.minutes
+    with node_processes(simulator, {"strategy": given.strategy, **controller}) as nodes:
+        soak = Soak(nodes, given.seed)
+        soak.run(duration)
     result: dict[str, object] = {
         "machine": machine(), "mode": given.mode, "strategy": given.strategy,
         "simulated_s": round(soak.norms[-1][0] - soak.norms[0][0], 1),
@@ -159,64 +148,28 @@ def main() -> int:
         "settle_s_longest": max(soak.settled, default=None),
         "counts": {k: soak.status[k] for k in ("failures", "missed_ticks", "late_poses")},
         **_first_and_last(soak, min(_MINUTE, 0.1 * duration)),
-        "processes_left": left,
-        "shared_memory_left": sorted(set(_shared_memory(domain)) - set(earlier)),
     }
     for key, value in result.items():
         print(f"{key}: {value}")
-    write_json(given, result)
-    return 1 if soak.missed or left or not soak.settled else 0
-
-
-def _parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mode", choices=("lockstep", "realtime"))
-    parser.add_argument("--minutes", type=float, default=10.0, help="simulated")
-    parser.add_argument("--rate", type=float, default=500.0,
-                        help="of poses and control in real time [Hz]")
-    parser.add_argument("--strategy", default="time_optimal")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    return parser.parse_args()
-
-
-def _parameters(given: argparse.Namespace) -> dict[str, list[str]]:
-    controller = ["use_sim_time:=true", f"strategy:={given.strategy}"]
-    if given.mode == "lockstep":
-        simulator = ["lockstep:=true", "real_time_factor:=0.0", "pose_rate:=20.0",
-                     "lockstep_timeout:=30.0"]
-        return {"simulator": simulator, "controller": [*controller, "lockstep:=true"]}
-    rate = [f"control_rate:={given.rate}", f"command_rate:={given.rate}"]
-    return {"simulator": [f"pose_rate:={given.rate}"], "controller": [*controller, *rate]}
-
-
-def _sample(process: psutil.Process) -> tuple[int, int, int]:
-    return process.memory_info().rss, process.num_fds(), len(process.children(recursive=True))
-
-
-def _shared_memory(domain: int) -> list[str]:
-    """Return the shared memory files of the ports of a domain."""
-    first = 7400 + 250 * domain
-    ports = {f"fastrtps_port{number}" for number in range(first, first + 250)}
-    return sorted(path.name for path in Path("/dev/shm").glob("fastrtps_port*")
-                  if path.name in ports)
+    write_json(given.json, result)
+    return 1 if soak.missed or not soak.settled else 0
 
 
 def _first_and_last(soak: Soak, window: float) -> dict[str, object]:
     """Compare the first and the last `window` [s] of memory, files, processes and norms."""
     begin, end = soak.norms[0][0] + window, soak.norms[-1][0] - window
-    parts = ([s for s in soak.samples if s[0] <= begin], [s for s in soak.samples if s[0] >= end])
     table: dict[str, object] = {"window_s": window}
-    for name in soak.samples[0][1]:
-        means = [np.mean([sample[name] for _, sample in part], axis=0) for part in parts]
+    for name, found in soak.samples.items():
+        samples = np.array(found)
+        parts = samples[samples[:, 0] <= begin], samples[samples[:, 0] >= end]
+        memory, files, children = np.array([part[:, 1:].mean(axis=0) for part in parts]).T
         table[name] = {
-            "memory_MB": [round(float(mean[0]) / _MEGABYTE, 2) for mean in means],
-            "open_files": [round(float(mean[1]), 1) for mean in means],
-            "children": [round(float(mean[2]), 1) for mean in means],
+            "memory_MB": (memory / _MEGABYTE).round(2).tolist(),
+            "open_files": files.round(1).tolist(), "children": children.round(1).tolist(),
         }
+    times, errors = np.array(soak.norms).T
     table["quaternion_norm_error"] = [
-        max(error for when, error in soak.norms if when <= begin),
-        max(error for when, error in soak.norms if when >= end),
+        float(errors[times <= begin].max()), float(errors[times >= end].max())
     ]
     return table
 

@@ -30,8 +30,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from lossy_link import ADDRESSES, LinkError, Quality, lossy_link
-from rich.console import Console
-from rich.table import Table
+from node_runs import write_json
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.rotation import random_quaternion
@@ -71,25 +70,22 @@ def main() -> int:
     results = []
     try:
         for loss in given.loss:
-            quality = None if loss is None else Quality(
-                1e-3 * given.delay, 1e-3 * given.jitter, 1e-2 * loss, given.burst
+            quality = None if loss == "none" else Quality(
+                1e-3 * given.delay, 1e-3 * given.jitter, 1e-2 * float(loss), given.burst
             )
             results.append({"loss_percent": loss, **_over(quality, given)})
             print(results[-1], flush=True)
     except (LinkError, PermissionError) as error:
         print(f"two hosts: {error}; is this Linux, and you root?", file=sys.stderr)
         return 1
-    _print(results)
-    if given.json:
-        given.json.parent.mkdir(parents=True, exist_ok=True)
-        given.json.write_text(json.dumps({"two_hosts": results}, indent=2) + "\n")
+    write_json(given.json, {"two_hosts": results})
     wanted, got = ("starts", "up_in_10_s") if given.starts else ("goals", "reached")
     return 0 if all(row[got] == row[wanted] for row in results) else 1
 
 
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--loss", type=_loss, nargs="+", default=[0.0, 1.0, 5.0, 20.0],
+    parser.add_argument("--loss", nargs="+", default=["0", "1", "5", "20"],
                         help="packets lost in either direction [%%]; none is without a link")
     parser.add_argument("--burst", type=float, default=0.0,
                         help="time in every 10 s for which all packets are lost [s]")
@@ -105,11 +101,6 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--inside", metavar="OTHER", help=argparse.SUPPRESS)
     return parser.parse_args()
-
-
-def _loss(text: str) -> float | None:
-    """Return the loss in per cent; None without a link."""
-    return None if text == "none" else float(text)
 
 
 def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, object]:
@@ -268,13 +259,6 @@ class _Goals:
         age = float(self._status.get("pose_age_s", "nan"))
         if math.isfinite(age):
             self._ages.append(age)
-
-
-def _print(results: list[dict[str, object]]) -> None:
-    table = Table(*results[0])
-    for row in results:
-        table.add_row(*(str(value) for value in row.values()))
-    Console().print(table)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,10 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from node_runs import node_processes
 from rclpy.node import Node
 
 from sphere_nmpc.ros.messages import pose_to_ros
-from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
 from sphere_sim.scenario.scenarios import draw_scenarios
 
@@ -45,7 +44,8 @@ def wait_for(probe: Node, condition: Callable[[], object]) -> None:
         raise SystemExit("the nodes were not ready within 60 s")
 
 
-def measure(condition: str, seconds: float, folder: Path) -> str:
+def measure(condition: str, seconds: float) -> str:
+    """Return the row of a condition."""
     loops: list[dict[str, str]] = []
 
     def note(message: DiagnosticArray) -> None:
@@ -54,14 +54,10 @@ def measure(condition: str, seconds: float, folder: Path) -> str:
                 loops.append({pair.key: pair.value for pair in status.values})
 
     with ExitStack() as stack:
-        nodes = stack.enter_context(ProcessSet(folder))
-        nodes.start("simulator")
-        rate = ["-p", "use_sim_time:=true", "-p", "control_rate:=100.0"]
-        nodes.start("controller", ["--ros-args", *rate])
+        nodes = stack.enter_context(node_processes({}, {"control_rate": 100.0}))
         if condition != CONDITIONS[0]:
             nodes.start("viewer", ["--port", "0"])
         probe = rclpy.create_node("probe")
-        stack.callback(probe.destroy_node)
         probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
         goals = probe.create_publisher(PoseStamped, "goal_pose", 1)
         wait_for(probe, lambda: goals.get_subscription_count() > 0 and loops)
@@ -75,36 +71,32 @@ def measure(condition: str, seconds: float, folder: Path) -> str:
             page.open(re.findall(r"http://\S+", nodes["viewer"].output)[0])
             page.settle()
         scenarios = iter(draw_scenarios(100, 3))
-        began, due, first = time.monotonic(), 0.0, None
+        began, due, first = time.monotonic(), 0.0, len(loops)
         while time.monotonic() < began + seconds:
             if time.monotonic() > due:
                 due = time.monotonic() + 8.0
                 goals.publish(pose_to_ros(next(scenarios).goal, 0, 0.3))
             rclpy.spin_once(probe, timeout_sec=0.1)
-            if first is None and loops:
-                first = int(loops[-1]["missed ticks"])
-        # The percentiles are of the last thousand ticks: ten seconds.
-        settled = loops[min(20, len(loops) // 2):]
-        p99 = [float(values["wall period p99 ms"]) for values in settled]
-        middle = [float(values["wall period median ms"]) for values in settled]
-        missed = int(loops[-1]["missed ticks"]) - (first or 0)
-        return (
-            f"| {condition} | {np.median(middle):.2f} | {np.median(p99):.2f} | {max(p99):.2f} | "
-            f"{missed} | {100.0 * missed / (100.0 * seconds):.2f} | {os.getloadavg()[0]:.1f} |"
-        )
+    # The percentiles are of the last thousand ticks: ten seconds.
+    settled = loops[first:][min(20, (len(loops) - first) // 2):]
+    p99 = [float(values["wall period p99 ms"]) for values in settled]
+    middle = [float(values["wall period median ms"]) for values in settled]
+    missed = int(loops[-1]["missed ticks"]) - int(loops[first - 1]["missed ticks"])
+    return (
+        f"| {condition} | {np.median(middle):.2f} | {np.median(p99):.2f} | {max(p99):.2f} | "
+        f"{missed} | {100.0 * missed / (100.0 * seconds):.2f} | {os.getloadavg()[0]:.1f} |"
+    )
 
 
 def main() -> None:
+    """Print a row for each condition."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     given = parser.parse_args()
-    with own_domain(), tempfile.TemporaryDirectory() as folder:
-        rclpy.init()
-        print("| condition | median [ms] | p99 [ms] | worst p99 [ms] | missed | of ticks [%] | "
-              "load |\n|---|---|---|---|---|---|---|", flush=True)
-        for condition in CONDITIONS:
-            print(measure(condition, given.seconds, Path(folder)), flush=True)
-        rclpy.try_shutdown()
+    print("| condition | median [ms] | p99 [ms] | worst p99 [ms] | missed | of ticks [%] | "
+          "load |\n|---|---|---|---|---|---|---|", flush=True)
+    for condition in CONDITIONS:
+        print(measure(condition, given.seconds), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from plant_runs import angles_between
+from tables import header, median_and_worst, row
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
@@ -102,18 +103,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--sequences", type=int, default=20)
     given = parser.parse_args()
-    print("| radius | bandwidth [rad/s] | torque limit [N m] | time step [ms] | deviation, median "
-          "(worst) [radii] | angle [rad] | friction needed at full speed |\n" + "|---" * 7 + "|")
+    print(header(
+        "radius", "bandwidth [rad/s]", "torque limit [N m]", "time step [ms]",
+        "deviation, median (worst) [radii]", "angle [rad]", "friction needed at full speed",
+    ))
     for name, robot in ROBOTS.items():
         own = RigidBodySettings().for_robot(robot)
-        far, turned = deviations(robot, given.sequences)
-        cells = [
+        print(row(
             name, f"{own.drive_bandwidth:.0f}", f"{own.torque_limit:.3g}",
             f"{1e3 * own.time_step:g}",
-            *(f"{np.median(found):.2g} ({found.max():.2g})" for found in (far, turned)),
+            *(median_and_worst(found, ".2g") for found in deviations(robot, given.sequences)),
             f"{friction_needed(robot):.2g}",
-        ]
-        print(f"| {' | '.join(cells)} |", flush=True)
+        ), flush=True)
 
 
 if __name__ == "__main__":

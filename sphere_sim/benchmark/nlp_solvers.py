@@ -33,11 +33,8 @@ _IPOPT: dict[str, Any] = {"ipopt.print_level": 0, "ipopt.sb": "yes"}
 _SQP: dict[str, Any] = {
     "qpsol": "qrqp",
     "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
-    "hessian_approximation": "limited-memory",
-    "max_iter": 100,
-    "print_header": False,
-    "print_iteration": False,
-    "print_status": False,
+    "hessian_approximation": "limited-memory", "max_iter": 100,
+    "print_header": False, "print_iteration": False, "print_status": False,
 }
 
 
@@ -87,7 +84,7 @@ class Slsqp(WarmStarted):
         self._exact = exact_gradient
 
     def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
-        """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
+        """Minimise from `start`; see `WarmStarted`."""
 
         def evaluate(v: Vector) -> Any:
             if self._exact:
@@ -96,12 +93,8 @@ class Slsqp(WarmStarted):
             return float(self._cost(v, p))
 
         found = scipy.optimize.minimize(
-            evaluate,
-            start,
-            jac=True if self._exact else None,
-            method="SLSQP",
-            bounds=[(-1.0, 1.0)] * SIZE,
-            options={"ftol": 1e-10, "maxiter": 100},
+            evaluate, start, jac=self._exact or None, method="SLSQP",
+            bounds=[(-1.0, 1.0)] * SIZE, options={"ftol": 1e-10, "maxiter": 100},
         )
         return np.asarray(found.x), bool(found.success)
 
@@ -189,18 +182,8 @@ def ipopt() -> CasadiSolver:
 def ipopt_compiled() -> CasadiSolver:
     """Return IPOPT with its functions compiled."""
     # CasADi would remove the files too late, when the temporary folder is gone.
-    options: dict[str, Any] = {
-        "flags": ["-O2"],
-        "verbose": False,
-        "compiler": c_compiler(),
-        "cleanup": False,
-    }
-    jit: dict[str, Any] = {
-        "jit": True,
-        "compiler": "shell",
-        "jit_options": options,
-        "jit_cleanup": False,
-    }
+    options = {"flags": ["-O2"], "verbose": False, "compiler": c_compiler(), "cleanup": False}
+    jit = {"jit": True, "compiler": "shell", "jit_options": options, "jit_cleanup": False}
     return CasadiSolver("ipopt", {**_IPOPT, **jit})
 
 

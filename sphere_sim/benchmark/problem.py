@@ -33,12 +33,7 @@ _DURATIONS = np.full(HORIZON, SAMPLE_PERIOD)
 def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> HoldProblem:
     """Return OCP_N of the paper (Eq. 34) with its cost divided by beta.
 
-    Parameters
-    ----------
-    state, goal : ndarray, shape (6,)
-        Current and desired state.
-    input_in_force : ndarray, shape (2,)
-        Current rotor speeds [rad/s].
+    Its arguments are the current and the desired state, (6,), and the rotor speeds, (2,) [rad/s].
     """
     return HoldProblem(
         state=state,
@@ -67,19 +62,9 @@ def predicted(state: Expression, start: Expression, end: Expression) -> Expressi
 
 
 def shifted(knots: Vector) -> Vector:
-    """Return the warm start at the next sampling instant: the plan shifted, zero appended.
+    """Return the warm start, (N, 2), at the next sampling instant from a plan, (N + 1, 2) [rad/s].
 
-    Step 6 of Algorithm 1.
-
-    Parameters
-    ----------
-    knots : ndarray, shape (N + 1, 2)
-        Rotor speeds u_0 ... u_N of the plan [rad/s].
-
-    Returns
-    -------
-    ndarray, shape (N, 2)
-        Initial guess of u_1 ... u_N [rad/s].
+    The plan is shifted and zero appended, as in Step 6 of Algorithm 1.
     """
     start = np.zeros((knots.shape[0] - 1, INPUT_SIZE))
     start[:-1] = knots[2:]

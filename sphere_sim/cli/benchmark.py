@@ -70,39 +70,19 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="sphere_nmpc benchmark", description=__doc__)
     parser.add_argument("--json", type=Path, required=True, help="file of the numbers")
     parser.add_argument("--quick", action="store_true", help="fewer solvers, one round, no extras")
-    parser.add_argument(
-        "--rounds", type=whole(1), default=3, help="how often the cases are run (default: 3)"
-    )
-    parser.add_argument(
-        "--budget",
-        type=not_negative,
-        default=60.0,
-        help="seconds that a solver may spend in all its solves, then its other runs are left out "
-        "(default: 60)",
-    )
-    parser.add_argument(
-        "--random",
-        type=whole(0),
-        default=0,
-        metavar="N",
-        help="also compare the costs of N random problems with IPOPT's",
-    )
-    parser.add_argument(
-        "--cases",
-        type=int,
-        nargs="+",
-        default=[1, 2, 3, 4],
-        choices=[1, 2, 3, 4],
-        help="which of the paper's cases (default: all)",
-    )
-    parser.add_argument(
-        "--duration", type=positive, default=30.0, help="simulated seconds (default: 30)"
-    )
-    parser.add_argument(
-        "--acados-python",
-        metavar="PATH",
-        help="Python of an environment with acados, which is then benchmarked too",
-    )
+    parser.add_argument("--rounds", type=whole(1), default=3,
+                        help="how often the cases are run (default: 3)")
+    parser.add_argument("--budget", type=not_negative, default=60.0,
+                        help="seconds that a solver may spend in all its solves, then its other "
+                        "runs are left out (default: 60)")
+    parser.add_argument("--random", type=whole(0), default=0, metavar="N",
+                        help="also compare the costs of N random problems with IPOPT's")
+    parser.add_argument("--cases", type=int, nargs="+", default=[1, 2, 3, 4],
+                        choices=[1, 2, 3, 4], help="which of the paper's cases (default: all)")
+    parser.add_argument("--duration", type=positive, default=30.0,
+                        help="simulated seconds (default: 30)")
+    parser.add_argument("--acados-python", metavar="PATH",
+                        help="Python of an environment with acados, which is then benchmarked too")
     options = parser.parse_args(argv)
     if options.quick:
         options.rounds, options.budget = 1, min(options.budget, 15.0)
@@ -121,7 +101,7 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
     from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
     from sphere_sim.benchmark.nlp_solvers import ipopt
     from sphere_sim.benchmark.problem import SAMPLE_PERIOD
-    from sphere_sim.benchmark.random_problems import Comparison, compare
+    from sphere_sim.benchmark.random_problems import Comparison
     from sphere_sim.benchmark.report import as_numbers
     from sphere_sim.benchmark.solvers import ALL, IPOPT, QUICK
     from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -137,9 +117,9 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         def show_set_up(name: str) -> None:
             progress.update(task, description=f"setting up {name}", advance=1)
 
-        solvers, records, missing = set_up(makers, show_set_up)
+        records, missing = set_up(makers, show_set_up)
         samples = round(options.duration / SAMPLE_PERIOD)
-        total = options.rounds * len(options.cases) * samples * len(solvers)
+        total = options.rounds * len(options.cases) * samples * len(records)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
 
@@ -147,15 +127,13 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
             return {**as_numbers(records, missing), **extra}
 
         with if_interrupted(lambda: _keep(options.json, report())):
-            loops = run_closed_loops(
-                solvers, records, scenarios, samples, options.rounds, options.budget
-            )
+            loops = run_closed_loops(records, scenarios, samples, options.rounds, options.budget)
             for _ in loops:
                 progress.advance(task)
             if options.random:
                 comparison = Comparison()
                 task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
-                for _ in compare(ipopt(), options.random, 0, comparison):
+                for _ in comparison.run(ipopt(), options.random, 0):
                     progress.advance(task)
                 extra["random"] = comparison.summary()
     return records, missing, report()

@@ -25,20 +25,17 @@ def install_verb(monkeypatch, tmp_path):
         del sys.modules[name]
 
 
-@pytest.mark.parametrize("argv", [[], ["-h"], ["--help"]])
-def test_help_lists_the_verbs(argv, install_verb, capsys) -> None:
+def test_help_lists_the_verbs(install_verb, capsys) -> None:
     install_verb("")
-    assert cli.main(argv) == 0
+    assert cli.main(["--help"]) == 0
     usage = capsys.readouterr().out
     assert "roll the sphere" in usage and "run one of the paper's cases" in usage
 
 
 @pytest.mark.parametrize(
     ("absent", "source"),
-    [
-        ("rclpy.node", "'sphere_nmpc[ros]'"), ("geometry_msgs.msg", "'sphere_nmpc[ros]'"),
-        ("viser", "'sphere_nmpc[viewer]'"), ("casadi", "sphere_nmpc"),
-    ],
+    [("geometry_msgs.msg", "'sphere_nmpc[ros]'"), ("viser", "'sphere_nmpc[viewer]'"),
+     ("casadi", "sphere_nmpc")],
 )
 def test_missing_package_is_named_with_its_source(
     absent, source, install_verb, monkeypatch, capsys
@@ -54,9 +51,8 @@ def test_missing_package_is_named_with_its_source(
     assert message.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["sphere_sim.no_such_module", "scipy.no_such_module"])
-def test_wrong_import_is_not_taken_for_a_missing_package(name, install_verb, capsys) -> None:
-    install_verb(f"def main(argv):\n    import {name}\n")
+def test_wrong_import_is_not_taken_for_a_missing_package(install_verb, capsys) -> None:
+    install_verb("def main(argv):\n    import scipy.no_such_module\n")
     assert cli.main(["roll"]) == 1
     message = capsys.readouterr().err
     assert "unexpected ModuleNotFoundError" in message and "no_such_module" in message

@@ -16,6 +16,7 @@ from functools import cache
 
 import casadi as ca
 import numpy as np
+from tables import header, row
 
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.integrator import step_function
@@ -105,12 +106,11 @@ def all_errors(draws: Draws) -> dict[tuple[str, int], Vector]:
 
 
 def print_table(title: str, found: dict[tuple[str, int], Vector]) -> None:
-    print(f"| {title}: steps | CF4 median | p99 | worst | RK4 median | p99 | worst |")
-    print("|---|---|---|---|---|---|---|")
+    columns = ("CF4 median", "p99", "worst", "RK4 median", "p99", "worst")
+    print(header(f"{title}: steps", *columns))
     for steps in STEPS:
         quantiles = [np.quantile(found[name, steps], [0.5, 0.99, 1.0]) for name in METHODS]
-        cells = [str(steps), *(f"{value:.1e}" for value in np.concatenate(quantiles))]
-        print("| " + " | ".join(cells) + " |")
+        print(row(steps, *(f"{value:.1e}" for value in np.concatenate(quantiles))))
 
 
 def plot(found: dict[tuple[str, int], Vector], path: str) -> None:

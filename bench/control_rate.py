@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_runs import Observer, Record, hogs, machine, running, write_json
+from node_runs import PATIENCE, Observer, Record, hogs, machine, running, write_json
 
 from sphere_nmpc.model.state import Vector
 from sphere_sim.scenario.scenarios import draw_scenarios
@@ -42,7 +42,7 @@ def measure(
         "strategy": strategy, "control_rate": rate, "command_rate": 100.0,
         "thread_priority": priority,
     }
-    with running(simulator, controller, keep_poses=False) as observer, hogs(hogged):
+    with running(simulator, controller) as observer, hogs(hogged):
         observer.begin()
         before = observer.processor_time()
         _drive(observer, goals, duration)
@@ -61,23 +61,24 @@ def figures(record: Record, rate: float) -> dict[str, float]:
     """Return rate, period and latency of the commands that were sent."""
     stamps, written = np.array(record.command_stamps), np.array(record.command_written)
     gaps = np.diff(written)
-    ticking = gaps < 0.2  # at rest between two goals no command is needed
-    gaps = gaps[ticking]
-    periods = 1e3 * np.percentile(gaps, [50, 99])
-    latency = 1e3 * np.percentile(_latencies(record, stamps, written), [50, 99])
+    gaps = gaps[gaps < 0.2]  # at rest between two goals no command is needed
     solving = [s for s in record.statuses if s["mode"] == "on the way to the goal"]
-    solves = 1e3 * np.percentile([float(s["solve_time_s"]) for s in solving], [50, 99])
-    ticks = 1e3 * np.percentile([float(s["tick_time_s"]) for s in solving], [50, 99])
+    measured: dict[str, Any] = {
+        "period": gaps, "latency": _latencies(record, stamps, written),
+        "solve": [float(s["solve_time_s"]) for s in solving],
+        "tick": [float(s["tick_time_s"]) for s in solving],
+    }
+    percentiles = {
+        f"{name}_p{percent}_ms": 1e3 * float(np.percentile(values, percent))
+        for name, values in measured.items() for percent in (50, 99)
+    }
     missed = int(record.statuses[-1]["missed_ticks"])
     simulated = record.pose_stamps[-1] - record.pose_stamps[0]
     wall = record.pose_written[-1] - record.pose_written[0]
     return {
         "commands": len(stamps),
         "achieved_hz": float(gaps.size / gaps.sum()),
-        "period_p50_ms": periods[0], "period_p99_ms": periods[1],
-        "latency_p50_ms": latency[0], "latency_p99_ms": latency[1],
-        "solve_p50_ms": solves[0], "solve_p99_ms": solves[1],
-        "tick_p50_ms": ticks[0], "tick_p99_ms": ticks[1],
+        **percentiles,
         "missed": missed, "missed_percent": 100.0 * missed / (simulated * rate),
         "pace": simulated / wall,
     }
@@ -97,7 +98,8 @@ def _drive(observer: Observer, goals: "itertools.cycle[Vector]", duration: float
     end, next_goal = record.pose_stamps[-1] + duration, -math.inf
     while record.pose_stamps[-1] < end:
         if record.pose_stamps[-1] >= next_goal:
-            next_goal = observer.send(next(goals)) + _NEW_GOAL_EVERY
+            next_goal = record.pose_stamps[-1] + _NEW_GOAL_EVERY
+            observer.goals.send(next(goals), PATIENCE)
         before = record.pose_stamps[-1]
         target = min(end, next_goal)
         if not observer.until(lambda: record.pose_stamps[-1] >= target, 120.0):  # noqa: B023

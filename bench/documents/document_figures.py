@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.animation import write_animation
-from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import styled
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

@@ -27,7 +27,7 @@ from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run, Solves, without_sign_jumps
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.comparison import side_by_side
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator

@@ -16,8 +16,7 @@ from sphere_sim.recording.run import Momentum, Run, Solves
 from sphere_sim.report.figures import analysis, animation
 from sphere_sim.report.figures.animation import Camera, write_animation
 from sphere_sim.report.figures.comparison import comparison, side_by_side
-from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import save
 
 FIGURES = {

@@ -27,17 +27,10 @@ from sphere_sim.benchmark.problem import HORIZON, INPUT_WEIGHT, LIMIT, TERMINAL_
 REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * STATE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
 SQP, RTI = "sqp", "rti"
 _OPTIONS: dict[str, dict[str, Any]] = {
-    SQP: {
-        "nlp_solver_type": "SQP",
-        "qp_solver": "FULL_CONDENSING_QPOASES",
-        "globalization": "MERIT_BACKTRACKING",
-        "levenberg_marquardt": 0.3,
-    },
-    RTI: {
-        "nlp_solver_type": "SQP_RTI",
-        "qp_solver": "PARTIAL_CONDENSING_HPIPM",
-        "levenberg_marquardt": 0.1,
-    },
+    SQP: {"nlp_solver_type": "SQP", "qp_solver": "FULL_CONDENSING_QPOASES",
+          "globalization": "MERIT_BACKTRACKING", "levenberg_marquardt": 0.3},
+    RTI: {"nlp_solver_type": "SQP_RTI", "qp_solver": "PARTIAL_CONDENSING_HPIPM",
+          "levenberg_marquardt": 0.1},
 }
 
 

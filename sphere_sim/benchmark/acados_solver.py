@@ -13,7 +13,7 @@ import numpy as np
 import sphere_sim
 from sphere_nmpc.child import python_command
 from sphere_nmpc.model.state import Vector
-from sphere_sim.benchmark.acados_process import ANSWER_SIZE, REQUEST_SIZE, RTI, SQP
+from sphere_sim.benchmark.acados_process import ANSWER_SIZE, RTI, SQP
 from sphere_sim.benchmark.problem import LIMIT, Answer, Maker
 
 HOW_TO_GET_IT = (
@@ -21,33 +21,20 @@ HOW_TO_GET_IT = (
     "`pip install comma-deps-acados`"
 )
 # Last on the path: other packages in this folder must not hide those of that Python.
-IMPORT_PATH = "sys.path.append(sys.argv[1]); "
-_CHILD = f"{IMPORT_PATH}from sphere_sim.benchmark.acados_process import main; main(sys.argv[2])"
-PACKAGES = str(Path(sphere_sim.__file__).parents[1])
-
-
-def clean_environment() -> dict[str, str]:
-    """Return the environment without variables by which another Python loads wrong libraries."""
-    leftovers = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
-    return {name: value for name, value in os.environ.items() if name not in leftovers}
+_CHILD = (
+    "sys.path.append(sys.argv[1]); "
+    "from sphere_sim.benchmark.acados_process import main; main(sys.argv[2])"
+)
+_PACKAGES = str(Path(sphere_sim.__file__).parents[1])
+_HARMFUL = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+"""Variables by which another Python loads wrong libraries."""
 
 
 class Acados:
-    """acados with one of the settings of `acados_process`; times are measured in its process.
+    """acados with the settings `SQP` or `RTI`; times are measured in its process.
 
-    Parameters
-    ----------
-    kind : str
-        `SQP` or `RTI`.
-    python : str or None
-        Path of a Python that has acados.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If `python` is None.
-    RuntimeError
-        If it cannot be started or acados cannot be set up in it.
+    `python` is the path of a Python that has acados. ModuleNotFoundError is raised if it is None,
+    RuntimeError if it cannot be started or acados cannot be set up in it.
     """
 
     def __init__(self, kind: str, python: str | None) -> None:
@@ -55,11 +42,9 @@ class Acados:
             raise ModuleNotFoundError(HOW_TO_GET_IT)
         try:
             child = subprocess.Popen(
-                python_command(_CHILD, PACKAGES, kind, python=python),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env=clean_environment(),
+                python_command(_CHILD, _PACKAGES, kind, python=python),
+                env={name: text for name, text in os.environ.items() if name not in _HARMFUL},
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             )
         except OSError as error:
             raise RuntimeError(f"{python} does not start: {error.strerror}") from error
@@ -79,8 +64,6 @@ class Acados:
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
         """Return the next rotor speeds; see `BenchmarkedSolver`."""
         request = np.concatenate(([self._start], state, self._goal, input_in_force))
-        if request.size != REQUEST_SIZE:
-            raise ValueError(f"request: given {request.size} numbers, expected {REQUEST_SIZE}")
         self._start = 0.0
         try:
             self._requests.write(request.tobytes())

@@ -10,9 +10,8 @@ import pytest
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.cli.main import main as command
-from sphere_sim.scenario.csv_file import read_scenarios
+from sphere_sim.cli.study import _draws, _parser
 from sphere_sim.scenario.perturbation import DisturbanceDraws
-from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.best_known import BestKnownTimes
 from sphere_sim.study.motion import Motion
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -39,14 +38,10 @@ def same_environment() -> Iterator[None]:
     os.environ.update(before)
 
 
-def test_disturbances_are_drawn_for_each_run_and_written_with_it(tmp_path) -> None:
+def test_disturbances_are_those_of_the_arguments() -> None:
     drawn = ["--push", "0.5", "0.2", "--push-time", "0.5", "--slope", "0.5", "--offset", "2"]
-    main(["--draw", "2", "--kind", "upright", *drawn, "--out", str(tmp_path / "out"), *BRIEF])
-    scenarios = read_scenarios(tmp_path / "out" / "runs.csv")
-    draws = DisturbanceDraws((0.2, 0.5), 0.5, math.radians(0.5), 2e-3)
-    expected = [draws.applied_to(scenario) for scenario in draw_scenarios(2, 0, "upright")]
-    assert [s.optional for s in scenarios] == [s.optional for s in expected]
-    assert len(expected[0].optional) == 8
+    given = _parser().parse_args(["--draw", "2", "--out", "out", *drawn])
+    assert _draws(given) == DisturbanceDraws((0.2, 0.5), 0.5, math.radians(0.5), 2e-3)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ interval of 0.5 s, and compares with the Lie-group method at 400 steps. Prints a
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -28,8 +28,7 @@ STEPS = (2, 3, 4, 5, 8, 10, 16, 20, 32, 64)
 TRUTH_STEPS = 400
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(NamedTuple):
     """States, shape (6, K), and rotor speeds at both ends of the interval, shape (2, K)."""
 
     states: Vector

@@ -30,34 +30,23 @@ OUTPUTS_PER_SAMPLE = 5
 
 @dataclass(eq=False)
 class SolverRecord:
-    """Times, settling times and failures of one solver.
-
-    Attributes
-    ----------
-    solver : BenchmarkedSolver
-        The solver.
-    setup_s : float
-        Time of the set-up, compilation included [s].
-    wall, cpu : list of float
-        Wall and processor time of each solve [s].
-    settle : list of (float or None)
-        Settling time of each case [s]; None where the run did not settle or was stopped.
-    failures : int
-        Solves that raised an exception or of which the solver itself reports no success.
-    stopped : bool
-        Whether its remaining runs were cancelled as its time budget was spent.
-    spent : float
-        Wall time of all solves [s].
-    """
+    """Times, settling times and failures of one solver."""
 
     solver: BenchmarkedSolver
     setup_s: float = 0.0
+    """Time of the set-up, compilation included [s]."""
     wall: list[float] = field(default_factory=list)
+    """Wall time of each solve [s]."""
     cpu: list[float] = field(default_factory=list)
+    """Processor time of each solve [s]."""
     settle: list[float | None] = field(default_factory=list)
+    """Settling time of each case [s]; None where the run did not settle or was stopped."""
     failures: int = 0
+    """Solves that raised an exception or of which the solver itself reports no success."""
     stopped: bool = False
+    """Whether its remaining runs were cancelled as its time budget was spent."""
     spent: float = 0.0
+    """Wall time of all solves [s]."""
 
     def run(
         self, scenario: Scenario, samples: int, budget: float
@@ -150,20 +139,10 @@ def run_closed_loops(
     rounds: int,
     budget: float,
 ) -> Iterator[None]:
-    """Run all closed loops, and yield after every solve.
+    """Run all cases `rounds` times, each for a number of samples; yield after every solve.
 
-    Parameters
-    ----------
-    records : dict of str to SolverRecord
-        From `set_up`; they are filled. Settling times are those of the first round.
-    scenarios : sequence of Scenario
-        The cases.
-    samples : int
-        Sampling instants of a run.
-    rounds : int
-        How often all cases are run.
-    budget : float
-        Wall time that a solver may spend in all its solves [s].
+    The records from `set_up` are filled; settling times are those of the first round. A solver may
+    spend the wall time `budget` [s] in all its solves.
     """
     for turn in range(rounds):
         for place, scenario in enumerate(scenarios):

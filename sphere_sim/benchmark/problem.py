@@ -73,22 +73,14 @@ def shifted(knots: Vector) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Result of a solve at a sampling instant.
-
-    Attributes
-    ----------
-    speeds : ndarray, shape (2,)
-        Rotor speeds at the next sampling instant [rad/s].
-    solved : bool
-        Whether the solver itself reports success.
-    took : (float, float) or None
-        Wall and processor time of the solve [s] measured in another process, where the solve is
-        made; None where it is made in the calling process.
-    """
+    """Result of a solve at a sampling instant."""
 
     speeds: Vector
+    """Rotor speeds at the next sampling instant [rad/s], shape (2,)."""
     solved: bool
+    """Whether the solver itself reports success."""
     took: tuple[float, float] | None = None
+    """Wall and processor time [s] where the solve is made and measured in another process."""
 
 
 class BenchmarkedSolver(Protocol):

@@ -60,11 +60,15 @@ def measure(
 def figures(record: Record, rate: float) -> dict[str, float]:
     """Return rate, period and latency of the commands that were sent."""
     stamps, written = np.array(record.command_stamps), np.array(record.command_written)
+    poses, poses_written = np.array(record.pose_stamps), np.array(record.pose_written)
+    # The newest pose of the instant of each command.
+    newest = np.searchsorted(poses, stamps + 1e-6, side="right") - 1
+    known = newest >= 0
     gaps = np.diff(written)
     gaps = gaps[gaps < 0.2]  # at rest between two goals no command is needed
     solving = [s for s in record.statuses if s["mode"] == "on the way to the goal"]
     measured: dict[str, Any] = {
-        "period": gaps, "latency": _latencies(record, stamps, written),
+        "period": gaps, "latency": written[known] - poses_written[newest[known]],
         "solve": [float(s["solve_time_s"]) for s in solving],
         "tick": [float(s["tick_time_s"]) for s in solving],
     }
@@ -73,24 +77,14 @@ def figures(record: Record, rate: float) -> dict[str, float]:
         for name, values in measured.items() for percent in (50, 99)
     }
     missed = int(record.statuses[-1]["missed_ticks"])
-    simulated = record.pose_stamps[-1] - record.pose_stamps[0]
-    wall = record.pose_written[-1] - record.pose_written[0]
+    simulated, wall = np.ptp(poses), np.ptp(poses_written)
     return {
         "commands": len(stamps),
         "achieved_hz": float(gaps.size / gaps.sum()),
         **percentiles,
         "missed": missed, "missed_percent": 100.0 * missed / (simulated * rate),
-        "pace": simulated / wall,
+        "pace": float(simulated / wall),
     }
-
-
-def _latencies(record: Record, stamps: Vector, written: Vector) -> Vector:
-    """Return the time from the newest pose of its instant to each command [s]."""
-    poses, pose_written = np.array(record.pose_stamps), np.array(record.pose_written)
-    newest = np.searchsorted(poses, stamps + 1e-6, side="right") - 1
-    known = newest >= 0
-    found: Vector = written[known] - pose_written[newest[known]]
-    return found
 
 
 def _drive(observer: Observer, goals: "itertools.cycle[Vector]", duration: float) -> None:

@@ -38,22 +38,16 @@ class LinkError(RuntimeError):
 
 @dataclass(frozen=True)
 class Quality:
-    """Delay and loss of packets, the same in either direction.
-
-    Attributes
-    ----------
-    delay, jitter : float
-        Delay, drawn from delay - jitter to delay + jitter, so that packets overtake [s].
-    loss : float
-        Share of packets that are lost.
-    burst : float, optional
-        Time in every 10 s for which everything is lost [s].
-    """
+    """Delay and loss of packets, the same in either direction."""
 
     delay: float
+    """Mean delay [s]."""
     jitter: float
+    """Largest difference of a drawn delay from it, so that packets overtake [s]."""
     loss: float
+    """Share of packets that are lost."""
     burst: float = 0.0
+    """Time in every 10 s for which everything is lost [s]."""
 
 
 @contextlib.contextmanager

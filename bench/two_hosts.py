@@ -43,19 +43,20 @@ DEADLINE = 60.0
 """Time to a goal after which it is given up [s]."""
 REACH = 1.5
 """Largest |x| and |y| of a goal [m]."""
-_PATIENCE = 90.0
-"""How long the nodes may take to find each other, and to confirm a goal [s]."""
-_REPEAT = 0.5
-"""Wall time after which an unconfirmed goal is sent again [s]."""
-_DOMAIN = "65"
+_PATIENCE, _REPEAT = 90.0, 0.5
+"""How long nodes may take to find each other or to confirm a goal; when it is sent again [s]."""
+_DOMAIN, _SERVER_PORT = "65", "11811"
 _MOTION = 1e-3
 """Change of the error from which on the sphere moves [mixed units]."""
 _UP = 10.0
 """Time within which a start counts as up [s]."""
-_SERVER_PORT = "11811"
-_PEERS = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ";".join(ADDRESSES)}
-_SERVER = {"ROS_DISCOVERY_SERVER": f"{ADDRESSES[0]}:{_SERVER_PORT}"}
-DISCOVERY: dict[str, dict[str, str]] = {"peers": _PEERS, "server": _SERVER, "multicast": {}}
+DISCOVERY: dict[str, dict[str, str]] = {
+    "peers": {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ";".join(ADDRESSES)
+    },
+    "server": {"ROS_DISCOVERY_SERVER": f"{ADDRESSES[0]}:{_SERVER_PORT}"},
+    "multicast": {},
+}
 """Variables of each means of discovery; the server runs on the simulator's host."""
 _OF_THE_LINK = ("pose_loss", "command_loss", "commitment_window_s")
 """Values of the status at the end that tell what the controller has seen of the link."""
@@ -161,17 +162,14 @@ def _starts(run: Callable[[], dict[str, float]], number: int) -> dict[str, objec
     for _ in range(number):
         times.append(run())
         print(times[-1], flush=True)
-    found = [time["found_s"] for time in times if "found_s" in time]
-    moving = [time["moving_s"] for time in times if "moving_s" in time]
-    return {
-        "starts": number,
-        "up_in_10_s": sum(time <= _UP for time in moving),
-        "found_s": round(statistics.median(found), 2) if found else None,
-        "found_s_most": max(found, default=None),
-        "moving_s": round(statistics.median(moving), 2) if moving else None,
-        "moving_s_most": max(moving, default=None),
-        "never": number - len(moving),
-    }
+    result: dict[str, object] = {"starts": number}
+    for name in ("found_s", "moving_s"):
+        known = [time[name] for time in times if name in time]
+        result[name] = round(statistics.median(known), 2) if known else None
+        result[f"{name}_most"] = max(known, default=None)
+    moving = [time.get("moving_s", math.inf) for time in times]
+    result["up_in_10_s"] = sum(time <= _UP for time in moving)
+    return {**result, "never": moving.count(math.inf)}
 
 
 def _inside(given: argparse.Namespace) -> dict[str, object]:

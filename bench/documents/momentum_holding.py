@@ -29,10 +29,8 @@ from sphere_sim.study.single_run import prepare
 PERTURBATION = 3.0
 """Largest error of the parameters [%]."""
 SEED = 31
-DWELL = 0.5
-"""Time for which the error has to be small for an arrival [s]."""
-OUTPUT = 0.02
-"""Spacing of the rows of a run [s]."""
+DWELL, OUTPUT = 0.5, 0.02
+"""Time for which the error has to be small for an arrival, and spacing of a run's rows [s]."""
 
 
 @dataclass(frozen=True)
@@ -63,21 +61,16 @@ CASES = (
 
 @dataclass(frozen=True)
 class Stay:
-    """Times of a run [s].
-
-    Attributes
-    ----------
-    arrived, left, limit : float
-        Arrival, nan if there is none; end of the stay, or of the run for a sphere that stays; when
-        a rotor is at its limit, inf if that does not happen.
-    predicted : float
-        Time from the arrival to saturation that the controller predicted.
-    """
+    """Times of a run [s]."""
 
     arrived: float = math.nan
+    """Arrival; nan if there is none."""
     left: float = math.nan
+    """End of the stay; that of the run for a sphere that stays."""
     limit: float = math.inf
+    """When a rotor is at its limit; inf if that does not happen."""
     predicted: float = math.nan
+    """Time from the arrival to saturation that the controller predicted."""
 
 
 def run(case: Case, index: int) -> Stay:

@@ -32,16 +32,9 @@ def scaled(
 ) -> RobotParameters:
     """Return a robot with the inertias of Table 1 over mass and squared radius.
 
-    Parameters
-    ----------
-    radius, shell, rotor : float
-        Radius [m], mass of the shell, and of each rotor and counterweight [kg].
-    speed, acceleration : float
-        Limits of the rotors [rad/s, rad/s^2].
-    axial : float, optional
-        I1 [kg m^2], where it is not that of the scale.
-    offset : float, optional
-        Distance of rotors and counterweights from the centre [m], where it is not half the radius.
+    Its radius [m], masses of the shell and of each rotor and counterweight [kg], limits of the
+    rotors [rad/s, rad/s^2]; where they are not those of the scale, I1 [kg m^2] and the distance of
+    rotors and counterweights from the centre [m].
     """
     axial = axial or 0.008 / (0.7 * 0.3**2) * rotor * radius**2
     return RobotParameters(

@@ -172,20 +172,6 @@ def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys, one_figure) ->
     assert np.all(np.isnan(table["error"])) and np.all(np.isfinite(table["x"]))
 
 
-@pytest.mark.parametrize(
-    ("entries", "words"),
-    [(None, "there is no such file or folder"), ([], "is empty"),
-     ([goal_at(0.0, 0.0)], "another robot; has: /controller/active_goal")],
-)
-def test_bag_that_cannot_be_reported_gives_one_line(tmp_path, capsys, entries, words) -> None:
-    bag = tmp_path / "bag"
-    if entries is not None:
-        write_own(bag, entries)
-    assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and words in error
-
-
 @pytest.mark.slow
 def test_error_names_the_file_that_cannot_be_written_and_numbers_are_kept(tmp_path) -> None:
     bag, out = make_bag(tmp_path / "run"), tmp_path / "out"

@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from robots import GIANT
 
 from sphere_nmpc.model.drift import NO_DRIFT
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.run import Momentum, Run, Solves
-from sphere_sim.report.figures import analysis, animation
-from sphere_sim.report.figures.animation import Camera, write_animation
+from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison, side_by_side
 from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import save
@@ -72,30 +70,6 @@ def test_equal_runs_give_equal_files(tmp_path) -> None:
     for name in ("one", "two"):
         save(analysis.value_function(make_run()), tmp_path, name)
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
-
-
-def test_path_panel_shows_a_radius_where_the_sphere_hardly_moves() -> None:
-    run, robot = make_run(), GIANT
-    still = run.states * np.array([1e-6, 1e-6, 1.0, 1.0, 1.0, 1.0])
-    path = paper_panels(replace(run, states=still, goals=still[:1], robot=robot)).axes[2]
-    least = min(np.ptp(path.get_xlim()), np.ptp(path.get_ylim()))
-    assert robot.shell_radius <= least <= 1.5 * robot.shell_radius
-
-
-def test_animation_of_a_robot_of_a_tenth_is_that_of_the_robot_a_tenth_away() -> None:
-    def frame(scale: float) -> np.ndarray:
-        robot = replace(
-            RobotParameters(), shell_radius=0.3 * scale, rotor_offset=0.15 * scale
-        )
-        states = make_run().states * np.array([scale, scale, 1.0, 1.0, 1.0, 1.0])
-        run = replace(make_run(), states=states, robot=robot)
-        camera = Camera.on(states[:, :2], robot.shell_radius, (640, 300))
-        floor = animation._floor(camera, run, robot.shell_radius)
-        picture = animation._frame(camera, floor, run, 30, robot.shell_radius)
-        return np.asarray(picture, dtype=float)[40:]  # without the caption
-
-    # Edges of lines may be rounded to other pixels.
-    assert np.mean(np.abs(frame(0.1) - frame(1.0)) > 8.0) < 0.005
 
 
 def test_animation_is_written_until_the_run_ends(tmp_path) -> None:

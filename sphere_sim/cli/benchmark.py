@@ -11,8 +11,7 @@ from typing import Any
 
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
-from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.output.error_text import draw_or_warn, in_words
+from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import prepare_folder, write_atomically
 
 _FILE_WIDTH = 160
@@ -40,30 +39,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not console.is_terminal:
         console = Console(width=_FILE_WIDTH)
     records, missing, report = _run(options, console)
-    _write(options.json, report)
+    write_atomically(options.json, json.dumps(report, indent=2) + "\n")
     show(report, options.cases, console)
     written, figure = str(options.json), options.json.with_suffix(".png")
     if draw_or_warn("benchmark", str(figure), lambda: draw(records, figure)):
         written += f" and {figure}"
     console.print(f"Written: {written}", markup=False)
     return 1 if any(name in missing for name in OWN) else 0
-
-
-def _write(path: Path, report: dict[str, Any]) -> None:
-    write_atomically(path, json.dumps(report, indent=2) + "\n")
-
-
-def _keep(path: Path, report: dict[str, Any]) -> str:
-    """Write the numbers so far and return a message that names the file.
-
-    The file lies beside `path`, which may hold the numbers of a complete benchmark.
-    """
-    kept = path.with_name(f"{path.stem}_interrupted.json")
-    try:
-        _write(kept, report)
-    except OSError as error:
-        return f"no numbers are kept: {in_words(error)}"
-    return f"{kept} has the numbers so far"
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -106,7 +88,6 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
     from sphere_sim.benchmark.solvers import ALL, IPOPT, QUICK
     from sphere_sim.scenario.scenarios import PAPER_CASES
 
-    extra: dict[str, Any] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         makers = QUICK if options.quick else ALL
@@ -122,18 +103,13 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         total = options.rounds * len(options.cases) * samples * len(records)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
-
-        def report() -> dict[str, Any]:
-            return {**as_numbers(records, missing), **extra}
-
-        with if_interrupted(lambda: _keep(options.json, report())):
-            loops = run_closed_loops(records, scenarios, samples, options.rounds, options.budget)
-            for _ in loops:
+        for _ in run_closed_loops(records, scenarios, samples, options.rounds, options.budget):
+            progress.advance(task)
+        report = as_numbers(records, missing)
+        if options.random:
+            comparison = Comparison()
+            task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
+            for _ in comparison.run(ipopt(), options.random, 0):
                 progress.advance(task)
-            if options.random:
-                comparison = Comparison()
-                task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
-                for _ in comparison.run(ipopt(), options.random, 0):
-                    progress.advance(task)
-                extra["random"] = comparison.summary()
-    return records, missing, report()
+            report["random"] = comparison.summary()
+    return records, missing, report

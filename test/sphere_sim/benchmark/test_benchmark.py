@@ -17,11 +17,9 @@ from sphere_sim.benchmark.acados_solver import Acados, acados_makers
 from sphere_sim.benchmark.closed_loops import SolverRecord, run_closed_loops, set_up
 from sphere_sim.benchmark.nlp_solvers import nonlinear_program
 from sphere_sim.benchmark.problem import LIMIT, Answer, paper_problem
-from sphere_sim.benchmark.random_problems import Comparison
 from sphere_sim.benchmark.report import as_numbers
 from sphere_sim.benchmark.solvers import ALGORITHM_1, PLAN_KEEPING, AlgorithmOne, BothSigns
 from sphere_sim.cli.benchmark import main
-from sphere_sim.cli.main import main as command
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
 
@@ -153,19 +151,3 @@ def test_invalid_arguments_are_refused(wrong, tmp_path):
     with pytest.raises(SystemExit) as stopped:
         main(["--json", str(tmp_path / "x.json"), *wrong])
     assert stopped.value.code == 2
-
-
-def test_interrupt_leaves_the_numbers_so_far_beside_those_of_a_whole_run(
-    tmp_path, monkeypatch, capsys
-):
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    path = tmp_path / "x.json"
-    path.write_text("{}")
-    monkeypatch.setattr(Comparison, "run", interrupt)
-    assert command(["benchmark", "--json", str(path), "--random", "1", *QUICK]) == 130
-    kept = tmp_path / "x_interrupted.json"
-    assert json.loads(kept.read_text())["solvers"][ALGORITHM_1]["solves"] == 4
-    assert f"interrupted; {kept} has the numbers so far" in capsys.readouterr().err
-    assert path.read_text() == "{}"

@@ -79,7 +79,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str], dict[str, Any]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from sphere_sim.benchmark.acados_solver import acados_makers
+    from sphere_sim.benchmark.acados import acados_makers
     from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
     from sphere_sim.benchmark.nlp_solvers import ipopt
     from sphere_sim.benchmark.problem import SAMPLE_PERIOD

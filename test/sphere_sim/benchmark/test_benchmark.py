@@ -13,7 +13,7 @@ pytest.importorskip("rich")
 pytest.importorskip("matplotlib")
 
 from sphere_nmpc.solver.plain import expand
-from sphere_sim.benchmark.acados_solver import Acados, acados_makers
+from sphere_sim.benchmark.acados import Acados, acados_makers
 from sphere_sim.benchmark.closed_loops import SolverRecord, run_closed_loops, set_up
 from sphere_sim.benchmark.nlp_solvers import nonlinear_program
 from sphere_sim.benchmark.problem import LIMIT, Answer, paper_problem

@@ -58,7 +58,7 @@ class Observer:
     """Node that sends goals, starts time and records what is published."""
 
     def __init__(self, processes: ProcessSet) -> None:
-        self._processes = processes
+        self.processes = processes
         self.record = Record()
         self._node = rclpy.create_node("observer")
         self._executor = SingleThreadedExecutor()
@@ -92,7 +92,7 @@ class Observer:
 
     def processor_time(self) -> dict[str, float]:
         """Return the processor time of each node with its child processes so far [s]."""
-        return {name: _processor_time(pid) for name, pid in self._processes.pids.items()}
+        return {name: _processor_time(pid) for name, pid in self.processes.pids.items()}
 
     def until(self, condition: Callable[[], Any], patience: float) -> bool:
         """Serve the node until `condition` holds; return False after `patience` [s, wall]."""
@@ -108,7 +108,7 @@ class Observer:
             with handle:
                 while (taken := handle.take_message(kind, True)) is not None:
                     take(taken[0], taken[1]["source_timestamp"] / 1e9)
-        self._processes.check()
+        self.processes.check()
 
     def _require(self, condition: Callable[[], Any], what: str) -> None:
         if not self.until(condition, PATIENCE):

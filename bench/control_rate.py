@@ -36,7 +36,8 @@ _NEW_GOAL_EVERY = 8.0
 """Simulated time between two goals [s]."""
 _COLUMNS = {
     "strategy": "s", "rate_hz": ".0f", "hogs": "d", "viewer": "s",
-    "achieved_hz": ".1f", "period_p50_ms": ".2f", "period_p99_ms": ".2f", "latency_p50_ms": ".2f", "latency_p99_ms": ".2f",
+    "achieved_hz": ".1f", "period_p50_ms": ".2f", "period_p99_ms": ".2f",
+    "latency_p50_ms": ".2f", "latency_p99_ms": ".2f",
     "solve_p50_ms": ".3f", "solve_p99_ms": ".3f", "tick_p50_ms": ".3f", "missed": "d",
     "missed_percent": ".3f", "pace": ".3f", "controller_ms": ".3f", "simulator_ms": ".3f",
 }

@@ -47,6 +47,7 @@ _PRIORITY: dict[str, object] = {"thread_priority": 1}
 class Record:
     """Published messages: stamps [s, control time] and times of publication [s, wall time]."""
 
+    newest_pose: bytes = b""
     pose_stamps: list[float] = field(default_factory=list)
     pose_written: list[float] = field(default_factory=list)
     command_stamps: list[float] = field(default_factory=list)
@@ -115,6 +116,7 @@ class Observer:
             raise RuntimeError(f"timed out after {PATIENCE:g} s while waiting for {what}")
 
     def _take_pose(self, raw: bytes, written: float) -> None:
+        self.record.newest_pose = raw
         self.record.pose_stamps.append(_stamp(raw))
         self.record.pose_written.append(written)
 
@@ -128,31 +130,23 @@ class Observer:
 
 
 @contextmanager
-def node_processes(
-    simulator: dict[str, object], controller: dict[str, object]
-) -> Iterator[ProcessSet]:
-    """Run both nodes with these parameters in a domain of their own, to which rclpy is set up."""
-    follow: dict[str, object] = {"use_sim_time": True}
-    with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
-        for verb, parameters in (("simulator", simulator), ("controller", follow | controller)):
-            nodes.start(verb, ["--ros-args", *parameter_options(parameters)])
-        rclpy.init(args=[])
-        try:
-            yield nodes
-        finally:
-            rclpy.try_shutdown()
-
-
-@contextmanager
 def running(
     simulator: dict[str, object], controller: dict[str, object]
 ) -> Iterator[Observer]:
-    """Run both nodes with these parameters; yield their observer, with time paused."""
+    """Run both nodes in a domain of their own; yield their observer, with time paused."""
     simulated = simulator.get("clock") != "system"
-    simulator = {**_PRIORITY, "start_paused": simulated, **simulator}
-    controller = {**_PRIORITY, "use_sim_time": simulated, **controller}
-    with node_processes(simulator, controller) as nodes:
-        yield Observer(nodes)
+    parameters: dict[str, dict[str, object]] = {
+        "simulator": {"start_paused": simulated, **simulator},
+        "controller": {"use_sim_time": simulated, **controller},
+    }
+    with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
+        for verb, own in parameters.items():
+            nodes.start(verb, ["--ros-args", *parameter_options(_PRIORITY | own)])
+        rclpy.init(args=[])
+        try:
+            yield Observer(nodes)
+        finally:
+            rclpy.try_shutdown()
 
 
 @contextmanager

@@ -288,7 +288,7 @@ class Study:
             moved.append(position_error(*ends))
             turned.append(angle_error(*ends))
         spread = np.abs(np.array(momenta) - [0.0, ROBOT.shell_radius, 0.0]).max()
-        lines = [
+        return "\n".join([
             "### A push of 1 N s along x (default settings)\n",
             f"- At rest, rotors held: {start_velocity:.4f} m/s at first, slips for "
             f"{1e3 * slipped:.0f} ms, rolls on at {at_roll:.4f} m/s; after 5 s it is at "
@@ -299,9 +299,7 @@ class Study:
             "- Angular momentum about the contact point then differs from Rs J = "
             f"{ROBOT.shell_radius:.2f} N m s about y by {spread:.1e} N m s at most.",
             "",
-        ]
-        print("\n".join(lines), flush=True)
-        return "\n".join(lines)
+        ])
 
     def slope(self) -> str:
         plant = RigidBodyPlant(
@@ -311,7 +309,7 @@ class Study:
         plant.advance(np.zeros(2), 5.0)
         gain = ROBOT.total_mass * 9.81 * math.sin(math.radians(1.0)) * ROBOT.shell_radius
         full = ROBOT.rotor_axial_inertia * ROBOT.max_rotor_speed
-        line = (
+        return (
             "### A slope of 1 degree (default settings)\n\n"
             f"- Rotors held: after 5 s {plant.state[0]:.3f} m downhill at "
             f"{plant.velocity[0]:.3f} m/s.\n"
@@ -319,8 +317,6 @@ class Study:
             f"{full:.2f} N m s at full speed, so one rotor alone holds the sphere for "
             f"{full / gain:.1f} s (computed).\n"
         )
-        print(line, flush=True)
-        return line
 
 
 def torque_function() -> ca.Function:

@@ -36,18 +36,10 @@ def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> HoldPr
     Its arguments are the current and the desired state, (6,), and the rotor speeds, (2,) [rad/s].
     """
     return HoldProblem(
-        state=state,
-        goal=goal,
-        input_in_force=input_in_force,
-        durations=_DURATIONS,
-        constants=CONSTANTS,
-        lower=_MINUS_BOUND,
-        upper=_BOUND,
-        input_scale=LIMIT,
-        terminal_weight=1.0,
-        stage_weight=1.0 / TERMINAL_WEIGHT,
-        input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT,
-        max_step=INTEGRATION_STEP,
+        state=state, goal=goal, input_in_force=input_in_force, durations=_DURATIONS,
+        constants=CONSTANTS, lower=_MINUS_BOUND, upper=_BOUND, input_scale=LIMIT,
+        terminal_weight=1.0, stage_weight=1.0 / TERMINAL_WEIGHT,
+        input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT, max_step=INTEGRATION_STEP,
     )
 
 

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the benchmark as JSON content, as a table and as a figure."""
 
+import contextlib
 import os
 import platform
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,11 +44,8 @@ def _solver_numbers(record: SolverRecord) -> dict[str, Any]:
     return {
         **_spread("", wall),
         **_spread("cpu_", cpu),
-        "settle_s": record.settle,
-        "failures": record.failures,
-        "solves": len(record.wall),
-        "setup_s": record.setup_s,
-        "stopped": record.stopped,
+        "settle_s": record.settle, "failures": record.failures, "solves": len(record.wall),
+        "setup_s": record.setup_s, "stopped": record.stopped,
     }
 
 
@@ -57,17 +56,11 @@ def _spread(prefix: str, times: Vector) -> dict[str, float]:
 
 def _machine() -> dict[str, Any]:
     model = platform.processor()
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
+    with contextlib.suppress(OSError):
+        found = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text("utf-8"))
+        model = found.group(1).strip() if found else model
     return {
-        "processor": model,
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
+        "processor": model, "cores": os.cpu_count(), "python": platform.python_version(),
         "load_average": os.getloadavg()[0],
     }
 
@@ -83,10 +76,8 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
         settle = " / ".join("never" if t is None else f"{t:.1f}" for t in row["settle_s"])
         table.add_row(
             name,
-            *(f"{row[key]:.3f}" for key in _SHOWN_TIMES),
-            str(row["failures"]),
-            str(row["solves"]) + (" (stopped)" if row["stopped"] else ""),
-            settle,
+            *(f"{row[key]:.3f}" for key in _SHOWN_TIMES), str(row["failures"]),
+            str(row["solves"]) + (" (stopped)" if row["stopped"] else ""), settle,
             style="bold" if name in OWN else "",
         )
     for name, reason in report["missing"].items():

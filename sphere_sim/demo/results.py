@@ -98,20 +98,12 @@ def _write_summary(
         for strategy, values in figures.items()
     }
     content = {
-        "title": plan.title,
-        "sphere_nmpc_version": __version__,
-        "strategy": plan.strategy,
-        "arrived": arrived,
-        "tolerance": plan.tolerance,
-        "start": plan.scenario.start.tolist(),
-        "goal": plan.scenario.goal.tolist(),
-        "seed": plan.scenario.seed,
-        "simulator": plan.simulator,
-        "controller": plan.controller,
-        "metrics": plain.pop(plan.strategy),
-        "compared_with": plain,
-        "duration_s": float(run.times[-1]),
-        "notes": list(run.notes),
+        "title": plan.title, "sphere_nmpc_version": __version__, "strategy": plan.strategy,
+        "arrived": arrived, "tolerance": plan.tolerance,
+        "start": plan.scenario.start.tolist(), "goal": plan.scenario.goal.tolist(),
+        "seed": plan.scenario.seed, "simulator": plan.simulator, "controller": plan.controller,
+        "metrics": plain.pop(plan.strategy), "compared_with": plain,
+        "duration_s": float(run.times[-1]), "notes": list(run.notes),
     }
     write_atomically(plan.folder / "summary.json", json.dumps(content, indent=2) + "\n")
 
@@ -159,14 +151,10 @@ def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
     return Run(
         name=f"{plan.other_strategy}, computed without ROS",
         path=Path(),
-        times=trajectory.times,
-        states=without_sign_jumps(trajectory.states),
-        joint_times=trajectory.times,
-        rotor_speeds=trajectory.speeds,
-        rotor_torques=trajectory.torques,
-        goal_times=np.zeros(1),
-        goals=plan.scenario.goal[None, :],
-        plans=tuple(trajectory.holds),
+        times=trajectory.times, states=without_sign_jumps(trajectory.states),
+        joint_times=trajectory.times, rotor_speeds=trajectory.speeds,
+        rotor_torques=trajectory.torques, goal_times=np.zeros(1),
+        goals=plan.scenario.goal[None, :], plans=tuple(trajectory.holds),
         solves=Solves(
             np.array(starts),
             np.array([decision.plan.solve_time for decision in tracked]),

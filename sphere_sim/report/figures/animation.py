@@ -188,12 +188,8 @@ def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int, radius: float) -> 
 
 
 def _paint_ball(
-    picture: Image.Image,
-    camera: Camera,
-    place: Sequence[float],
-    quaternion: Vector,
-    radius: float,
-    opacity: float = 1.0,
+    picture: Image.Image, camera: Camera, place: Sequence[float], quaternion: Vector,
+    radius: float, opacity: float = 1.0,
 ) -> None:
     """Draw a sphere with octants, circle Gamma and the ends of the rotors' axes.
 

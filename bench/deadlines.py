@@ -14,47 +14,31 @@ import math
 from pathlib import Path
 
 import numpy as np
-from node_runs import Observer, machine, running, write_json
+from node_runs import PATIENCE, Observer, machine, running, write_json
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.evaluation.metrics import GoalRun
-from sphere_sim.ros.session.goal_run import wait_until_settled
 from sphere_sim.ros.simulator.settings import CLOCKS
 from sphere_sim.scenario.scenarios import draw_scenarios
 
-_STAYS = 0.5
-"""Simulated time at the goal after which a run counts as over [s]."""
 _HEADER = "run  misses  first plan ms  longest plan ms  settled after s  final error"
 
 
 def one_run(observer: Observer, goal: Vector, longest: float) -> dict[str, float]:
     """Run to a goal and return the figures of the run."""
-    record = observer.record
-    missed = int(record.statuses[-1]["missed_ticks"])
-    first_pose, first_status = len(record.poses), len(record.statuses)
-    sent = observer.send(goal)
-    run, observed = GoalRun(goal, hold=_STAYS), first_pose
-
-    def spin() -> None:
-        nonlocal observed
-        observer.spin()
-        while observed < len(record.poses):
-            run.observe(record.pose_stamps[observed], record.state(observed))
-            observed += 1
-
-    settled = wait_until_settled(run, spin, sent + longest)
+    statuses = observer.record.statuses
+    missed, first = int(statuses[-1]["missed_ticks"]), len(statuses)
+    settled = observer.goals.go(goal, longest, PATIENCE)
     plans = [
         1e3 * float(status["solve_time_s"])
-        for status in record.statuses[first_status:]
-        if status["mode"] == "on the way to the goal"
+        for status in statuses[first:] if status["mode"] == "on the way to the goal"
     ]
     return {
-        "misses": int(record.statuses[-1]["missed_ticks"]) - missed,
+        "misses": int(statuses[-1]["missed_ticks"]) - missed,
         "first_plan_ms": plans[0] if plans else math.nan,
         "longest_plan_ms": max(plans, default=math.nan),
-        "settled_s": math.nan if settled is None else settled - sent,
-        "final_error": run.error,
+        "settled_s": math.nan if settled is None else settled,
+        "final_error": math.nan if observer.goals.run is None else observer.goals.run.error,
     }
 
 
@@ -99,7 +83,7 @@ def main() -> int:
         "load_average_after": machine()["load_average"],
     }
     print(summary)
-    write_json(options, {"machine": about, "summary": summary, "runs": runs})
+    write_json(options.json, {"machine": about, "summary": summary, "runs": runs})
     return 0 if summary["misses"] == 0 and summary["settled"] == len(runs) else 1
 
 

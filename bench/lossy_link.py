@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two network namespaces connected by a link that delays and loses packets; Linux, as root.
 
-A bridge in a third namespace delays or drops each frame; ``python bench/lossy_link.py`` is that
-bridge. The ``netem`` of many kernels would do the same, but not every kernel has it.
+A bridge in a third namespace, this file as a program, delays or drops each frame. The ``netem`` of
+many kernels would do the same, but not every kernel has it.
 """
 
-import argparse
 import contextlib
 import dataclasses
 import heapq
@@ -39,34 +38,23 @@ class LinkError(RuntimeError):
 
 @dataclass(frozen=True)
 class Quality:
-    """Delay and loss of packets, the same in either direction.
-
-    Attributes
-    ----------
-    delay, jitter : float
-        Delay, drawn from delay - jitter to delay + jitter, so that packets overtake [s].
-    loss : float
-        Share of packets that are lost.
-    burst : float, optional
-        Time in every 10 s for which everything is lost [s].
-    """
+    """Delay and loss of packets, the same in either direction."""
 
     delay: float
+    """Mean delay [s]."""
     jitter: float
+    """Largest difference of a drawn delay from it, so that packets overtake [s]."""
     loss: float
+    """Share of packets that are lost."""
     burst: float = 0.0
+    """Time in every 10 s for which everything is lost [s]."""
 
 
 @contextlib.contextmanager
 def lossy_link(quality: Quality) -> Iterator[tuple[str, str]]:
     """Connect two new namespaces, yield their names, and remove everything at the end.
 
-    Their addresses are `ADDRESSES`.
-
-    Raises
-    ------
-    LinkError
-        If namespaces or links cannot be created.
+    Their addresses are `ADDRESSES`. `LinkError` is raised where that is not possible.
     """
     if shutil.which("ip") is None:
         raise LinkError("the command 'ip' is not there (on Debian and Ubuntu: iproute2)")
@@ -171,18 +159,5 @@ def _packet_socket(name: str) -> socket.socket:
     return end
 
 
-def _parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("ends", nargs=2, help="the two interfaces")
-    parser.add_argument("delay", type=float, help="[s]")
-    parser.add_argument("jitter", type=float, help="[s]")
-    parser.add_argument("loss", type=float, help="share")
-    parser.add_argument("burst", type=float, help="[s]")
-    return parser.parse_args()
-
-
 if __name__ == "__main__":
-    given = _parse()
-    _run_bridge(
-        tuple(given.ends), Quality(given.delay, given.jitter, given.loss, given.burst)
-    )
+    _run_bridge((sys.argv[1], sys.argv[2]), Quality(*map(float, sys.argv[3:])))

@@ -6,7 +6,6 @@ Times of messages are those of their publication, as the middleware reports them
 observer measures the same.
 """
 
-import argparse
 import json
 import os
 import platform
@@ -30,11 +29,9 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.ros.session.goal_sender import GoalSender
+from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
 
@@ -42,7 +39,6 @@ PATIENCE = 600.0
 """How long nodes on a busy machine may take to be ready [s]."""
 _SPIN = 0.01
 """Wall time between two looks at what was received [s]."""
-_RADIUS = 0.3
 _PRIORITY: dict[str, object] = {"thread_priority": 1}
 """Parameters of the measured nodes, where the system allows it."""
 
@@ -51,49 +47,42 @@ _PRIORITY: dict[str, object] = {"thread_priority": 1}
 class Record:
     """Published messages: stamps [s, control time] and times of publication [s, wall time]."""
 
+    newest_pose: bytes = b""
     pose_stamps: list[float] = field(default_factory=list)
     pose_written: list[float] = field(default_factory=list)
-    poses: list[bytes] = field(default_factory=list)
     command_stamps: list[float] = field(default_factory=list)
     command_written: list[float] = field(default_factory=list)
     statuses: list[dict[str, str]] = field(default_factory=list)
-
-    def state(self, index: int) -> Vector:
-        """Return one of the poses as a state, shape (6,)."""
-        return pose_from_ros(deserialize_message(self.poses[index], PoseStamped))
 
 
 class Observer:
     """Node that sends goals, starts time and records what is published."""
 
-    def __init__(self, processes: ProcessSet, keep_poses: bool) -> None:
-        self._processes = processes
-        self._keep = keep_poses
+    def __init__(self, processes: ProcessSet) -> None:
+        self.processes = processes
         self.record = Record()
         self._node = rclpy.create_node("observer")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._sender = GoalSender(self._node, self.spin)
+        self.goals = GoalRunner(self._node, self.spin)
         self._pause = self._node.create_client(SetBool, "simulator/pause")
-        self._node.create_subscription(
-            DiagnosticStatus, "controller/status", self._take_status, 1000
-        )
         # These are read without the executor, which takes longer for a message than the nodes do,
-        # and so belong to a node of their own.
+        # and so belong to a node of their own. rclpy has no other call that returns the time of
+        # publication: its events executor cannot serve callbacks that take it.
         self._reader = rclpy.create_node("reader")
-        self._frequent: list[tuple[Any, Callable[[bytes, dict[str, int]], None]]] = [
+        self._frequent: list[tuple[Any, Callable[[bytes, float], None]]] = [
             (self._reader.create_subscription(kind, topic, _ignore, 1000, raw=True), take)
             for kind, topic, take in (
                 (PoseStamped, "pose", self._take_pose),
                 (JointTrajectory, "rotor_trajectory", self._take_command),
+                (DiagnosticStatus, "controller/status", self._take_status),
             )
         ]
 
     def begin(self) -> None:
         """Wait for both nodes and start time."""
-        self._sender.wait_for_controller(PATIENCE)
+        self.goals.prepare(PATIENCE)
         self._require(self._pause.service_is_ready, "the simulator's services")
-        self._require(lambda: self.record.pose_stamps, "a pose")
         self._require(
             lambda: self._node.count_subscribers("rotor_trajectory") > 1, "the simulator's input"
         )
@@ -102,62 +91,60 @@ class Observer:
         # Before the controller has a time, its status has no counters.
         self._require(lambda: "missed_ticks" in (self.record.statuses or [{}])[-1], "a status")
 
-    def send(self, goal: Vector) -> float:
-        """Send a goal; return the control time before it [s]."""
-        sent = self.record.pose_stamps[-1]
-        self._sender.send(goal, _RADIUS, PATIENCE)
-        return sent
-
     def processor_time(self) -> dict[str, float]:
         """Return the processor time of each node with its child processes so far [s]."""
-        return {name: _processor_time(pid) for name, pid in self._processes.pids.items()}
+        return {name: _processor_time(pid) for name, pid in self.processes.pids.items()}
 
     def until(self, condition: Callable[[], Any], patience: float) -> bool:
         """Serve the node until `condition` holds; return False after `patience` [s, wall]."""
         return serve_until(self.spin, condition, patience)
 
     def spin(self) -> None:
-        """Serve the node for a moment, and check that all processes run."""
-        self._executor.spin_once(timeout_sec=_SPIN)
+        """Serve the node after a moment, and check that all processes run."""
+        time.sleep(_SPIN)
+        for _ in range(3):
+            self._executor.spin_once(timeout_sec=0.0)
         for subscription, take in self._frequent:
             handle, kind = subscription.handle, subscription.msg_type
             with handle:
                 while (taken := handle.take_message(kind, True)) is not None:
-                    take(*taken)
-        self._processes.check()
+                    take(taken[0], taken[1]["source_timestamp"] / 1e9)
+        self.processes.check()
 
     def _require(self, condition: Callable[[], Any], what: str) -> None:
         if not self.until(condition, PATIENCE):
             raise RuntimeError(f"timed out after {PATIENCE:g} s while waiting for {what}")
 
-    def _take_pose(self, raw: bytes, info: dict[str, int]) -> None:
+    def _take_pose(self, raw: bytes, written: float) -> None:
+        self.record.newest_pose = raw
         self.record.pose_stamps.append(_stamp(raw))
-        self.record.pose_written.append(info["source_timestamp"] / 1e9)
-        if self._keep:
-            self.record.poses.append(raw)
+        self.record.pose_written.append(written)
 
-    def _take_command(self, raw: bytes, info: dict[str, int]) -> None:
+    def _take_command(self, raw: bytes, written: float) -> None:
         self.record.command_stamps.append(_stamp(raw))
-        self.record.command_written.append(info["source_timestamp"] / 1e9)
+        self.record.command_written.append(written)
 
-    def _take_status(self, message: DiagnosticStatus) -> None:
+    def _take_status(self, raw: bytes, _: float) -> None:
+        message = deserialize_message(raw, DiagnosticStatus)
         self.record.statuses.append({value.key: value.value for value in message.values})
 
 
 @contextmanager
 def running(
-    simulator: dict[str, object], controller: dict[str, object], keep_poses: bool = True
+    simulator: dict[str, object], controller: dict[str, object]
 ) -> Iterator[Observer]:
-    """Run both nodes with these parameters; yield their observer, with time paused."""
-    on_system_clock = simulator.get("clock") == "system"
-    paused: dict[str, object] = {"start_paused": not on_system_clock}
-    follow: dict[str, object] = {"use_sim_time": not on_system_clock}
+    """Run both nodes in a domain of their own; yield their observer, with time paused."""
+    simulated = simulator.get("clock") != "system"
+    parameters: dict[str, dict[str, object]] = {
+        "simulator": {"start_paused": simulated, **simulator},
+        "controller": {"use_sim_time": simulated, **controller},
+    }
     with own_domain(), tempfile.TemporaryDirectory() as logs, ProcessSet(Path(logs)) as nodes:
-        for verb, own in (("simulator", paused | simulator), ("controller", follow | controller)):
+        for verb, own in parameters.items():
             nodes.start(verb, ["--ros-args", *parameter_options(_PRIORITY | own)])
-        rclpy.init()
+        rclpy.init(args=[])
         try:
-            yield Observer(nodes, keep_poses)
+            yield Observer(nodes)
         finally:
             rclpy.try_shutdown()
 
@@ -186,11 +173,11 @@ def machine() -> dict[str, object]:
     }
 
 
-def write_json(options: argparse.Namespace, result: dict[str, object]) -> None:
-    """Write the result to the file of ``--json``."""
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(result, indent=2) + "\n")
+def write_json(path: Path | None, result: dict[str, object]) -> None:
+    """Write the result to the file of ``--json``, if it is given."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=2) + "\n")
 
 
 def _ignore(_: bytes) -> None:

@@ -30,8 +30,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from lossy_link import ADDRESSES, LinkError, Quality, lossy_link
-from rich.console import Console
-from rich.table import Table
+from node_runs import write_json
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.rotation import random_quaternion
@@ -44,19 +43,20 @@ DEADLINE = 60.0
 """Time to a goal after which it is given up [s]."""
 REACH = 1.5
 """Largest |x| and |y| of a goal [m]."""
-_PATIENCE = 90.0
-"""How long the nodes may take to find each other, and to confirm a goal [s]."""
-_REPEAT = 0.5
-"""Wall time after which an unconfirmed goal is sent again [s]."""
-_DOMAIN = "65"
+_PATIENCE, _REPEAT = 90.0, 0.5
+"""How long nodes may take to find each other or to confirm a goal; when it is sent again [s]."""
+_DOMAIN, _SERVER_PORT = "65", "11811"
 _MOTION = 1e-3
 """Change of the error from which on the sphere moves [mixed units]."""
 _UP = 10.0
 """Time within which a start counts as up [s]."""
-_SERVER_PORT = "11811"
-_PEERS = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ";".join(ADDRESSES)}
-_SERVER = {"ROS_DISCOVERY_SERVER": f"{ADDRESSES[0]}:{_SERVER_PORT}"}
-DISCOVERY: dict[str, dict[str, str]] = {"peers": _PEERS, "server": _SERVER, "multicast": {}}
+DISCOVERY: dict[str, dict[str, str]] = {
+    "peers": {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ";".join(ADDRESSES)
+    },
+    "server": {"ROS_DISCOVERY_SERVER": f"{ADDRESSES[0]}:{_SERVER_PORT}"},
+    "multicast": {},
+}
 """Variables of each means of discovery; the server runs on the simulator's host."""
 _OF_THE_LINK = ("pose_loss", "command_loss", "commitment_window_s")
 """Values of the status at the end that tell what the controller has seen of the link."""
@@ -71,25 +71,22 @@ def main() -> int:
     results = []
     try:
         for loss in given.loss:
-            quality = None if loss is None else Quality(
-                1e-3 * given.delay, 1e-3 * given.jitter, 1e-2 * loss, given.burst
+            quality = None if loss == "none" else Quality(
+                1e-3 * given.delay, 1e-3 * given.jitter, 1e-2 * float(loss), given.burst
             )
             results.append({"loss_percent": loss, **_over(quality, given)})
             print(results[-1], flush=True)
     except (LinkError, PermissionError) as error:
         print(f"two hosts: {error}; is this Linux, and you root?", file=sys.stderr)
         return 1
-    _print(results)
-    if given.json:
-        given.json.parent.mkdir(parents=True, exist_ok=True)
-        given.json.write_text(json.dumps({"two_hosts": results}, indent=2) + "\n")
+    write_json(given.json, {"two_hosts": results})
     wanted, got = ("starts", "up_in_10_s") if given.starts else ("goals", "reached")
     return 0 if all(row[got] == row[wanted] for row in results) else 1
 
 
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--loss", type=_loss, nargs="+", default=[0.0, 1.0, 5.0, 20.0],
+    parser.add_argument("--loss", nargs="+", default=["0", "1", "5", "20"],
                         help="packets lost in either direction [%%]; none is without a link")
     parser.add_argument("--burst", type=float, default=0.0,
                         help="time in every 10 s for which all packets are lost [s]")
@@ -105,11 +102,6 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--inside", metavar="OTHER", help=argparse.SUPPRESS)
     return parser.parse_args()
-
-
-def _loss(text: str) -> float | None:
-    """Return the loss in per cent; None without a link."""
-    return None if text == "none" else float(text)
 
 
 def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, object]:
@@ -170,17 +162,14 @@ def _starts(run: Callable[[], dict[str, float]], number: int) -> dict[str, objec
     for _ in range(number):
         times.append(run())
         print(times[-1], flush=True)
-    found = [time["found_s"] for time in times if "found_s" in time]
-    moving = [time["moving_s"] for time in times if "moving_s" in time]
-    return {
-        "starts": number,
-        "up_in_10_s": sum(time <= _UP for time in moving),
-        "found_s": round(statistics.median(found), 2) if found else None,
-        "found_s_most": max(found, default=None),
-        "moving_s": round(statistics.median(moving), 2) if moving else None,
-        "moving_s_most": max(moving, default=None),
-        "never": number - len(moving),
-    }
+    result: dict[str, object] = {"starts": number}
+    for name in ("found_s", "moving_s"):
+        known = [time[name] for time in times if name in time]
+        result[name] = round(statistics.median(known), 2) if known else None
+        result[f"{name}_most"] = max(known, default=None)
+    moving = [time.get("moving_s", math.inf) for time in times]
+    result["up_in_10_s"] = sum(time <= _UP for time in moving)
+    return {**result, "never": moving.count(math.inf)}
 
 
 def _inside(given: argparse.Namespace) -> dict[str, object]:
@@ -268,13 +257,6 @@ class _Goals:
         age = float(self._status.get("pose_age_s", "nan"))
         if math.isfinite(age):
             self._ages.append(age)
-
-
-def _print(results: list[dict[str, object]]) -> None:
-    table = Table(*results[0])
-    for row in results:
-        table.add_row(*(str(value) for value in row.values()))
-    Console().print(table)
 
 
 if __name__ == "__main__":

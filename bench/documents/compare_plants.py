@@ -8,28 +8,30 @@
 
 import argparse
 import math
-from dataclasses import replace
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import matplotlib
+import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 from plant_runs import (
-    HEADER,
     KNOT_PERIOD,
+    KNOTS,
     ROBOT,
-    Alteration,
-    Comparison,
+    STEP,
     angles_between,
-    compare,
     deviation,
     draw_sequences,
     run,
     steps_of,
 )
 from printed_model import PrintedModel
+from tables import header, row
 
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_nmpc.model.torque import rotor_acceleration
@@ -44,14 +46,59 @@ from matplotlib import pyplot as plt
 DEFAULT = RigidBodySettings()
 IDEAL = RigidBodySettings(drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3)
 """Drives without lag or limit, so that only contact and integration differ."""
-
 TIME_CONSTANTS = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
-IMPEDANCES = (0.9, 0.999)
 TIME_STEPS = (0.0005, 0.001, 0.002, 0.004, 0.008)
+SLIPPING = 1e-3
+"""Speed of the shell over the floor from which it counts as slipping [m/s]."""
+HEADER = header("plant", "position, median [mm]", "worst", "angle, median [mrad]", "worst",
+                "slipping [% of time]", "cost [ms/s]")
 
 
-def table(rows: list[str]) -> str:
-    return "\n".join([HEADER, *rows, ""])
+@dataclass(frozen=True)
+class Variant:
+    """Settings of the plant with contact; `alter` changes its compiled MuJoCo model in place."""
+
+    settings: RigidBodySettings = DEFAULT
+    disturbances: DisturbanceSettings | None = None
+    alter: Callable[[Any], None] = lambda model: None
+
+
+def engine_options() -> dict[str, Variant]:
+    """Return variants with other options of the engine."""
+
+    def option(name: str, value: object) -> Variant:
+        return Variant(IDEAL, alter=lambda model: setattr(model.opt, name, value))
+
+    return {
+        "Runge-Kutta, elliptic cone, ratio 10 (chosen)": Variant(IDEAL),
+        "semi-implicit Euler": option("integrator", mujoco.mjtIntegrator.mjINT_EULER),
+        "implicitfast": option("integrator", mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+        "implicit": option("integrator", mujoco.mjtIntegrator.mjINT_IMPLICIT),
+        "pyramidal cone": option("cone", mujoco.mjtCone.mjCONE_PYRAMIDAL),
+        "impedance ratio 1": option("impratio", 1.0),
+        "impedance ratio 100": option("impratio", 100.0),
+    }
+
+
+def floors() -> dict[str, Variant]:
+    """Return variants with other floors."""
+    found: dict[str, Variant] = {}
+    for mu in (0.8, 0.4, 0.3, 0.2, 0.1):
+        found[f"friction {mu:g}"] = Variant(replace(DEFAULT, friction=mu))
+    small = (1e-5, 1e-4, 1e-3)
+    for value in small:
+        friction = DisturbanceSettings(rolling_friction=value)
+        found[f"rolling friction {1e3 * value:g} mm"] = Variant(disturbances=friction)
+    for value in small:
+        friction = DisturbanceSettings(torsional_friction=value)
+        found[f"torsional friction {1e3 * value:g} mm"] = Variant(disturbances=friction)
+    for value in small:
+        rough = replace(DEFAULT, floor_roughness=value)
+        found[f"roughness {1e3 * value:g} mm, bumps 0.5 m apart"] = Variant(rough)
+    for degrees in (0.1, 1):
+        tilted = DisturbanceSettings(slope=math.radians(degrees))
+        found[f"slope {degrees} degree"] = Variant(disturbances=tilted)
+    return found
 
 
 class Study:
@@ -62,124 +109,97 @@ class Study:
         self.reference = [run(RollingPlant(ROBOT, s.start), s) for s in self.sequences]
         self.figure, self.axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
 
-    def compare(
-        self,
-        name: str,
-        settings: RigidBodySettings,
-        alter: Alteration | None = None,
-        disturbances: DisturbanceSettings | None = None,
-    ) -> Comparison:
-        result = compare(self.sequences, self.reference, settings, alter, disturbances)
-        print(result.row(name), flush=True)
-        return result
+    def compare(self, variant: Variant) -> tuple[list[float], np.ndarray]:
+        """Return numbers of a row but its name, and the largest angle in each sequence [rad]."""
+        plant = RigidBodyPlant(
+            ROBOT, self.sequences[0].start, variant.settings, variant.disturbances
+        )
+        variant.alter(plant._model)
+        found, slips, wall = [], [], 0.0
+        for sequence, ideal in zip(self.sequences, self.reference, strict=True):
+            plant.reset(sequence.start)
+            states = []
+            for speeds, _ in steps_of(sequence):
+                began = time.perf_counter()
+                plant.advance(speeds, STEP)
+                wall += time.perf_counter() - began
+                states.append(plant.state)
+                slips.append(np.linalg.norm(plant.slip) > SLIPPING)
+            found.append(deviation(np.array(states), ideal))
+        position, angle = np.array(found).T
+        simulated = len(self.sequences) * KNOTS * KNOT_PERIOD
+        numbers = [
+            *(1e3 * float(of(part)) for part in (position, angle) for of in (np.median, np.max)),
+            100.0 * float(np.mean(slips)), 1e3 * wall / simulated,
+        ]
+        return numbers, angle
 
-    def agreement(self) -> str:
-        settings = {
-            "ideal drives": IDEAL,
-            "default (300 rad/s, 3.2 N m)": DEFAULT,
-            "default with feed-forward": replace(DEFAULT, drive_feedforward=True),
-            "100 rad/s": replace(DEFAULT, drive_bandwidth=100.0),
-            "torque limit 1.6 N m": replace(DEFAULT, torque_limit=1.6),
-            "torque limit 0.8 N m": replace(DEFAULT, torque_limit=0.8),
-        }
-        rows = [self.compare(name, given).row(name) for name, given in settings.items()]
-        return "### Drives\n\n" + table(rows)
+    def table(self, variants: dict[str, Variant]) -> tuple[list[str], list[np.ndarray]]:
+        """Return the rows of variants, and the angles of `compare` of each."""
+        rows, angles = [], []
+        for name, variant in variants.items():
+            (*lengths, slipping, wall), angle = self.compare(variant)
+            cells = (*(f"{length:.3g}" for length in lengths), f"{slipping:.1f}", f"{wall:.0f}")
+            rows.append(row(name, *cells))
+            print(rows[-1], flush=True)
+            angles.append(angle)
+        return rows, angles
+
+    def section(self, title: str, variants: dict[str, Variant]) -> str:
+        return "\n".join([f"### {title}\n", HEADER, *self.table(variants)[0], ""])
+
+    def drives(self) -> str:
+        return self.section("Drives", {
+            "ideal drives": Variant(IDEAL),
+            "default (300 rad/s, 3.2 N m)": Variant(),
+            "default with feed-forward": Variant(replace(DEFAULT, drive_feedforward=True)),
+            "100 rad/s": Variant(replace(DEFAULT, drive_bandwidth=100.0)),
+            "torque limit 1.6 N m": Variant(replace(DEFAULT, torque_limit=1.6)),
+            "torque limit 0.8 N m": Variant(replace(DEFAULT, torque_limit=0.8)),
+        })
 
     def stiffness(self) -> str:
-        rows, axes = [], self.axes[0]
-        for impedance in IMPEDANCES:
-            worst = []
+        every = []
+        for impedance in (0.9, 0.999):
+            variants = {}
             for constant in TIME_CONSTANTS:
                 settings = replace(
                     IDEAL, time_step=0.001, contact_time_constant=constant,
                     contact_impedance=impedance,
-                )  # fmt: skip
+                )
                 # Penetration of the contact under the weight at rest.
                 sunk = (1 - impedance) / impedance * 9.81 * constant**2
-                name = (
-                    f"{1e3 * constant:g} ms, impedance {impedance:g} (sinks {1e6 * sunk:.2g} um)"
-                )
-                result = self.compare(name, settings)
-                rows.append(result.row(name))
-                worst.append(result)
-            plot(axes, 1e3 * np.array(TIME_CONSTANTS), worst, f"impedance {impedance:g}")
-        finish(axes, "contact time constant [ms], time step 1 ms")
-        return "### Contact stiffness (ideal drives, time step 1 ms)\n\n" + table(rows)
+                about = f"impedance {impedance:g} (sinks {1e6 * sunk:.2g} um)"
+                variants[f"{1e3 * constant:g} ms, {about}"] = Variant(settings)
+            rows, angles = self.table(variants)
+            every += rows
+            plot(self.axes[0], TIME_CONSTANTS, angles, f"impedance {impedance:g}")
+        finish(self.axes[0], "contact time constant [ms], time step 1 ms")
+        title = "### Contact stiffness (ideal drives, time step 1 ms)\n"
+        return "\n".join([title, HEADER, *every, ""])
 
     def time_step(self) -> str:
-        rows, axes = [], self.axes[1]
+        every = []
         for label, constant_of in (
             ("contact 16 ms", lambda _: 0.016),
             ("contact 2 time steps", lambda h: 2.0 * h),
         ):
-            results = []
-            for step in TIME_STEPS:
-                settings = replace(IDEAL, time_step=step, contact_time_constant=constant_of(step))
-                name = f"{1e3 * step:g} ms, {label}"
-                results.append(self.compare(name, settings))
-                rows.append(results[-1].row(name))
-            plot(axes, 1e3 * np.array(TIME_STEPS), results, label)
-        finish(axes, "time step [ms]")
-        return "### Time step (ideal drives)\n\n" + table(rows)
-
-    def engine_options(self) -> str:
-        import mujoco
-
-        def integrator(kind: int) -> Alteration:
-            def alter(model: Any) -> None:
-                model.opt.integrator = kind
-
-            return alter
-
-        def ratio(value: float) -> Alteration:
-            def alter(model: Any) -> None:
-                model.opt.impratio = value
-
-            return alter
-
-        def pyramid(model: Any) -> None:
-            model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-
-        kinds = mujoco.mjtIntegrator
-        choices = {
-            "Runge-Kutta, elliptic cone, ratio 10 (chosen)": None,
-            "semi-implicit Euler": integrator(kinds.mjINT_EULER),
-            "implicitfast": integrator(kinds.mjINT_IMPLICITFAST),
-            "implicit": integrator(kinds.mjINT_IMPLICIT),
-            "pyramidal cone": pyramid,
-            "impedance ratio 1": ratio(1.0),
-            "impedance ratio 100": ratio(100.0),
-        }
-        rows = [self.compare(name, IDEAL, alter).row(name) for name, alter in choices.items()]
-        return "### Options of the engine (ideal drives, default contact, 2 ms)\n\n" + table(rows)
-
-    def floor(self) -> str:
-        floors: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {}
-        for mu in (0.8, 0.4, 0.3, 0.2, 0.1):
-            floors[f"friction {mu:g}"] = {"friction": mu}, {}
-        for value in (1e-5, 1e-4, 1e-3):
-            floors[f"rolling friction {1e3 * value:g} mm"] = {}, {"rolling_friction": value}
-        for value in (1e-5, 1e-4, 1e-3):
-            floors[f"torsional friction {1e3 * value:g} mm"] = {}, {"torsional_friction": value}
-        for value in (1e-5, 1e-4, 1e-3):
-            name = f"roughness {1e3 * value:g} mm, bumps 0.5 m apart"
-            floors[name] = {"floor_roughness": value}, {}
-        for degrees in (0.1, 1):
-            floors[f"slope {degrees} degree"] = {}, {"slope": math.radians(degrees)}
-        rows = [
-            self.compare(
-                name, replace(DEFAULT, **contact), disturbances=DisturbanceSettings(**momentum)
-            ).row(name)
-            for name, (contact, momentum) in floors.items()
-        ]
-        return "### Floors (default drives, open loop)\n\n" + table(rows)
+            rows, angles = self.table({
+                f"{1e3 * step:g} ms, {label}": Variant(
+                    replace(IDEAL, time_step=step, contact_time_constant=constant_of(step))
+                )
+                for step in TIME_STEPS
+            })
+            every += rows
+            plot(self.axes[1], TIME_STEPS, angles, label)
+        finish(self.axes[1], "time step [ms]")
+        return "\n".join(["### Time step (ideal drives)\n", HEADER, *every, ""])
 
     def erratum(self) -> str:
         rigid = [run(RigidBodyPlant(ROBOT, s.start, IDEAL), s) for s in self.sequences]
         lines = [
             "### Eq. (12) against the plant with contact (ideal drives)\n",
-            "| model | position, median [mm] | worst | angle, median [mrad] | worst |",
-            "|---|---|---|---|---|",
+            header("model", "position, median [mm]", "worst", "angle, median [mrad]", "worst"),
         ]
         times = np.arange(1, rigid[0].shape[0] + 1) * 0.01
         models = {
@@ -193,10 +213,8 @@ class Study:
             runs = [run(make(s), s) for s in self.sequences]
             pairs = [deviation(a, b) for a, b in zip(runs, rigid, strict=True)]
             position, angle = 1e3 * np.array(pairs).T
-            lines.append(
-                f"| {name} | {np.median(position):.3g} | {position.max():.3g} "
-                f"| {np.median(angle):.3g} | {angle.max():.3g} |"
-            )
+            numbers = (of(part) for part in (position, angle) for of in (np.median, np.max))
+            lines.append(row(name, *(f"{number:.3g}" for number in numbers)))
             print(lines[-1], flush=True)
             angles = [angles_between(a, b) for a, b in zip(runs, rigid, strict=True)]
             label = {"corrected": "sign corrected", "printed": "as printed"}.get(name.split()[-1])
@@ -212,9 +230,8 @@ class Study:
     def torque(self) -> str:
         lines = [
             "### Rotor torque, Eqs. (44) to (46), predicted less measured\n",
-            "| drives | rms [N m] | 99 % | worst | worst, 30 ms after a knot left out "
-            "| largest measured [N m] | Eq. (46) over an interval, worst |",
-            "|---|---|---|---|---|---|---|",
+            header("drives", "rms [N m]", "99 %", "worst", "worst, 30 ms after a knot left out",
+                   "largest measured [N m]", "Eq. (46) over an interval, worst"),
         ]
         eq45 = torque_function()
         for name, settings in (("ideal", IDEAL), ("default", DEFAULT)):
@@ -240,11 +257,10 @@ class Study:
                         means.append(np.abs(eq46 - np.mean(interval, axis=0)))
                         interval, before = [], after
             error = np.array(errors)
-            lines.append(
-                f"| {name} | {np.sqrt(np.mean(error**2)):.2g} "
-                f"| {np.percentile(error, 99):.2g} | {error.max():.2g} "
-                f"| {np.max(settled):.2g} | {largest:.3g} | {np.max(means):.2g} |"
-            )
+            numbers = (np.sqrt(np.mean(error**2)), np.percentile(error, 99), error.max(),
+                       np.max(settled))
+            lines.append(row(name, *(f"{number:.2g}" for number in numbers), f"{largest:.3g}",
+                             f"{np.max(means):.2g}"))
             print(lines[-1], flush=True)
         return "\n".join([*lines, ""])
 
@@ -272,7 +288,7 @@ class Study:
             moved.append(position_error(*ends))
             turned.append(angle_error(*ends))
         spread = np.abs(np.array(momenta) - [0.0, ROBOT.shell_radius, 0.0]).max()
-        lines = [
+        return "\n".join([
             "### A push of 1 N s along x (default settings)\n",
             f"- At rest, rotors held: {start_velocity:.4f} m/s at first, slips for "
             f"{1e3 * slipped:.0f} ms, rolls on at {at_roll:.4f} m/s; after 5 s it is at "
@@ -283,9 +299,7 @@ class Study:
             "- Angular momentum about the contact point then differs from Rs J = "
             f"{ROBOT.shell_radius:.2f} N m s about y by {spread:.1e} N m s at most.",
             "",
-        ]
-        print("\n".join(lines), flush=True)
-        return "\n".join(lines)
+        ])
 
     def slope(self) -> str:
         plant = RigidBodyPlant(
@@ -295,7 +309,7 @@ class Study:
         plant.advance(np.zeros(2), 5.0)
         gain = ROBOT.total_mass * 9.81 * math.sin(math.radians(1.0)) * ROBOT.shell_radius
         full = ROBOT.rotor_axial_inertia * ROBOT.max_rotor_speed
-        line = (
+        return (
             "### A slope of 1 degree (default settings)\n\n"
             f"- Rotors held: after 5 s {plant.state[0]:.3f} m downhill at "
             f"{plant.velocity[0]:.3f} m/s.\n"
@@ -303,8 +317,6 @@ class Study:
             f"{full:.2f} N m s at full speed, so one rotor alone holds the sphere for "
             f"{full / gain:.1f} s (computed).\n"
         )
-        print(line, flush=True)
-        return line
 
 
 def torque_function() -> ca.Function:
@@ -315,9 +327,10 @@ def torque_function() -> ca.Function:
     return ca.Function("torque", [q, u, du], [torque])
 
 
-def plot(axes: Axes, x: np.ndarray, results: list[Comparison], label: str) -> None:
-    line = axes.loglog(x, [1e3 * r.angle_median for r in results], "o-", label=label)[0]
-    axes.loglog(x, [1e3 * r.angle_worst for r in results], ":", color=line.get_color())
+def plot(axes: Axes, times: tuple[float, ...], angles: list[np.ndarray], label: str) -> None:
+    x = 1e3 * np.array(times)
+    line = axes.loglog(x, [1e3 * np.median(each) for each in angles], "o-", label=label)[0]
+    axes.loglog(x, [1e3 * each.max() for each in angles], ":", color=line.get_color())
 
 
 def finish(axes: Axes, label: str) -> None:
@@ -338,15 +351,13 @@ def main() -> None:
     parts = [
         f"Written by bench/documents/compare_plants.py: {given.sequences} sequences of 5 s, "
         f"seed {given.seed}.\n",
-        study.agreement(),
-        study.stiffness(),
-        study.time_step(),
-        study.engine_options(),
-        study.erratum(),
-        study.torque(),
-        study.floor(),
-        study.push(),
-        study.slope(),
+        study.drives(), study.stiffness(), study.time_step(),
+        study.section(
+            "Options of the engine (ideal drives, default contact, 2 ms)", engine_options()
+        ),
+        study.erratum(), study.torque(),
+        study.section("Floors (default drives, open loop)", floors()),
+        study.push(), study.slope(),
     ]
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / "rigid_body_figures.md").write_text("\n".join(parts).rstrip() + "\n")

@@ -11,16 +11,16 @@ not recorded again.
 import argparse
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from tables import row
 
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.animation import write_animation
-from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import styled
+from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 STRATEGIES = ("paper", "time_optimal")
@@ -31,11 +31,8 @@ def record(runs: Path, case: int, strategy: str) -> Path:
     folder = runs / f"{strategy}_{case}"
     if not (folder / "summary.json").exists():
         command = ["demo", "--rtf", "0", "--case", str(case), "--strategy", strategy]
-        program = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
-        subprocess.run(
-            [sys.executable, "-c", program, *command, "--no-viewer", "--out", str(folder)],
-            check=False,  # in case 4 the paper's controller may not arrive
-        )
+        command = verb_command(*command, "--no-viewer", "--out", str(folder))
+        subprocess.run(command, check=False)  # in case 4 the paper's controller may not arrive
     return folder
 
 
@@ -65,10 +62,10 @@ def main() -> None:
     write_animation(read_run(first / "bag"), given.out / "run.gif")
     names = ("settle_time_s", "within_s", "p95_error_after", "final_error",
              "max_rotor_torque_nm", "solve_ms_p50", "solve_ms_p99")
-    print("| case | strategy | " + " | ".join(names) + " |")
+    print(row("case", "strategy", *names))
     for case, strategy, metrics in rows:
         values = ("-" if metrics[name] is None else f"{metrics[name]:.3g}" for name in names)
-        print(f"| {case} | `{strategy}` | " + " | ".join(values) + " |")
+        print(row(case, f"`{strategy}`", *values))
 
 
 if __name__ == "__main__":

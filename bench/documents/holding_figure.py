@@ -11,7 +11,6 @@ is at its limit.
 
 import argparse
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import exponential
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
-from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
 from sphere_sim.report.figures.style import BLUE, GREY, SMALLEST_ERROR, VERMILION, styled
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
@@ -61,48 +60,16 @@ def time_out_of_balance(offset: float) -> float:
     return time_to_saturation(drift, GOAL[QUATERNION], ROBOT.max_rotor_speed)
 
 
-@dataclass(frozen=True, eq=False)
-class HeldRun:
-    """Closed loop of a sphere that is disturbed at its goal.
-
-    Attributes
-    ----------
-    times : ndarray, shape (K,)
-        Times of errors and rotor speeds [s].
-    errors : ndarray, shape (K,)
-        Distance to the goal in R^6 [mixed units].
-    speeds : ndarray, shape (K, 2)
-        Rotor speeds [rad/s].
-    samples : ndarray, shape (M,)
-        Sampling instants [s].
-    rest_speeds : ndarray, shape (M, 2)
-        Speeds at which the sphere rests at the goal with the estimated momentum [rad/s].
-    """
-
-    times: Vector
-    errors: Vector
-    speeds: Vector
-    samples: Vector
-    rest_speeds: Vector
-
-
 def run(
     duration: float, start: Vector, push: Push | None = None, slope: float = 0.0
-) -> HeldRun:
+) -> Trajectory:
     """Return a run of `duration` [s] from `start`, (6,), with the default strategy."""
     settings = ControllerSettings()
     plant = RigidBodyPlant(ROBOT, start, disturbances=DisturbanceSettings(slope=slope))
     world = SimulatorSettings(initial_state=tuple(start.tolist()))
-    found = run_closed_loop(
+    return run_closed_loop(
         Simulator(world, ROBOT, plant), Controller(settings, ROBOT), GOAL, duration,
         settings.control_period, push=push,
-    )
-    return HeldRun(
-        found.times,
-        state_errors(found.states, GOAL),
-        found.speeds,
-        np.array([settings.control_period * k for k in range(len(found.decisions))]),
-        np.array([d.drift.rest_speeds(GOAL[QUATERNION]) for d in found.decisions]),
     )
 
 
@@ -123,16 +90,19 @@ def draw_times(on_slope: Axes, out_of_balance: Axes) -> None:
         axes.set_ylabel("time until saturation [s]")
 
 
-def draw_run(held: HeldRun, error: Axes, speed: Axes, name: str) -> None:
-    """Draw errors and rotor speeds of a run, with the speeds of rest."""
-    error.semilogy(held.times, np.maximum(held.errors, SMALLEST_ERROR), color=BLUE)
+def draw_run(found: Trajectory, error: Axes, speed: Axes, name: str) -> None:
+    """Draw errors and rotor speeds of a run, with the speeds of rest by the estimated momentum."""
+    errors = state_errors(found.states, GOAL)
+    error.semilogy(found.times, np.maximum(errors, SMALLEST_ERROR), color=BLUE)
     error.axhline(SETTLED_ERROR, color=GREY, linestyle=":", label="settled below")
     error.set_title(f"{name}: error")
     error.set_ylabel(r"$\|x - x_d\|$ [m, -]")
     error.legend()
+    samples = ControllerSettings().control_period * np.arange(len(found.decisions))
+    rest = np.array([d.drift.rest_speeds(GOAL[QUATERNION]) for d in found.decisions])
     for rotor, colour in enumerate((BLUE, VERMILION)):
-        speed.plot(held.times, held.speeds[:, rotor], color=colour, label=f"rotor {rotor + 1}")
-        speed.plot(held.samples, held.rest_speeds[:, rotor], color=colour, linestyle="--",
+        speed.plot(found.times, found.speeds[:, rotor], color=colour, label=f"rotor {rotor + 1}")
+        speed.plot(samples, rest[:, rotor], color=colour, linestyle="--",
                    label=f"rotor {rotor + 1}, speed of rest")
     limit = ROBOT.max_rotor_speed
     for side, label in ((-limit, "limit"), (limit, None)):
@@ -143,29 +113,22 @@ def draw_run(held: HeldRun, error: Axes, speed: Axes, name: str) -> None:
     speed.set_xlabel("time [s]")
 
 
-def draw(pushed: HeldRun, tilted: HeldRun) -> Figure:
-    """Return the figure."""
-    with styled():
-        figure = Figure(figsize=(12.0, 6.4), layout="constrained")
-        rows = figure.subplots(2, 3)
-        draw_times(rows[0, 0], rows[1, 0])
-        draw_run(pushed, rows[0, 1], rows[1, 1], f"c: push of 1 N s at {PUSH.time:g} s")
-        draw_run(tilted, rows[0, 2], rows[1, 2], "d: slope of 0.5°")
-        rows[1, 1].legend(loc="lower right")
-    return figure
-
-
 def main() -> None:
     """Write the figure."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("docs/momentum.svg"))
     parser.add_argument("--duration", type=float, default=12.0)
     arguments = parser.parse_args()
-    pushed = run(arguments.duration, START, push=PUSH)
-    tilted = run(arguments.duration, GOAL, slope=SLOPE)
-    figure = draw(pushed, tilted)
     dated = {"Date": None} if arguments.out.suffix == ".svg" else None
     with styled():
+        figure = Figure(figsize=(12.0, 6.4), layout="constrained")
+        rows = figure.subplots(2, 3)
+        draw_times(rows[0, 0], rows[1, 0])
+        pushed = run(arguments.duration, START, push=PUSH)
+        draw_run(pushed, rows[0, 1], rows[1, 1], f"c: push of 1 N s at {PUSH.time:g} s")
+        tilted = run(arguments.duration, GOAL, slope=SLOPE)
+        draw_run(tilted, rows[0, 2], rows[1, 2], "d: slope of 0.5°")
+        rows[1, 1].legend(loc="lower right")
         figure.savefig(arguments.out, metadata=dated)
 
 

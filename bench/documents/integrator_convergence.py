@@ -11,11 +11,12 @@ interval of 0.5 s, and compares with the Lie-group method at 400 steps. Prints a
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from tables import header, row
 
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.integrator import step_function
@@ -27,8 +28,7 @@ STEPS = (2, 3, 4, 5, 8, 10, 16, 20, 32, 64)
 TRUTH_STEPS = 400
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(NamedTuple):
     """States, shape (6, K), and rotor speeds at both ends of the interval, shape (2, K)."""
 
     states: Vector
@@ -105,12 +105,11 @@ def all_errors(draws: Draws) -> dict[tuple[str, int], Vector]:
 
 
 def print_table(title: str, found: dict[tuple[str, int], Vector]) -> None:
-    print(f"| {title}: steps | CF4 median | p99 | worst | RK4 median | p99 | worst |")
-    print("|---|---|---|---|---|---|---|")
+    columns = ("CF4 median", "p99", "worst", "RK4 median", "p99", "worst")
+    print(header(f"{title}: steps", *columns))
     for steps in STEPS:
         quantiles = [np.quantile(found[name, steps], [0.5, 0.99, 1.0]) for name in METHODS]
-        cells = [str(steps), *(f"{value:.1e}" for value in np.concatenate(quantiles))]
-        print("| " + " | ".join(cells) + " |")
+        print(row(steps, *(f"{value:.1e}" for value in np.concatenate(quantiles))))
 
 
 def plot(found: dict[tuple[str, int], Vector], path: str) -> None:

@@ -11,11 +11,12 @@ with contact has a stiff contact and ideal drives.
 import argparse
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from plant_runs import deviation
+from tables import header, row
 
 from sphere_nmpc.model.drift import (
     NO_DRIFT,
@@ -44,28 +45,20 @@ SPEED, KNOT_PERIOD, KNOTS, STEP = 60.0, 0.5, 6, 0.01
 PUSH_TIME = 1.0
 
 
-@dataclass(frozen=True)
-class Disturbance:
-    """What disturbs the runs of a row."""
-
-    name: str
-    draws: DisturbanceDraws = field(default_factory=DisturbanceDraws)
-
-
 def draws(push: float = 0.0, slope: float = 0.0, offset: float = 0.0) -> DisturbanceDraws:
     """Return draws of a push [N s], a slope [degree] and an offset [mm]."""
     impulses = (push, push) if push else None
     return DisturbanceDraws(impulses, PUSH_TIME, math.radians(slope), 1e-3 * offset)
 
 
-DISTURBANCES = (
-    Disturbance("none"),
-    Disturbance("push of 1 N s after 1 s", draws(push=1.0)),
-    Disturbance("slope of 1°", draws(slope=1.0)),
-    Disturbance("centre of mass 1 mm off", draws(offset=1.0)),
-    Disturbance("centre of mass 3 mm off", draws(offset=3.0)),
-    Disturbance("push 0.5 N s, 0.3°, 0.5 mm together", draws(0.5, 0.3, 0.5)),
-)
+DISTURBANCES = {
+    "none": draws(),
+    "push of 1 N s after 1 s": draws(push=1.0),
+    "slope of 1°": draws(slope=1.0),
+    "centre of mass 1 mm off": draws(offset=1.0),
+    "centre of mass 3 mm off": draws(offset=3.0),
+    "push 0.5 N s, 0.3°, 0.5 mm together": draws(0.5, 0.3, 0.5),
+}
 
 
 def steps(seed: int) -> Iterator[tuple[Vector, Vector, bool]]:
@@ -123,20 +116,13 @@ def compare(scenario: Scenario) -> Vector:
     return np.array([deviation(found, plant) for found, plant in pairs])
 
 
-def row(disturbance: Disturbance, scenarios: list[Scenario]) -> str:
-    """Return the row of a disturbance."""
-    found = np.array([compare(disturbance.draws.applied_to(s)) for s in scenarios])
-    median, worst = np.median(found, axis=0), np.max(found, axis=0)
-
-    def cell(column: int) -> str:
-        metres, angle = median[column]
-        most_metres, most_angle = worst[column]
-        return (
-            f"{metres:.4f} m, {math.degrees(angle):.2f}° "
-            f"({most_metres:.4f} m, {math.degrees(most_angle):.2f}°)"
-        )
-
-    return f"| {disturbance.name} | {cell(0)} | {cell(1)} | {cell(2)} |"
+def in_words(found: Vector) -> str:
+    """Return median and, in brackets, worst of deviations [m, rad], shape (n, 2)."""
+    (metres, angle), (most_metres, most_angle) = np.median(found, axis=0), np.max(found, axis=0)
+    return (
+        f"{metres:.4f} m, {math.degrees(angle):.2f}° "
+        f"({most_metres:.4f} m, {math.degrees(most_angle):.2f}°)"
+    )
 
 
 def main() -> None:
@@ -144,11 +130,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100)
     arguments = parser.parse_args()
-    print("| disturbance | drift against `rigid_body`: median (worst) | drift against `rolling` "
-          "| the paper's against `rigid_body` |\n|---|---|---|---|")
+    print(header("disturbance", "drift against `rigid_body`: median (worst)",
+                 "drift against `rolling`", "the paper's against `rigid_body`"))
     scenarios = draw_scenarios(arguments.runs, 0)
-    for disturbance in DISTURBANCES:
-        print(row(disturbance, scenarios), flush=True)
+    for name, drawn in DISTURBANCES.items():
+        found = np.array([compare(drawn.applied_to(scenario)) for scenario in scenarios])
+        print(row(name, *(in_words(found[:, pair]) for pair in range(3))), flush=True)
 
 
 if __name__ == "__main__":

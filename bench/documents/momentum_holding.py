@@ -11,11 +11,10 @@ torques of the plant; what it could not reach before that is not counted.
 
 import argparse
 import math
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import repeat
 
 import numpy as np
+from tables import header, in_processes, median_and_worst, row
 
 from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -30,67 +29,51 @@ from sphere_sim.study.single_run import prepare
 PERTURBATION = 3.0
 """Largest error of the parameters [%]."""
 SEED = 31
-DWELL = 0.5
-"""Time for which the error has to be small for an arrival [s]."""
-OUTPUT = 0.02
-"""Spacing of the rows of a run [s]."""
+DWELL, OUTPUT = 0.5, 0.02
+"""Time for which the error has to be small for an arrival, and spacing of a run's rows [s]."""
 
 
 @dataclass(frozen=True)
 class Case:
     """Disturbance of a row of the table.
 
-    Attributes
-    ----------
-    slope : float
-        Inclination [deg].
-    offset : float
-        Distance of the centre of mass from the centre [mm].
-    friction : float
-        Rolling friction [mm].
-    duration : float
-        Length of a run [s].
+    Inclination [deg], distance of the centre of mass from the centre [mm], rolling friction [mm],
+    and length of a run [s].
     """
 
+    name: str
     slope: float = 0.0
     offset: float = 0.0
     friction: float = 0.0
     duration: float = 30.0
 
-    @property
-    def name(self) -> str:
-        """What is printed."""
-        parts = [f"slope {self.slope:g}°"] if self.slope else []
-        parts += [f"{self.offset:g} mm off"] if self.offset else []
-        parts += [f"rolling friction {self.friction:g} mm"] if self.friction else []
-        return ", ".join(parts)
-
 
 CASES = (
-    Case(slope=0.1), Case(slope=0.5, duration=15.0), Case(slope=1.0, duration=10.0),
-    Case(offset=0.5), Case(offset=1.0), Case(offset=2.0), Case(offset=1.0, friction=0.1),
+    Case("slope 0.1°", slope=0.1),
+    Case("slope 0.5°", slope=0.5, duration=15.0),
+    Case("slope 1°", slope=1.0, duration=10.0),
+    Case("0.5 mm off", offset=0.5),
+    Case("1 mm off", offset=1.0),
+    Case("2 mm off", offset=2.0),
+    Case("1 mm off, rolling friction 0.1 mm", offset=1.0, friction=0.1),
 )
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Times of a run [s]: arrival (nan if none), leaving and limit, and of the limit as predicted.
+class Stay:
+    """Times of a run [s]."""
 
-    Attributes
-    ----------
-    arrived, left, limit : float
-        `left` is the end of the run for a sphere that stays; `limit` is inf if there is none.
-    predicted : float
-        Time from the arrival to saturation that the controller predicted.
-    """
-
-    arrived: float
-    left: float
-    limit: float
-    predicted: float
+    arrived: float = math.nan
+    """Arrival; nan if there is none."""
+    left: float = math.nan
+    """End of the stay; that of the run for a sphere that stays."""
+    limit: float = math.inf
+    """When a rotor is at its limit; inf if that does not happen."""
+    predicted: float = math.nan
+    """Time from the arrival to saturation that the controller predicted."""
 
 
-def run(case: Case, index: int) -> Outcome:
+def run(case: Case, index: int) -> Stay:
     """Run a drawn scenario."""
     draws = DisturbanceDraws(slope=math.radians(case.slope), offset=1e-3 * case.offset)
     scenario = draws.applied_to(draw_scenarios(index + 1, SEED, "upright")[index])
@@ -111,7 +94,7 @@ def run(case: Case, index: int) -> Outcome:
     rows = round(DWELL / OUTPUT)
     starts = [i for i in range(small.size - rows) if small[i : i + rows].all()]
     if not starts:
-        return Outcome(math.nan, math.nan, math.inf, math.nan)
+        return Stay()
     first = starts[0]
     outside = np.flatnonzero(~small[first:])
     left = found.times[first + int(outside[0])] if outside.size else case.duration
@@ -122,7 +105,7 @@ def run(case: Case, index: int) -> Outcome:
     drift = _true_drift(scenario.disturbances, robot, scenario.seed, truth)
     turn, limit = scenario.goal[QUATERNION], robot.max_rotor_speed
     estimated = found.decisions[round(instant / period)].drift
-    return Outcome(
+    return Stay(
         arrived, float(left), instant + time_to_saturation(drift, turn, limit),
         instant + time_to_saturation(estimated, turn, limit) - arrived,
     )
@@ -141,8 +124,8 @@ def _true_drift(
     )
 
 
-def _row(case: Case, outcomes: list[Outcome]) -> str:
-    arrived = [o for o in outcomes if not math.isnan(o.arrived)]
+def _row(case: Case, stays: list[Stay]) -> str:
+    arrived = [o for o in stays if not math.isnan(o.arrived)]
     possible = [o for o in arrived if min(o.limit, case.duration) > o.arrived + DWELL]
     shares = [
         (o.left - o.arrived) / (min(o.limit, case.duration) - o.arrived) for o in possible
@@ -151,16 +134,13 @@ def _row(case: Case, outcomes: list[Outcome]) -> str:
         abs(o.predicted / (o.limit - o.arrived) - 1.0) for o in possible
         if math.isfinite(o.limit)
     ]
-    enough = sum(share >= 0.8 for share in shares)
-    times = [o.arrived for o in arrived]
-    shown = [
-        case.name, f"{len(arrived)} of {len(outcomes)}",
-        f"{np.median(times):.1f} ({max(times):.1f})" if times else "-",
-        f"{enough} of {len(shares)}",
+    return row(
+        case.name, f"{len(arrived)} of {len(stays)}",
+        median_and_worst([o.arrived for o in arrived], ".1f"),
+        f"{sum(share >= 0.8 for share in shares)} of {len(shares)}",
         f"{np.median(shares):.2f} ({min(shares):.2f})" if shares else "-",
         f"{100 * np.median(errors):.1f} % ({100 * max(errors):.1f} %)" if errors else "-",
-    ]
-    return f"| {' | '.join(shown)} |"
+    )
 
 
 def main() -> None:
@@ -170,13 +150,13 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--cases", type=int, nargs="+", default=list(range(len(CASES))))
     arguments = parser.parse_args()
-    print("| disturbance | arrived | after, median (worst) [s] | stayed 80 % of the time it could "
-          "| share of it, median (least) | predicted time to saturation off by, median (worst) |")
-    print("|---|---|---|---|---|---|")
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for case in (CASES[i] for i in arguments.cases):
-            outcomes = list(pool.map(run, repeat(case), range(arguments.runs)))
-            print(_row(case, outcomes), flush=True)
+    print(header(
+        "disturbance", "arrived", "after, median (worst) [s]", "stayed 80 % of the time it could",
+        "share of it, median (least)", "predicted time to saturation off by, median (worst)",
+    ))
+    for case in (CASES[i] for i in arguments.cases):
+        tasks = [(case, index) for index in range(arguments.runs)]
+        print(_row(case, in_processes(run, tasks, arguments.jobs)), flush=True)
 
 
 if __name__ == "__main__":

@@ -11,17 +11,13 @@ from which on it stays within 3 cm and 3 degrees until then.
 
 import argparse
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-from noisy_poses import ANGLE_NOISE, LATENCY, NEAR, NEAR_ANGLE, POSITION_NOISE, RATE
+from noisy_poses import ANGLE_NOISE, MEASUREMENT, POSITION_NOISE
+from tables import errors_in_words, header, last_arrival, median_and_worst, row
 
-from sphere_nmpc.model.drift import (
-    Drift,
-    imbalance_of_offset,
-    momentum_of_push,
-    slope_torque,
-)
+from sphere_nmpc.model.drift import Drift, imbalance_of_offset, momentum_of_push, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -32,7 +28,6 @@ from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import prepare
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.settings import SimulatorSettings
 
 ROBOT = RobotParameters()
 DURATION, OUTPUT_PERIOD = 20.0, 0.02
@@ -46,55 +41,13 @@ EARLY = 8.0
 LEAST_REST = 1.0
 """Time for which it has to stay settled [s]."""
 PUSH, SLOPE, OFFSET = (0.5, 0.5), math.radians(0.3), 5e-4
-
-
-@dataclass(frozen=True)
-class Disturbance:
-    """What disturbs the runs of a row."""
-
-    name: str
-    draws: DisturbanceDraws = field(default_factory=DisturbanceDraws)
-
-
-DISTURBANCES = (
-    Disturbance("none"),
-    Disturbance("push of 0.5 N s", DisturbanceDraws(push=PUSH)),
-    Disturbance("slope of 0.3°", DisturbanceDraws(slope=SLOPE)),
-    Disturbance("centre of mass 0.5 mm off", DisturbanceDraws(offset=OFFSET)),
-    Disturbance("all three", DisturbanceDraws(push=PUSH, slope=SLOPE, offset=OFFSET)),
-)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a run.
-
-    Attributes
-    ----------
-    judged : float
-        Time until which it is judged [s].
-    settled : float
-        Time at which it settled [s]; inf if it did not.
-    position, angle : float
-        Largest errors in the last `LEAST_REST` before `judged` [m, rad].
-    """
-
-    judged: float
-    settled: float
-    position: float
-    angle: float
-
-
-def conditions(momentum: bool) -> StudyConditions:
-    """Return the conditions of all runs."""
-    controller = ControllerSettings(
-        momentum=momentum, pose_position_noise=POSITION_NOISE, pose_orientation_noise=ANGLE_NOISE
-    )
-    simulator = SimulatorSettings(
-        plant="rigid_body", position_noise=POSITION_NOISE, orientation_noise=ANGLE_NOISE,
-        sensor_rate=RATE, sensor_latency=LATENCY,
-    )
-    return StudyConditions(DURATION, 3.0, controller=controller, simulator=simulator)
+DISTURBANCES = {
+    "none": DisturbanceDraws(),
+    "push of 0.5 N s": DisturbanceDraws(push=PUSH),
+    "slope of 0.3°": DisturbanceDraws(slope=SLOPE),
+    "centre of mass 0.5 mm off": DisturbanceDraws(offset=OFFSET),
+    "all three": DisturbanceDraws(push=PUSH, slope=SLOPE, offset=OFFSET),
+}
 
 
 def scenarios(number: int, draws: DisturbanceDraws) -> list[Scenario]:
@@ -123,44 +76,35 @@ def speeds_of_rest(scenario: Scenario, times: Vector, states: Vector) -> Vector:
     return np.array([Drift(momentum=momentum).rest_speeds(goal) for momentum in momenta])
 
 
-def run(scenario: Scenario, momentum: bool) -> Outcome:
-    """Run a scenario with or without the estimation of momentum."""
-    settings = conditions(momentum)
-    simulator, controller = prepare(settings, scenario)
+def run(scenario: Scenario, momentum: bool) -> tuple[float, float, float, float]:
+    """Run a scenario with or without the estimation of momentum.
+
+    Returns the time until which the run is judged [s], the time at which it settled [s], inf if it
+    did not, and the largest errors in the last `LEAST_REST` before the former [m, rad].
+    """
+    controller_settings = ControllerSettings(
+        momentum=momentum, pose_position_noise=POSITION_NOISE, pose_orientation_noise=ANGLE_NOISE
+    )
+    conditions = StudyConditions(
+        DURATION, 3.0, controller=controller_settings,
+        simulator=replace(MEASUREMENT, plant="rigid_body"),
+    )
+    simulator, controller = prepare(conditions, scenario)
     found = run_closed_loop(
-        simulator, controller, scenario.goal, DURATION, settings.controller.control_period,
+        simulator, controller, scenario.goal, DURATION, controller_settings.control_period,
         OUTPUT_PERIOD, push=scenario.push,
     )
     needed = np.max(np.abs(speeds_of_rest(scenario, found.times, found.states)), axis=1)
     held = needed < HELD * ROBOT.max_rotor_speed
     count = held.size if held.all() else int(np.argmin(held))
     times, states = found.times[:count], found.states[:count]
-    position = position_errors(states, scenario.goal)
-    angle = angle_errors(states, scenario.goal)
-    judged = float(times[-1])
-    away = np.flatnonzero((position > NEAR) | (angle > NEAR_ANGLE))
-    first = int(away[-1]) + 1 if away.size else 0
+    judged, first = float(times[-1]), last_arrival(states, scenario.goal)
     rests = first < count and times[first] <= judged - LEAST_REST
-    tail = times > judged - LEAST_REST
-    return Outcome(
-        judged, float(times[first]) if rests else math.inf,
-        float(np.max(position[tail])), float(np.max(angle[tail])),
-    )
-
-
-def row(disturbance: Disturbance, momentum: bool, outcomes: list[Outcome]) -> str:
-    """Return the row of a disturbance."""
-    settled = [one.settled for one in outcomes if math.isfinite(one.settled)]
-    early = sum(one <= EARLY for one in settled)
-    times = f"{np.median(settled):.1f} ({max(settled):.1f})" if settled else "-"
-    judged = [one.judged for one in outcomes]
-    position = 100 * np.array([one.position for one in outcomes])
-    angle = np.degrees([one.angle for one in outcomes])
+    tail = states[times > judged - LEAST_REST]
+    position, angle = (of(tail, scenario.goal) for of in (position_errors, angle_errors))
     return (
-        f"| {disturbance.name} | {'on' if momentum else 'off'} "
-        f"| {min(judged):.0f} to {max(judged):.0f} | {len(settled)} of {len(outcomes)} | {early} "
-        f"| {times} | {np.median(position):.1f} cm, {np.median(angle):.1f}° "
-        f"({np.max(position):.1f} cm, {np.max(angle):.1f}°) |"
+        judged, float(times[first]) if rests else math.inf,
+        float(np.max(position)), float(np.max(angle)),
     )
 
 
@@ -169,14 +113,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=20)
     arguments = parser.parse_args()
-    print("| disturbance | `momentum` | judged until [s] | settled | by 8 s "
-          "| after, median (worst) [s] | largest error in the last second, median (worst) |")
-    print("|---|---|---|---|---|---|---|")
-    for disturbance in DISTURBANCES:
-        drawn = scenarios(arguments.runs, disturbance.draws)
+    print(header("disturbance", "`momentum`", "judged until [s]", "settled", "by 8 s",
+                 "after, median (worst) [s]", "largest error in the last second, median (worst)"))
+    for name, draws in DISTURBANCES.items():
+        drawn = scenarios(arguments.runs, draws)
         for momentum in (True, False):
-            outcomes = [run(scenario, momentum) for scenario in drawn]
-            print(row(disturbance, momentum, outcomes), flush=True)
+            runs = np.array([run(scenario, momentum) for scenario in drawn])
+            judged, settled = runs[:, 0], runs[np.isfinite(runs[:, 1]), 1]
+            print(row(
+                name, "on" if momentum else "off", f"{min(judged):.0f} to {max(judged):.0f}",
+                f"{len(settled)} of {len(runs)}", np.sum(settled <= EARLY),
+                median_and_worst(settled, ".1f"), errors_in_words(runs[:, 2], runs[:, 3]),
+            ), flush=True)
 
 
 if __name__ == "__main__":

@@ -8,64 +8,45 @@ time from which on it stays within 3 cm and 3 degrees to its end.
 """
 
 import argparse
+import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
+from tables import errors_in_words, header, last_arrival, median_and_worst, row
 
-from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
-from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import prepare
 from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import Simulator
 
 POSITION_NOISE, ANGLE_NOISE = 0.005, math.radians(1.0)
-RATE, LATENCY, LOST = 20.0, 0.05, 0.2
-NEAR, NEAR_ANGLE = 0.03, math.radians(3.0)
+MEASUREMENT = SimulatorSettings(
+    position_noise=POSITION_NOISE, orientation_noise=ANGLE_NOISE, sensor_rate=20.0,
+    sensor_latency=0.05,
+)
+LOST = 0.2
 WAYS = (("time_optimal", 0.5), ("paper", 0.5), ("paper", 5.0))
 """Strategies with the input weight alpha; a larger weight reacts less to noise."""
 TAIL = 10.0
 """Length of the end of a run over which its largest errors are reported [s]."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Arrival time of a run [s], inf if never, and its errors at the end [m, rad]."""
-
-    arrived: float
-    position: float
-    angle: float
-
-
-def run(
-    plant: str, way: tuple[str, float], case: int, seed: int, fused: bool, duration: float
-) -> Outcome:
-    """Run a case of the paper."""
-    scenario, robot = PAPER_CASES[case], RobotParameters()
-    world = SimulatorSettings(
-        plant=plant, initial_state=tuple(float(v) for v in scenario.start), seed=seed,
-        position_noise=POSITION_NOISE, orientation_noise=ANGLE_NOISE,
-        sensor_rate=RATE, sensor_latency=LATENCY, sensor_dropout=LOST,
-    )
-    settings = ControllerSettings(
-        strategy=way[0], input_weight=way[1],
-        pose_position_noise=POSITION_NOISE if fused else 0.0,
-        pose_orientation_noise=ANGLE_NOISE if fused else 0.0,
-    )
+def run(conditions: StudyConditions, scenario: Scenario) -> tuple[float, float, float]:
+    """Return when a run arrives [s], inf if never, and its largest errors at the end [m, rad]."""
+    simulator, controller = prepare(conditions, scenario)
     found = run_closed_loop(
-        Simulator(world, robot), Controller(settings, robot), scenario.goal, duration,
-        settings.control_period, 0.02,
+        simulator, controller, scenario.goal, conditions.duration,
+        conditions.controller.control_period, 0.02,
     )
-    position = position_errors(found.states, scenario.goal)
-    angle = angle_errors(found.states, scenario.goal)
-    away = np.flatnonzero((position > NEAR) | (angle > NEAR_ANGLE))
-    first = int(away[-1]) + 1 if away.size else 0
+    first = last_arrival(found.states, scenario.goal)
     arrived = float(found.times[first]) if first < len(found.times) else math.inf
-    tail = found.times > duration - TAIL
-    return Outcome(arrived, float(np.max(position[tail])), float(np.max(angle[tail])))
+    tail = found.states[found.times > conditions.duration - TAIL]
+    position, angle = (of(tail, scenario.goal) for of in (position_errors, angle_errors))
+    return arrived, float(np.max(position)), float(np.max(angle))
 
 
 def main() -> None:
@@ -74,34 +55,29 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--duration", type=float, default=30.0)
     parser.add_argument("--plants", nargs="+", default=["rolling", "rigid_body"])
-    arguments = parser.parse_args()
-    print("| plant | strategy | poses | arrived at the end | from, median (worst) [s] "
-          "| largest error in the last 10 s, median (worst) |")
-    print("|---|---|---|---|---|---|")
-    for plant in arguments.plants:
-        for way in WAYS:
-            for fused in (True, False):
-                runs = [
-                    run(plant, way, case, seed, fused, arguments.duration)
-                    for seed in range(1, arguments.seeds + 1) for case in PAPER_CASES
-                ]
-                print(_row(plant, way, fused, runs, arguments.duration - TAIL), flush=True)
-
-
-def _row(
-    plant: str, way: tuple[str, float], fused: bool, runs: list[Outcome], latest: float
-) -> str:
-    # An arrival just before the end does not show that the sphere stays there.
-    arrived = [found.arrived for found in runs if found.arrived <= latest]
-    times = f"{np.median(arrived):.1f} ({max(arrived):.1f})" if arrived else "-"
-    position = np.array([found.position for found in runs])
-    angle = np.degrees([found.angle for found in runs])
-    name = way[0] if way[0] == "time_optimal" else f"{way[0]}, α = {way[1]:g}"
-    return (
-        f"| {plant} | {name} | {'fused' if fused else 'trusted'} | {len(arrived)} of {len(runs)} "
-        f"| {times} | {100 * np.median(position):.1f} cm, {np.median(angle):.1f}° "
-        f"({100 * np.max(position):.1f} cm, {np.max(angle):.1f}°) |"
-    )
+    given = parser.parse_args()
+    print(header("plant", "strategy", "poses", "arrived at the end", "from, median (worst) [s]",
+                 "largest error in the last 10 s, median (worst)"))
+    scenarios = [replace(paper, seed=seed) for seed in range(1, given.seeds + 1)
+                 for paper in PAPER_CASES.values()]
+    for plant, (strategy, weight), fused in itertools.product(
+        given.plants, WAYS, (True, False)
+    ):
+        controller = ControllerSettings(
+            strategy=strategy, input_weight=weight,
+            pose_position_noise=POSITION_NOISE if fused else 0.0,
+            pose_orientation_noise=ANGLE_NOISE if fused else 0.0,
+        )
+        simulator = replace(MEASUREMENT, plant=plant, sensor_dropout=LOST)
+        conditions = StudyConditions(given.duration, controller=controller, simulator=simulator)
+        runs = np.array([run(conditions, scenario) for scenario in scenarios])
+        # An arrival just before the end does not show that the sphere stays there.
+        arrived = runs[runs[:, 0] <= given.duration - TAIL, 0]
+        print(row(
+            plant, strategy if strategy == "time_optimal" else f"{strategy}, α = {weight:g}",
+            "fused" if fused else "trusted", f"{len(arrived)} of {len(runs)}",
+            median_and_worst(arrived, ".1f"), errors_in_words(runs[:, 1], runs[:, 2]),
+        ), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from plant_runs import angles_between
+from tables import header, median_and_worst, row
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
@@ -31,16 +32,9 @@ def scaled(
 ) -> RobotParameters:
     """Return a robot with the inertias of Table 1 over mass and squared radius.
 
-    Parameters
-    ----------
-    radius, shell, rotor : float
-        Radius [m], mass of the shell, and of each rotor and counterweight [kg].
-    speed, acceleration : float
-        Limits of the rotors [rad/s, rad/s^2].
-    axial : float, optional
-        I1 [kg m^2], where it is not that of the scale.
-    offset : float, optional
-        Distance of rotors and counterweights from the centre [m], where it is not half the radius.
+    Its radius [m], masses of the shell and of each rotor and counterweight [kg], limits of the
+    rotors [rad/s, rad/s^2]; where they are not those of the scale, I1 [kg m^2] and the distance of
+    rotors and counterweights from the centre [m].
     """
     axial = axial or 0.008 / (0.7 * 0.3**2) * rotor * radius**2
     return RobotParameters(
@@ -102,18 +96,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--sequences", type=int, default=20)
     given = parser.parse_args()
-    print("| radius | bandwidth [rad/s] | torque limit [N m] | time step [ms] | deviation, median "
-          "(worst) [radii] | angle [rad] | friction needed at full speed |\n" + "|---" * 7 + "|")
+    print(header(
+        "radius", "bandwidth [rad/s]", "torque limit [N m]", "time step [ms]",
+        "deviation, median (worst) [radii]", "angle [rad]", "friction needed at full speed",
+    ))
     for name, robot in ROBOTS.items():
         own = RigidBodySettings().for_robot(robot)
-        far, turned = deviations(robot, given.sequences)
-        cells = [
+        print(row(
             name, f"{own.drive_bandwidth:.0f}", f"{own.torque_limit:.3g}",
             f"{1e3 * own.time_step:g}",
-            *(f"{np.median(found):.2g} ({found.max():.2g})" for found in (far, turned)),
+            *(median_and_worst(found, ".2g") for found in deviations(robot, given.sequences)),
             f"{friction_needed(robot):.2g}",
-        ]
-        print(f"| {' | '.join(cells)} |", flush=True)
+        ), flush=True)
 
 
 if __name__ == "__main__":

@@ -105,15 +105,6 @@ def parameters_yaml() -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> int:
-    """Write both files into the source tree."""
-    for path, text in outputs().items():
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-        print(f"wrote {path}")
-    return 0
-
-
 def outputs() -> dict[Path, str]:
     """Return the content of each file."""
     return {
@@ -179,4 +170,5 @@ def _range(about: Quantity) -> str:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    for path, text in outputs().items():
+        path.write_text(text, encoding="utf-8")

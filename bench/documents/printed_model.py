@@ -17,14 +17,7 @@ MAX_STEP = 5e-3
 class PrintedModel:
     """Integrate Eq. (14), Q(x) dx/dt = [0 0 u1 0 ... u2], for rotor speeds that ramp linearly.
 
-    Parameters
-    ----------
-    robot : RobotParameters
-        Parameters of the robot.
-    state : ndarray, shape (6,)
-        Initial state.
-    corrected : bool
-        Whether the first term of the third line of Eq. (12) gets a negative sign.
+    `corrected` says whether the first term of the third line of Eq. (12) gets a negative sign.
     """
 
     def __init__(self, robot: RobotParameters, state: np.ndarray, corrected: bool) -> None:

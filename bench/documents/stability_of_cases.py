@@ -8,14 +8,18 @@ The algorithm as printed, started with u = 0 (Step 1) on the exact model. Prints
     python bench/documents/stability_of_cases.py
 """
 
+from dataclasses import replace
+
 import numpy as np
+from tables import header, row
 
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector, make_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.problem import SolverSettings
+from sphere_sim.benchmark.problem import paper_problem, shifted
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -29,55 +33,27 @@ _DRAWN = 12
 
 
 def reports(start: Vector, goal: Vector) -> list[StabilityReport]:
-    """Return the monitor's reports along Algorithm 1, one a sample.
-
-    Parameters
-    ----------
-    start, goal : ndarray, shape (6,)
-        States; the rotors are at rest at the start.
-    """
+    """Return the monitor's reports along Algorithm 1 between two states, (6,), one a sample."""
     solver = HoldSolver(SolverSettings(max_iterations=_SETTINGS.max_iterations))
     plant, monitor = RollingPlant(_ROBOT, start), StabilityMonitor()
     guess: Vector = np.zeros((_SETTINGS.horizon, INPUT_SIZE))
     speeds, found = np.zeros(INPUT_SIZE), []
+    beta = _SETTINGS.terminal_weight
     for k in range(_STEPS):
-        solution = solver.solve(_problem(plant.state, goal, speeds), guess)
+        state = plant.state
+        problem = paper_problem(state, goal, speeds)
+        solution = solver.solve(replace(problem, max_step=_SETTINGS.longest_step), guess)
         sample = Sample(
-            time=k * _SETTINGS.period,
-            state=plant.state,
-            goal=goal,
-            value=_SETTINGS.terminal_weight * solution.cost + float(
-                np.sum((plant.state - goal) ** 2)
-            ),
-            next_input=solution.inputs[1],
-            input_weight=_SETTINGS.alpha,
-            terminal_weight=_SETTINGS.terminal_weight,
+            time=k * _SETTINGS.period, state=state, goal=goal,
+            # The problem is over beta and lacks the stage cost of the state itself.
+            value=beta * solution.cost + float(np.sum((state - goal) ** 2)),
+            next_input=solution.inputs[1], input_weight=_SETTINGS.alpha, terminal_weight=beta,
             max_speed=_ROBOT.max_rotor_speed,
         )
         found.append(monitor.update(sample))
-        speeds = solution.inputs[1]
+        speeds, guess = solution.inputs[1], shifted(solution.inputs)
         plant.advance(speeds, _SETTINGS.period)
-        guess = np.vstack((solution.inputs[2:], np.zeros(INPUT_SIZE)))
     return found
-
-
-def _problem(state: Vector, goal: Vector, speeds: Vector) -> HoldProblem:
-    """Return OCP_N (Eq. 25) over beta; it lacks the stage cost of the state itself."""
-    limit, beta = _ROBOT.max_rotor_speed, _SETTINGS.terminal_weight
-    bounds = np.full((_SETTINGS.horizon, INPUT_SIZE), limit)
-    return HoldProblem(
-        state=state,
-        goal=goal,
-        input_in_force=speeds,
-        durations=np.full(_SETTINGS.horizon, _SETTINGS.period),
-        constants=_ROBOT.lumped.as_array(),
-        lower=-bounds,
-        upper=bounds,
-        input_scale=limit,
-        stage_weight=1.0 / beta,
-        input_weight=_SETTINGS.alpha * limit**2 / beta,
-        max_step=_SETTINGS.longest_step,
-    )
 
 
 def _print_row(name: str, runs: list[list[StabilityReport]]) -> None:
@@ -87,13 +63,13 @@ def _print_row(name: str, runs: list[list[StabilityReport]]) -> None:
     entered = [next((r.time for r in run if r.inside), np.inf) for run in runs]
     reached = [time for time in entered if np.isfinite(time)]
     when = f"{min(reached):.1f} to {max(reached):.1f} s" if reached else "-"
-    print(f"| {name} | {len(runs)} | {judged} | {holds} | {nearer} | {len(reached)} | {when} |")
+    print(row(name, len(runs), judged, holds, nearer, len(reached), when))
 
 
 def main() -> None:
     """Print the table."""
-    print("| runs | number | steps outside D | Eq. (42) holds | error falls | reach D | after |")
-    print("|---|---|---|---|---|---|---|")
+    print(header("runs", "number", "steps outside D", "Eq. (42) holds", "error falls", "reach D",
+                 "after"))
     for case, scenario in PAPER_CASES.items():
         _print_row(f"case {case}", [reports(scenario.start, scenario.goal)])
     drawn = [reports(s.start, s.goal) for s in draw_scenarios(_DRAWN, seed=1)]

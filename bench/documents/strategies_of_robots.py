@@ -8,11 +8,10 @@ Prints a table, robot by robot:
 """
 
 import argparse
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from other_robots import ROBOTS, scaled
+from tables import header, in_processes, row
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.units import RobotUnits
@@ -26,8 +25,6 @@ _DURATION = 40.0
 """Length of a run [s] with the robot of Table 1. For another it is that in the time of the robot,
 and longer by the root of the ratio of radii for a smaller one, to which the goals are farther
 away: half as long again as the slowest runs."""
-
-Job = tuple[RobotParameters, str, str, Scenario]
 
 
 def drawn(seed: int) -> RobotParameters:
@@ -53,25 +50,15 @@ def drawn(seed: int) -> RobotParameters:
     )
 
 
-def duration(robot: RobotParameters) -> float:
-    """Return the length of runs with a robot [s]."""
-    units = RobotUnits.of(robot)
-    return _DURATION * units.time * max(1.0, units.length**-0.5)
-
-
-def settled(job: Job) -> bool:
+def settled(robot: RobotParameters, strategy: str, plant: str, scenario: Scenario) -> bool:
     """Return whether a run has settled."""
-    robot, strategy, plant, scenario = job
+    units = RobotUnits.of(robot)
     conditions = StudyConditions(
-        duration=duration(robot), controller=ControllerSettings(strategy=strategy), robot=robot,
+        duration=_DURATION * units.time * max(1.0, units.length**-0.5),
+        controller=ControllerSettings(strategy=strategy), robot=robot,
         simulator=SimulatorSettings(plant=plant),
     )
     return bool(run_scenario(conditions, scenario).results["settled"])
-
-
-def _jobs(robot: RobotParameters, plant: str, goals: list[Scenario]) -> Iterator[Job]:
-    for strategy in STRATEGIES:
-        yield from ((robot, strategy, plant, goal) for goal in goals)
 
 
 def main() -> None:
@@ -85,22 +72,21 @@ def main() -> None:
     goals = draw_scenarios(given.goals, given.seed)
     robots = {name: robot for name, robot in ROBOTS.items() if robot != RobotParameters()}
     robots |= {str(n + 1): drawn(given.seed + n) for n in range(given.robots)}
-    heads = ["robot", "radius [m]", "largest speed [rad/s]", "ramp to it [s]", "T of `paper` [s]",
-             *(f"`{name}`" for name in STRATEGIES)]
-    print(f"| {' | '.join(heads)} |\n" + "|---" * len(heads) + "|")
-    with ProcessPoolExecutor() as pool:
-        for name, robot in robots.items():
-            reached = list(pool.map(settled, _jobs(robot, given.plant, goals)))
-            speed = robot.max_rotor_speed
-            period = ControllerSettings(strategy="paper").of(robot).period
-            cells = [
-                name, f"{robot.shell_radius:.3f}", f"{speed:.0f}",
-                f"{speed / robot.max_rotor_acceleration:.2f}", f"{period:g}",
-            ]
-            for k in range(len(STRATEGIES)):
-                found = sum(reached[k * given.goals : (k + 1) * given.goals])
-                cells.append(f"{found} of {given.goals}")
-            print(f"| {' | '.join(cells)} |", flush=True)
+    print(header(
+        "robot", "radius [m]", "largest speed [rad/s]", "ramp to it [s]", "T of `paper` [s]",
+        *(f"`{name}`" for name in STRATEGIES),
+    ))
+    for name, robot in robots.items():
+        reached = np.array(in_processes(settled, [
+            (robot, strategy, given.plant, goal) for strategy in STRATEGIES for goal in goals
+        ])).reshape(len(STRATEGIES), -1)
+        speed = robot.max_rotor_speed
+        period = ControllerSettings(strategy="paper").of(robot).period
+        print(row(
+            name, f"{robot.shell_radius:.3f}", f"{speed:.0f}",
+            f"{speed / robot.max_rotor_acceleration:.2f}", f"{period:g}",
+            *(f"{found} of {given.goals}" for found in reached.sum(axis=1)),
+        ), flush=True)
 
 
 if __name__ == "__main__":

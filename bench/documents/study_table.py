@@ -16,6 +16,8 @@ import json
 from pathlib import Path
 
 import numpy as np
+from tables import header
+from tables import row as table_row
 
 from sphere_nmpc.model.state import Vector
 
@@ -33,8 +35,7 @@ def main() -> None:
     parser.add_argument("--beyond", action="store_true")
     given = parser.parse_args()
     compared = ("beyond lower bound", " [s]") if given.beyond else ("over best known", "")
-    header = " | ".join(_HEADER).format(compared=compared[0], unit=compared[1])
-    print(f"| {header} |\n" + "|---" * len(_HEADER) + "|")
+    print(header(*(name.format(compared=compared[0], unit=compared[1]) for name in _HEADER)))
     for folder in given.folders:
         for runs in sorted([*folder.glob("runs.csv"), *folder.glob("*/runs.csv")]):
             # With several strategies the folder itself repeats the rows of all of them.
@@ -54,13 +55,12 @@ def row(name: str, folder: Path, loose: bool, beyond: bool) -> str:
     if loose:
         compared = np.full_like(after, np.nan)
     error = _numbers(rows, "tail_error_p95" if loose else "final_error")
-    cells = (
+    return table_row(
         name, f"`{rows[0]['strategy']}`", f"{np.isfinite(after).sum()} of {len(rows)}",
         _spread(after, ".2f"), _spread(compared, ".2f"),
         f"{np.nanmedian(error):.1e} / {np.nanmax(error):.1e}",
         f"{summary['timing']['solve_ms_max']:.0f}",
     )
-    return "| " + " | ".join(cells) + " |"
 
 
 def _numbers(rows: list[dict[str, str]], name: str) -> Vector:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Solvers of general nonlinear programs on the same scaled problem, and do-mpc."""
+"""Solvers of general nonlinear programs on the same scaled problem."""
 
 import contextlib
 import os
@@ -21,7 +21,6 @@ from sphere_sim.benchmark.problem import (
     HORIZON,
     INPUT_WEIGHT,
     LIMIT,
-    SAMPLE_PERIOD,
     TERMINAL_WEIGHT,
     Answer,
     predicted,
@@ -33,11 +32,8 @@ _IPOPT: dict[str, Any] = {"ipopt.print_level": 0, "ipopt.sb": "yes"}
 _SQP: dict[str, Any] = {
     "qpsol": "qrqp",
     "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
-    "hessian_approximation": "limited-memory",
-    "max_iter": 100,
-    "print_header": False,
-    "print_iteration": False,
-    "print_status": False,
+    "hessian_approximation": "limited-memory", "max_iter": 100,
+    "print_header": False, "print_iteration": False, "print_status": False,
 }
 
 
@@ -87,7 +83,7 @@ class Slsqp(WarmStarted):
         self._exact = exact_gradient
 
     def minimise(self, start: Vector, p: Vector) -> tuple[Vector, bool]:
-        """Minimise from `start`, (SIZE,), with parameters `p`; return the point and success."""
+        """Minimise from `start`; see `WarmStarted`."""
 
         def evaluate(v: Vector) -> Any:
             if self._exact:
@@ -96,12 +92,8 @@ class Slsqp(WarmStarted):
             return float(self._cost(v, p))
 
         found = scipy.optimize.minimize(
-            evaluate,
-            start,
-            jac=True if self._exact else None,
-            method="SLSQP",
-            bounds=[(-1.0, 1.0)] * SIZE,
-            options={"ftol": 1e-10, "maxiter": 100},
+            evaluate, start, jac=self._exact or None, method="SLSQP",
+            bounds=[(-1.0, 1.0)] * SIZE, options={"ftol": 1e-10, "maxiter": 100},
         )
         return np.asarray(found.x), bool(found.success)
 
@@ -138,49 +130,6 @@ class GeneratedSqp(WarmStarted):
         return np.array(found["x"]).ravel(), bool(np.isfinite(float(found["f"])))
 
 
-class DoMpc:
-    """do-mpc; because of the first-order hold the last input is a part of the state."""
-
-    def __init__(self) -> None:
-        import do_mpc
-
-        self._do_mpc: Any = do_mpc
-
-    def start(self, goal: Vector) -> None:
-        """Start a run without a warm start; see `BenchmarkedSolver`."""
-        model = self._do_mpc.model.Model("discrete", "SX")
-        state = model.set_variable("_x", "state", (6, 1))
-        last = model.set_variable("_x", "last", (2, 1))
-        v = model.set_variable("_u", "v", (2, 1))
-        model.set_rhs("state", predicted(state, last, LIMIT * v))
-        model.set_rhs("last", LIMIT * v)
-        model.setup()
-        controller = self._do_mpc.controller.MPC(model)
-        controller.settings.n_horizon = HORIZON
-        controller.settings.t_step = SAMPLE_PERIOD
-        controller.settings.n_robust = 0
-        controller.settings.store_full_solution = False
-        controller.settings.supress_ipopt_output()
-        miss = ca.sumsqr(model.x["state"] - goal)
-        effort = INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT * ca.sumsqr(model.u["v"])
-        controller.set_objective(mterm=miss, lterm=miss / TERMINAL_WEIGHT + effort)
-        controller.bounds["lower", "_u", "v"] = -1.0
-        controller.bounds["upper", "_u", "v"] = 1.0
-        controller.setup()
-        self._controller = controller
-        self._has_guess = False
-
-    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
-        """Return the next rotor speeds; see `BenchmarkedSolver`."""
-        x = np.concatenate((state, input_in_force)).reshape(-1, 1)
-        if not self._has_guess:
-            self._controller.x0 = x
-            self._controller.set_initial_guess()
-            self._has_guess = True
-        v = np.asarray(self._controller.make_step(x)).ravel()
-        return Answer(LIMIT * v, bool(self._controller.solver_stats["success"]))
-
-
 def ipopt() -> CasadiSolver:
     """Return IPOPT on CasADi's virtual machine."""
     return CasadiSolver("ipopt", _IPOPT)
@@ -189,18 +138,8 @@ def ipopt() -> CasadiSolver:
 def ipopt_compiled() -> CasadiSolver:
     """Return IPOPT with its functions compiled."""
     # CasADi would remove the files too late, when the temporary folder is gone.
-    options: dict[str, Any] = {
-        "flags": ["-O2"],
-        "verbose": False,
-        "compiler": c_compiler(),
-        "cleanup": False,
-    }
-    jit: dict[str, Any] = {
-        "jit": True,
-        "compiler": "shell",
-        "jit_options": options,
-        "jit_cleanup": False,
-    }
+    options = {"flags": ["-O2"], "verbose": False, "compiler": c_compiler(), "cleanup": False}
+    jit = {"jit": True, "compiler": "shell", "jit_options": options, "jit_cleanup": False}
     return CasadiSolver("ipopt", {**_IPOPT, **jit})
 
 

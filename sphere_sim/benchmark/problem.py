@@ -33,26 +33,13 @@ _DURATIONS = np.full(HORIZON, SAMPLE_PERIOD)
 def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> HoldProblem:
     """Return OCP_N of the paper (Eq. 34) with its cost divided by beta.
 
-    Parameters
-    ----------
-    state, goal : ndarray, shape (6,)
-        Current and desired state.
-    input_in_force : ndarray, shape (2,)
-        Current rotor speeds [rad/s].
+    Its arguments are the current and the desired state, (6,), and the rotor speeds, (2,) [rad/s].
     """
     return HoldProblem(
-        state=state,
-        goal=goal,
-        input_in_force=input_in_force,
-        durations=_DURATIONS,
-        constants=CONSTANTS,
-        lower=_MINUS_BOUND,
-        upper=_BOUND,
-        input_scale=LIMIT,
-        terminal_weight=1.0,
-        stage_weight=1.0 / TERMINAL_WEIGHT,
-        input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT,
-        max_step=INTEGRATION_STEP,
+        state=state, goal=goal, input_in_force=input_in_force, durations=_DURATIONS,
+        constants=CONSTANTS, lower=_MINUS_BOUND, upper=_BOUND, input_scale=LIMIT,
+        terminal_weight=1.0, stage_weight=1.0 / TERMINAL_WEIGHT,
+        input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT, max_step=INTEGRATION_STEP,
     )
 
 
@@ -67,19 +54,9 @@ def predicted(state: Expression, start: Expression, end: Expression) -> Expressi
 
 
 def shifted(knots: Vector) -> Vector:
-    """Return the warm start at the next sampling instant: the plan shifted, zero appended.
+    """Return the warm start, (N, 2), at the next sampling instant from a plan, (N + 1, 2) [rad/s].
 
-    Step 6 of Algorithm 1.
-
-    Parameters
-    ----------
-    knots : ndarray, shape (N + 1, 2)
-        Rotor speeds u_0 ... u_N of the plan [rad/s].
-
-    Returns
-    -------
-    ndarray, shape (N, 2)
-        Initial guess of u_1 ... u_N [rad/s].
+    The plan is shifted and zero appended, as in Step 6 of Algorithm 1.
     """
     start = np.zeros((knots.shape[0] - 1, INPUT_SIZE))
     start[:-1] = knots[2:]
@@ -88,22 +65,14 @@ def shifted(knots: Vector) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Result of a solve at a sampling instant.
-
-    Attributes
-    ----------
-    speeds : ndarray, shape (2,)
-        Rotor speeds at the next sampling instant [rad/s].
-    solved : bool
-        Whether the solver itself reports success.
-    took : (float, float) or None
-        Wall and processor time of the solve [s] measured in another process, where the solve is
-        made; None where it is made in the calling process.
-    """
+    """Result of a solve at a sampling instant."""
 
     speeds: Vector
+    """Rotor speeds at the next sampling instant [rad/s], shape (2,)."""
     solved: bool
+    """Whether the solver itself reports success."""
     took: tuple[float, float] | None = None
+    """Wall and processor time [s] where the solve is made and measured in another process."""
 
 
 class BenchmarkedSolver(Protocol):

@@ -3,7 +3,6 @@
 """Random problems: costs of the solver and of IPOPT from the same initial guess."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,76 +21,52 @@ STARTS = 8
 _OFFLINE = SolverSettings(max_iterations=300)
 
 
-@dataclass(eq=False)
 class Comparison:
-    """Costs of the solver and of IPOPT on the same problems.
+    """Costs of the solver and of IPOPT on the same random problems."""
 
-    Attributes
-    ----------
-    own, own_many, ipopt : list of float
-        Cost from the common initial guess, the least of `STARTS` guesses, and IPOPT's cost.
-    own_s, own_many_s : list of float
-        Wall time [s].
-    """
+    def __init__(self) -> None:
+        self.costs: list[tuple[float, float, float]] = []
+        """Cost from the common initial guess, the least of `STARTS` guesses, and IPOPT's."""
+        self.times: list[tuple[float, float]] = []
+        """Wall time of the first two [s]."""
 
-    own: list[float] = field(default_factory=list)
-    own_many: list[float] = field(default_factory=list)
-    ipopt: list[float] = field(default_factory=list)
-    own_s: list[float] = field(default_factory=list)
-    own_many_s: list[float] = field(default_factory=list)
+    def run(self, ipopt: CasadiSolver, number: int, seed: int) -> Iterator[None]:
+        """Solve problems with both solvers; yield after each.
+
+        Goals are as in `draw_scenarios`, states within 1 m of them in x and y. IPOPT starts at
+        rest; `seed` is that of the problems and of the initial guesses.
+        """
+        solver, judge = HoldSolver(_OFFLINE), HoldSolver(SolverSettings(max_iterations=0))
+        rng = np.random.default_rng(seed)
+        for scenario in draw_scenarios(number, seed):
+            in_force = rng.uniform(-LIMIT, LIMIT, 2)
+            # Within reach of the horizon: farther away all solutions run at full speed.
+            state = scenario.start.copy()
+            state[0:2] = scenario.goal[0:2] + rng.uniform(-1.0, 1.0, 2)
+            problem = paper_problem(state, scenario.goal, in_force)
+            starts = rng.uniform(-LIMIT, LIMIT, (STARTS, HORIZON, 2))
+            starts[0] = 0.0
+            parameters = np.concatenate((state, scenario.goal, in_force))
+            v, _ = ipopt.minimise(np.zeros(2 * HORIZON), parameters)
+            theirs = judge.solve(problem, LIMIT * np.clip(v, -1.0, 1.0).reshape(-1, 2)).cost
+            answers = [solver.solve(problem, start) for start in starts]
+            least = min(answer.cost for answer in answers)
+            self.costs.append((answers[0].cost, least, theirs))
+            took = [answer.solve_time for answer in answers]
+            self.times.append((took[0], sum(took)))
+            yield
 
     def summary(self) -> dict[str, float]:
         """Return the shares of not worse and of better costs, and the excess of the others."""
-        result: dict[str, float] = {"problems": float(len(self.ipopt))}
-        reference = np.array(self.ipopt)
-        for name, costs, times in (
-            ("same_start", self.own, self.own_s),
-            (f"{STARTS}_starts", self.own_many, self.own_many_s),
-        ):
-            excess = (np.array(costs) - reference) / reference
+        result: dict[str, float] = {"problems": float(len(self.costs))}
+        costs, times = np.array(self.costs), np.array(self.times)
+        for i, name in enumerate(("same_start", f"{STARTS}_starts")):
+            excess = (costs[:, i] - costs[:, 2]) / costs[:, 2]
             worse = excess[excess > NOT_WORSE]
             result[f"{name}_not_worse"] = float(np.mean(excess <= NOT_WORSE))
             result[f"{name}_better"] = float(np.mean(excess < -NOT_WORSE))
             result[f"{name}_excess_median_where_worse"] = (
                 float(np.median(worse)) if worse.size else 0.0
             )
-            result[f"{name}_median_ms"] = 1e3 * float(np.median(times))
+            result[f"{name}_median_ms"] = 1e3 * float(np.median(times[:, i]))
         return result
-
-
-def compare(
-    ipopt: CasadiSolver, number: int, seed: int, comparison: Comparison
-) -> Iterator[None]:
-    """Solve random problems with both solvers; yield after each.
-
-    Parameters
-    ----------
-    ipopt : CasadiSolver
-        The solver to compare with; its initial guess is rest.
-    number : int
-        How many problems: goals as in `draw_scenarios`, states within 1 m of them in x and y.
-    seed : int
-        Seed of the problems and of the initial guesses.
-    comparison : Comparison
-        Where the costs are appended.
-    """
-    solver, judge = HoldSolver(_OFFLINE), HoldSolver(SolverSettings(max_iterations=0))
-    rng = np.random.default_rng(seed)
-    for scenario in draw_scenarios(number, seed):
-        in_force = rng.uniform(-LIMIT, LIMIT, 2)
-        # Within reach of the horizon: farther away all solutions run at full speed.
-        state = scenario.start.copy()
-        state[0:2] = scenario.goal[0:2] + rng.uniform(-1.0, 1.0, 2)
-        problem = paper_problem(state, scenario.goal, in_force)
-        starts = rng.uniform(-LIMIT, LIMIT, (STARTS, HORIZON, 2))
-        starts[0] = 0.0
-        parameters = np.concatenate((state, scenario.goal, in_force))
-        v, _ = ipopt.minimise(np.zeros(2 * HORIZON), parameters)
-        knots = LIMIT * np.clip(v, -1.0, 1.0).reshape(-1, 2)
-        comparison.ipopt.append(judge.solve(problem, knots).cost)
-        answers = [solver.solve(problem, start) for start in starts]
-        comparison.own.append(answers[0].cost)
-        comparison.own_s.append(answers[0].solve_time)
-        comparison.own_many.append(min(answer.cost for answer in answers))
-        comparison.own_many_s.append(sum(answer.solve_time for answer in answers))
-        yield

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the benchmark as JSON content, as a table and as a figure."""
 
+import contextlib
 import os
 import platform
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from sphere_nmpc.model.state import Vector
 from sphere_sim.benchmark.closed_loops import SolverRecord
 from sphere_sim.benchmark.solvers import ALGORITHM_1, OWN, PLAN_KEEPING
 
@@ -39,33 +42,25 @@ def as_numbers(records: dict[str, SolverRecord], missing: dict[str, str]) -> dic
 def _solver_numbers(record: SolverRecord) -> dict[str, Any]:
     wall, cpu = 1e3 * np.array(record.wall), 1e3 * np.array(record.cpu)
     return {
-        "median_ms": float(np.median(wall)),
-        "p99_ms": float(np.percentile(wall, 99.0)),
-        "max_ms": float(np.max(wall)),
-        "cpu_median_ms": float(np.median(cpu)),
-        "cpu_p99_ms": float(np.percentile(cpu, 99.0)),
-        "cpu_max_ms": float(np.max(cpu)),
-        "settle_s": record.settle,
-        "failures": record.failures,
-        "solves": len(record.wall),
-        "setup_s": record.setup_s,
-        "stopped": record.stopped,
+        **_spread("", wall),
+        **_spread("cpu_", cpu),
+        "settle_s": record.settle, "failures": record.failures, "solves": len(record.wall),
+        "setup_s": record.setup_s, "stopped": record.stopped,
     }
+
+
+def _spread(prefix: str, times: Vector) -> dict[str, float]:
+    median, p99, most = np.percentile(times, [50.0, 99.0, 100.0])
+    return {f"{prefix}median_ms": median, f"{prefix}p99_ms": p99, f"{prefix}max_ms": most}
 
 
 def _machine() -> dict[str, Any]:
     model = platform.processor()
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
+    with contextlib.suppress(OSError):
+        found = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text("utf-8"))
+        model = found.group(1).strip() if found else model
     return {
-        "processor": model,
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
+        "processor": model, "cores": os.cpu_count(), "python": platform.python_version(),
         "load_average": os.getloadavg()[0],
     }
 
@@ -81,10 +76,8 @@ def show(report: dict[str, Any], cases: Sequence[int], console: Console) -> None
         settle = " / ".join("never" if t is None else f"{t:.1f}" for t in row["settle_s"])
         table.add_row(
             name,
-            *(f"{row[key]:.3f}" for key in _SHOWN_TIMES),
-            str(row["failures"]),
-            str(row["solves"]) + (" (stopped)" if row["stopped"] else ""),
-            settle,
+            *(f"{row[key]:.3f}" for key in _SHOWN_TIMES), str(row["failures"]),
+            str(row["solves"]) + (" (stopped)" if row["stopped"] else ""), settle,
             style="bold" if name in OWN else "",
         )
     for name, reason in report["missing"].items():

@@ -8,8 +8,7 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
 from sphere_nmpc.strategy.plan_keeping import plan_keeping_solvers, solve_both_signs
-from sphere_sim.benchmark.nlp_solvers import DoMpc, GeneratedSqp, Slsqp, ipopt, ipopt_compiled
-from sphere_sim.benchmark.numpy_slsqp import NumpySlsqp
+from sphere_sim.benchmark.nlp_solvers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
 from sphere_sim.benchmark.problem import HORIZON, Answer, Maker, paper_problem, shifted
 
 ALGORITHM_1, PLAN_KEEPING, IPOPT = "paper (Algorithm 1)", "plan_keeping", "casadi ipopt"
@@ -73,9 +72,7 @@ QUICK: dict[str, Maker] = {
 
 ALL: dict[str, Maker] = {
     **QUICK,
-    "scipy slsqp (numpy)": NumpySlsqp,
     "scipy slsqp (casadi cost and gradient)": lambda: Slsqp(exact_gradient=True),
     "casadi ipopt (compiled)": ipopt_compiled,
     "casadi sqpmethod+qrqp (generated C)": GeneratedSqp,
-    "do-mpc": DoMpc,
 }

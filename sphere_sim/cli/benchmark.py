@@ -11,8 +11,7 @@ from typing import Any
 
 from sphere_nmpc.library_threads import ONE_EACH
 from sphere_sim.cli.arguments import not_negative, positive, whole
-from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.output.error_text import draw_or_warn, in_words
+from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import prepare_folder, write_atomically
 
 _FILE_WIDTH = 160
@@ -40,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not console.is_terminal:
         console = Console(width=_FILE_WIDTH)
     records, missing, report = _run(options, console)
-    _write(options.json, report)
+    write_atomically(options.json, json.dumps(report, indent=2) + "\n")
     show(report, options.cases, console)
     written, figure = str(options.json), options.json.with_suffix(".png")
     if draw_or_warn("benchmark", str(figure), lambda: draw(records, figure)):
@@ -49,60 +48,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if any(name in missing for name in OWN) else 0
 
 
-def _write(path: Path, report: dict[str, Any]) -> None:
-    write_atomically(path, json.dumps(report, indent=2) + "\n")
-
-
-def _keep(path: Path, report: dict[str, Any]) -> str:
-    """Write the numbers so far and return a message that names the file.
-
-    The file lies beside `path`, which may hold the numbers of a complete benchmark.
-    """
-    kept = path.with_name(f"{path.stem}_interrupted.json")
-    try:
-        _write(kept, report)
-    except OSError as error:
-        return f"no numbers are kept: {in_words(error)}"
-    return f"{kept} has the numbers so far"
-
-
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="sphere_nmpc benchmark", description=__doc__)
     parser.add_argument("--json", type=Path, required=True, help="file of the numbers")
     parser.add_argument("--quick", action="store_true", help="fewer solvers, one round, no extras")
-    parser.add_argument(
-        "--rounds", type=whole(1), default=3, help="how often the cases are run (default: 3)"
-    )
-    parser.add_argument(
-        "--budget",
-        type=not_negative,
-        default=60.0,
-        help="seconds that a solver may spend in all its solves, then its other runs are left out "
-        "(default: 60)",
-    )
-    parser.add_argument(
-        "--random",
-        type=whole(0),
-        default=0,
-        metavar="N",
-        help="also compare the costs of N random problems with IPOPT's",
-    )
-    parser.add_argument(
-        "--cases",
-        type=int,
-        nargs="+",
-        default=[1, 2, 3, 4],
-        choices=[1, 2, 3, 4],
-        help="which of the paper's cases (default: all)",
-    )
-    parser.add_argument(
-        "--duration", type=positive, default=30.0, help="simulated seconds (default: 30)"
-    )
-    parser.add_argument(
-        "--acados-python",
-        metavar="PATH",
-        help="Python of an environment with acados, which is then benchmarked too",
-    )
+    parser.add_argument("--rounds", type=whole(1), default=3,
+                        help="how often the cases are run (default: 3)")
+    parser.add_argument("--budget", type=not_negative, default=60.0,
+                        help="seconds that a solver may spend in all its solves, then its other "
+                        "runs are left out (default: 60)")
+    parser.add_argument("--random", type=whole(0), default=0, metavar="N",
+                        help="also compare the costs of N random problems with IPOPT's")
+    parser.add_argument("--cases", type=int, nargs="+", default=[1, 2, 3, 4],
+                        choices=[1, 2, 3, 4], help="which of the paper's cases (default: all)")
+    parser.add_argument("--duration", type=positive, default=30.0,
+                        help="simulated seconds (default: 30)")
+    parser.add_argument("--acados-python", metavar="PATH",
+                        help="Python of an environment with acados, which is then benchmarked too")
     options = parser.parse_args(argv)
     if options.quick:
         options.rounds, options.budget = 1, min(options.budget, 15.0)
@@ -117,16 +79,15 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str], dict[str, Any]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from sphere_sim.benchmark.acados_solver import acados_makers
+    from sphere_sim.benchmark.acados import acados_makers
     from sphere_sim.benchmark.closed_loops import run_closed_loops, set_up
     from sphere_sim.benchmark.nlp_solvers import ipopt
     from sphere_sim.benchmark.problem import SAMPLE_PERIOD
-    from sphere_sim.benchmark.random_problems import Comparison, compare
+    from sphere_sim.benchmark.random_problems import Comparison
     from sphere_sim.benchmark.report import as_numbers
     from sphere_sim.benchmark.solvers import ALL, IPOPT, QUICK
     from sphere_sim.scenario.scenarios import PAPER_CASES
 
-    extra: dict[str, Any] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         makers = QUICK if options.quick else ALL
@@ -137,25 +98,18 @@ def _run(options: argparse.Namespace, console: Any) -> tuple[Any, dict[str, str]
         def show_set_up(name: str) -> None:
             progress.update(task, description=f"setting up {name}", advance=1)
 
-        solvers, records, missing = set_up(makers, show_set_up)
+        records, missing = set_up(makers, show_set_up)
         samples = round(options.duration / SAMPLE_PERIOD)
-        total = options.rounds * len(options.cases) * samples * len(solvers)
+        total = options.rounds * len(options.cases) * samples * len(records)
         task = progress.add_task("closed loops", total=total)
         scenarios = [PAPER_CASES[case] for case in options.cases]
-
-        def report() -> dict[str, Any]:
-            return {**as_numbers(records, missing), **extra}
-
-        with if_interrupted(lambda: _keep(options.json, report())):
-            loops = run_closed_loops(
-                solvers, records, scenarios, samples, options.rounds, options.budget
-            )
-            for _ in loops:
+        for _ in run_closed_loops(records, scenarios, samples, options.rounds, options.budget):
+            progress.advance(task)
+        report = as_numbers(records, missing)
+        if options.random:
+            comparison = Comparison()
+            task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
+            for _ in comparison.run(ipopt(), options.random, 0):
                 progress.advance(task)
-            if options.random:
-                comparison = Comparison()
-                task = progress.add_task(f"random problems ({IPOPT})", total=options.random)
-                for _ in compare(ipopt(), options.random, 0, comparison):
-                    progress.advance(task)
-                extra["random"] = comparison.summary()
-    return records, missing, report()
+            report["random"] = comparison.summary()
+    return records, missing, report

@@ -75,16 +75,10 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
     out = given.out or Path("runs") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
     try:
         return DemoPlan(
-            folder=out.expanduser().absolute(),
-            case=given.case,
-            start=given.start,
-            goal=given.goal,
-            real_time_factor=given.rtf,
-            lockstep=given.lockstep,
-            strategy=given.strategy or ControllerSettings.strategy,
-            seed=given.seed,
-            duration=given.duration,
-            compare=not given.no_compare,
+            folder=out.expanduser().absolute(), case=given.case, start=given.start,
+            goal=given.goal, real_time_factor=given.rtf, lockstep=given.lockstep,
+            strategy=given.strategy or ControllerSettings.strategy, seed=given.seed,
+            duration=given.duration, compare=not given.no_compare,
             viewer=not given.no_viewer and sys.stdout.isatty(),
             interactive=sys.stdin.isatty(),
         )

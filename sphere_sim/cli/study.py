@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
@@ -31,7 +31,10 @@ _EFFORTS = 0.01, 1000.0
 
 def main(argv: Sequence[str]) -> int:
     """Run the study; return 0 when all runs were made, 1 when a run crashed."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if len(arguments.push or ()) > 2:
+        parser.error(f"argument --push: given {len(arguments.push)}, expected one or two")
     limit_library_threads()  # before numpy is loaded, hence the imports below
     out = arguments.out
     kept = f"{out} has the runs made so far; the same command continues from them"
@@ -105,9 +108,7 @@ def _conditions(
     }
     given = [(name, str(value)) for name, value in named.items() if value is not None]
     conditions = StudyConditions(
-        duration=arguments.duration,
-        perturbation=arguments.perturb,
-        latency=arguments.latency,
+        duration=arguments.duration, perturbation=arguments.perturb, latency=arguments.latency
     )
     return conditions.with_settings([*given, *arguments.set])
 
@@ -162,7 +163,7 @@ def _parser() -> argparse.ArgumentParser:
         help="age of the newest pose at a sampling instant",
     )
     parser.add_argument(
-        "--push", type=not_negative, nargs="+", action=_OneOrTwo, metavar="NEWTON_SECONDS",
+        "--push", type=not_negative, nargs="+", metavar="NEWTON_SECONDS",
         help="impulse of a push in each run, in a random direction; two numbers are a range",
     )
     parser.add_argument(
@@ -209,21 +210,6 @@ def _parser() -> argparse.ArgumentParser:
         "names; one that no study reads is refused with those that it reads",
     )
     return parser
-
-
-class _OneOrTwo(argparse.Action):
-    """Argument of one or two values."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        if len(values) > 2:
-            parser.error(f"argument {option_string}: given {len(values)}, expected one or two")
-        setattr(namespace, self.dest, values)
 
 
 def _assignment(text: str) -> tuple[str, str]:

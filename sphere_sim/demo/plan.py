@@ -36,53 +36,28 @@ LINGER = 10.0
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """One run to show.
-
-    Attributes
-    ----------
-    folder : Path
-        Folder for all results.
-    case : int
-        Case of the paper.
-    start, goal : sequence of float, shape (6,), optional
-        States in place of those of the case.
-    real_time_factor : float
-        Simulated over wall time; 0 is lockstep at full speed.
-    lockstep : bool
-        Whether time waits for the controller; always at full speed.
-    strategy : str
-        Strategy of the controller.
-    seed : int
-        Seed of everything random.
-    duration : float
-        Simulated time after which the run is given up [s].
-    compare : bool
-        Whether to compare with the other strategy.
-    viewer : bool
-        Whether to show the run in the browser.
-    interactive : bool
-        Whether a user can end the run at a terminal.
-
-    Raises
-    ------
-    InvalidStateError
-        If start or goal is not a state.
-    InvalidParameterError
-        If there is no such strategy.
-    """
+    """One run to show; `InvalidStateError` or `InvalidParameterError` where it cannot be made."""
 
     folder: Path
+    """Folder of all results."""
     case: int = 1
     start: Sequence[float] | None = None
+    """State in place of that of the case, as `goal`."""
     goal: Sequence[float] | None = None
     real_time_factor: float = 1.0
+    """Simulated over wall time; 0 is lockstep, as fast as the nodes can."""
     lockstep: bool = False
+    """Whether time waits for the controller."""
     strategy: str = ControllerSettings.strategy
     seed: int = 0
     duration: float = 60.0
+    """Simulated time after which the run is given up [s]."""
     compare: bool = True
+    """Whether to compare with the other strategy."""
     viewer: bool = False
+    """Whether to show the run in the browser."""
     interactive: bool = False
+    """Whether a user can end the run at a terminal."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lockstep", self.lockstep or self.real_time_factor == 0.0)
@@ -146,25 +121,32 @@ class DemoPlan:
         return "paper" if self.strategy == "time_optimal" else "time_optimal"
 
     @property
+    def robot(self) -> RobotParameters:
+        """The simulated robot; the controller has the nominal one."""
+        nominal = RobotParameters()
+        if not self.disturbed:
+            return nominal
+        return perturbed(nominal, PERTURBATION, np.random.default_rng(self.seed))
+
+    @property
+    def world(self) -> dict[str, Any]:
+        """Settings of the simulation."""
+        noise = {"process_noise": PROCESS_NOISE} if self.disturbed else {}
+        return {"initial_state": tuple(self.scenario.start.tolist()), "seed": self.seed, **noise}
+
+    @property
     def simulator(self) -> dict[str, Any]:
-        """Parameters of the simulator."""
-        parameters: dict[str, Any] = {
-            "initial_state": self.scenario.start.tolist(),
-            "real_time_factor": self.real_time_factor,
-            "lockstep": self.lockstep,
-            "seed": self.seed,
-            "start_paused": True,
+        """Parameters of the simulator node."""
+        robot = dataclasses.asdict(self.robot) if self.disturbed else {}
+        return {
+            **self.world, "initial_state": self.scenario.start.tolist(),
+            "real_time_factor": self.real_time_factor, "lockstep": self.lockstep,
+            "start_paused": True, **{f"robot.{name}": value for name, value in robot.items()},
         }
-        if self.disturbed:
-            parameters["process_noise"] = PROCESS_NOISE
-            rng = np.random.default_rng(self.seed)
-            robot = perturbed(RobotParameters(), PERTURBATION, rng)
-            parameters |= {f"robot.{k}": v for k, v in dataclasses.asdict(robot).items()}
-        return parameters
 
     @property
     def controller(self) -> dict[str, Any]:
-        """Parameters of the controller.
+        """Parameters of the controller node.
 
         Another controller in the domain must not continue to the goal of a demo, nor this one to
         an old goal.
@@ -176,7 +158,7 @@ class DemoPlan:
 
     @property
     def recorder(self) -> dict[str, Any]:
-        """Parameters of the recorder."""
+        """Parameters of the recorder node."""
         return {"use_sim_time": True, "output": str(self.bag)}
 
     @property

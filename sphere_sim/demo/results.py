@@ -17,10 +17,9 @@ from rich.table import Table
 from sphere_nmpc import __version__
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.demo.plan import DemoPlan
-from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import write_atomically
@@ -28,7 +27,7 @@ from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run, Solves, without_sign_jumps
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.comparison import side_by_side
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
@@ -50,12 +49,7 @@ _ROWS = (
 def write_results(plan: DemoPlan, arrived: bool, console: Console) -> None:
     """Measure the run from its bag, compare and draw it, and print the table.
 
-    The numbers are written before anything that takes long or may fail.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read or holds no goal.
+    The numbers are written before anything that takes long or may fail, as reading the bag may.
     """
     run = read_run(plan.bag, name=f"{plan.strategy}, recorded over ROS")
     figures = {plan.strategy: _figures(run, plan)}
@@ -104,20 +98,12 @@ def _write_summary(
         for strategy, values in figures.items()
     }
     content = {
-        "title": plan.title,
-        "sphere_nmpc_version": __version__,
-        "strategy": plan.strategy,
-        "arrived": arrived,
-        "tolerance": plan.tolerance,
-        "start": plan.scenario.start.tolist(),
-        "goal": plan.scenario.goal.tolist(),
-        "seed": plan.scenario.seed,
-        "simulator": plan.simulator,
-        "controller": plan.controller,
-        "metrics": plain.pop(plan.strategy),
-        "compared_with": plain,
-        "duration_s": float(run.times[-1]),
-        "notes": list(run.notes),
+        "title": plan.title, "sphere_nmpc_version": __version__, "strategy": plan.strategy,
+        "arrived": arrived, "tolerance": plan.tolerance,
+        "start": plan.scenario.start.tolist(), "goal": plan.scenario.goal.tolist(),
+        "seed": plan.scenario.seed, "simulator": plan.simulator, "controller": plan.controller,
+        "metrics": plain.pop(plan.strategy), "compared_with": plain,
+        "duration_s": float(run.times[-1]), "notes": list(run.notes),
     }
     write_atomically(plan.folder / "summary.json", json.dumps(content, indent=2) + "\n")
 
@@ -152,39 +138,23 @@ def _table(plan: DemoPlan, figures: dict[str, dict[str, float]]) -> Table:
 
 def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
     """Run the other strategy without ROS, on the same plant and seed, at least as long."""
-    prefix = "robot."
-    known = quantities(SimulatorSettings())  # without those of the node, such as its pace
-    own = {k: v for k, v in plan.simulator.items() if k in known}
-    true = {k.removeprefix(prefix): v for k, v in plan.simulator.items() if k.startswith(prefix)}
     controller = ControllerSettings(strategy=plan.other_strategy)
-    settings = dataclasses.replace(
-        SimulatorSettings(**own),
-        initial_state=tuple(plan.scenario.start),
-    )
     trajectory = run_closed_loop(
-        Simulator(settings, RobotParameters(**true)),
+        Simulator(SimulatorSettings(**plan.world), plan.robot),
         Controller(controller, RobotParameters()),
         plan.scenario.goal,
         max(_AT_LEAST, float(np.ceil(recorded.times[-1]))),
         controller.control_period,
     )
-    return _as_run(trajectory, plan, f"{plan.other_strategy}, computed without ROS")
-
-
-def _as_run(trajectory: Trajectory, plan: DemoPlan, name: str) -> Run:
     tracked = [d for d in trajectory.decisions if d.solved]
     starts = [decision.plan.hold.start for decision in tracked]
     return Run(
-        name=name,
+        name=f"{plan.other_strategy}, computed without ROS",
         path=Path(),
-        times=trajectory.times,
-        states=without_sign_jumps(trajectory.states),
-        joint_times=trajectory.times,
-        rotor_speeds=trajectory.speeds,
-        rotor_torques=trajectory.torques,
-        goal_times=np.zeros(1),
-        goals=plan.scenario.goal[None, :],
-        plans=tuple(trajectory.holds),
+        times=trajectory.times, states=without_sign_jumps(trajectory.states),
+        joint_times=trajectory.times, rotor_speeds=trajectory.speeds,
+        rotor_torques=trajectory.torques, goal_times=np.zeros(1),
+        goals=plan.scenario.goal[None, :], plans=tuple(trajectory.holds),
         solves=Solves(
             np.array(starts),
             np.array([decision.plan.solve_time for decision in tracked]),

@@ -36,12 +36,8 @@ _PAGE_TIMEOUT = 10.0
 def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
     """Run the plan, whose folder exists, and write its results.
 
-    Returns whether the sphere has arrived at its goal.
-
-    Raises
-    ------
-    SphereNmpcError
-        If a node ends or is not ready in time, or if simulated time stands still.
+    Returns whether the sphere has arrived at its goal. `SphereNmpcError` is raised if a node ends
+    or is not ready in time, or if simulated time stands still.
     """
     parameters = _write_parameters(plan)
     console.print(f"[bold]{plan.title}[/bold] (ROS domain {domain})")
@@ -65,8 +61,9 @@ def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
                     session.spin()
                     display.show()
 
-                settled = wait_until_settled(run, spin, plan.duration, linger=plan.linger)
-                arrived = settled is not None
+                arrived = (
+                    wait_until_settled(run, spin, plan.duration, linger=plan.linger) is not None
+                )
             session.pause(True)
             nodes.stop("recorder")
             if page and plan.stays:

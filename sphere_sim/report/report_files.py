@@ -14,13 +14,13 @@ from sphere_sim.recording.run import Momentum, Run
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison
-from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import write_page
-from sphere_sim.report.reported import Reported, metrics_of
-from sphere_sim.report.tables import (
+from sphere_sim.report.reported import (
+    Reported,
     goal_table,
+    metrics_of,
     motion_table,
     solve_table,
     write_csv,
@@ -41,32 +41,20 @@ FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
     "value": (analysis.value_function, "Value of the optimal control problem at each sample."),
 }
 """Figures of each run: file name, function that draws it, and caption."""
-_MOMENTUM = {
-    "momentum": (
-        analysis.momentum_over_time,
-        "Estimated angular momentum about the contact point; dotted: what a rotor can hold. "
-        "Vertical lines: pushes.",
-    ),
-}
-
-
-def figures_of(run: Run) -> dict[str, tuple[Callable[[Run], Figure], str]]:
-    """Return the figures of a run; that of the momentum where there is any."""
-    return FIGURES if run.momentum.is_zero else {**FIGURES, **_MOMENTUM}
+_OF_MOMENTUM = (
+    analysis.momentum_over_time,
+    "Estimated angular momentum about the contact point; dotted: what a rotor can hold. "
+    "Vertical lines: pushes.",
+)
 
 
 def write_report(
     reported: Sequence[Reported], out: Path, *, csv: bool, parquet: bool, animation: bool
 ) -> Path:
-    """Write a report and return its page.
+    """Write a report into a folder that exists and return its page. Several runs are compared.
 
     Numbers are written before figures, and animations, the largest files, last: on a full disk the
-    most important files exist. The folder must exist. Several runs are also compared.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written; the error names it.
+    most important files exist, and OSError names the one that cannot be written.
     """
     summary = {one.recording.name: _summary(one) for one in reported}
     write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
@@ -87,7 +75,8 @@ def write_report(
         drawn = comparison(list(runs.values()))
         figures.append(("Comparison", caption, save(drawn, out, "comparison")[1]))
     for prefix, run in runs.items():
-        for name, (draw, caption) in figures_of(run).items():
+        own = {} if run.momentum.is_zero else {"momentum": _OF_MOMENTUM}
+        for name, (draw, caption) in {**FIGURES, **own}.items():
             files = save(draw(run), out, f"{prefix}{name}")
             figures.append((run.name, caption, files[1]))
     page = out / "report.html"

@@ -1,13 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of a report, and which of their goals it has figures of."""
+"""Recordings of a report, which of their goals it has figures of, and their tables."""
 
 import dataclasses
+import io
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from pathlib import Path
 
-from sphere_nmpc.model.state import STATE_NAMES
-from sphere_sim.evaluation.metrics import Metrics
+import numpy as np
+
+from sphere_nmpc.model.state import STATE_NAMES, Vector
+from sphere_sim.evaluation.metrics import Metrics, angle_errors, position_errors, state_errors
+from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run import Run
 
@@ -22,21 +27,13 @@ at the start and at the goal, and the metrics of the run to it."""
 
 @dataclasses.dataclass(frozen=True)
 class Reported:
-    """A recording with the goals that have figures.
-
-    Attributes
-    ----------
-    recording : Run
-        The whole recording.
-    goals : sequence of int
-        Numbers of these goals, from 1 on; empty where it has none.
-    prefix : str
-        Prefix of the names of its files.
-    """
+    """A recording with the goals that have figures."""
 
     recording: Run
     goals: Sequence[int]
+    """Numbers of these goals, from 1 on; empty where it has none."""
     prefix: str = ""
+    """Prefix of the names of its files."""
 
     @cached_property
     def runs(self) -> dict[str, Run]:
@@ -73,19 +70,10 @@ class Reported:
 
 
 def select_goals(recording: Run, wanted: Sequence[int] | None) -> list[int]:
-    """Return the numbers of the goals that have figures.
+    """Return the numbers of the goals that have figures, from 1 on.
 
-    Parameters
-    ----------
-    recording : Run
-        The recording.
-    wanted : sequence of int, or None
-        Numbers from 1 on; empty for the last goal, None for all.
-
-    Raises
-    ------
-    BagError
-        If the recording does not have one of them.
+    None in place of those wanted stands for all, an empty sequence for the last one. `BagError` is
+    raised if the recording does not have one of them.
     """
     number = len(recording.goals)
     if wanted is None:
@@ -102,3 +90,62 @@ def metrics_of(run: Run) -> dict[str, float]:
     metrics = run.metrics()
     return {} if metrics is None else dataclasses.asdict(metrics)
 
+
+def motion_table(run: Run) -> dict[str, Vector]:
+    """Return the columns of a table with one row for each pose.
+
+    They are times [s], states [m, -], errors, and rotor speeds [rad/s] and torques [N m]
+    interpolated at the poses; nan where not recorded.
+    """
+    table = {"time_s": run.times}
+    table.update({name: run.states[:, i] for i, name in enumerate(STATE_NAMES)})
+    goals = run.goals_in_force
+    table["error"] = state_errors(run.states, goals)
+    table["position_error_m"] = position_errors(run.states, goals)
+    table["angle_error_rad"] = angle_errors(run.states, goals)
+    for name, unit, values in (
+        ("rotor_speed", "rad_s", run.rotor_speeds),
+        ("rotor_torque", "nm", run.rotor_torques),
+    ):
+        for i in range(2):
+            column = _interpolate(run.times, run.joint_times, values[:, i])
+            table[f"{name}_{i + 1}_{unit}"] = column
+    return table
+
+
+def solve_table(run: Run) -> dict[str, Vector]:
+    """Return the columns of a table with one row for each solve: times, durations [s], values."""
+    solves = run.solves
+    return {"time_s": solves.times, "solve_time_s": solves.durations, "cost": solves.costs}
+
+
+def goal_table(one: Reported) -> dict[str, Vector]:
+    """Return the columns of a table with one row for each goal; see `COLUMNS`."""
+    rows = [values for values, _ in one.rows()]
+    return {name: np.array([row[name] for row in rows], dtype=float) for name in COLUMNS}
+
+
+def write_csv(table: dict[str, Vector], path: Path) -> None:
+    """Write a table with a header line, exact to the last bit."""
+    rows = np.column_stack(list(table.values()))
+    text = io.StringIO()
+    np.savetxt(text, rows, fmt="%.17g", delimiter=",", header=",".join(table), comments="")
+    write_atomically(path, text.getvalue())
+
+
+def write_parquet(table: dict[str, Vector], path: Path) -> None:
+    """Write a table as Parquet."""
+    # pyarrow is an optional dependency.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    packed = io.BytesIO()
+    pq.write_table(pa.table(table), packed)
+    write_atomically(path, packed.getvalue())
+
+
+def _interpolate(times: Vector, sampled: Vector, values: Vector) -> Vector:
+    """Return values at other times by linear interpolation; nan outside of the samples."""
+    if not sampled.size:
+        return np.full_like(times, np.nan)
+    return np.interp(times, sampled, values, left=np.nan, right=np.nan)

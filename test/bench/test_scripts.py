@@ -1,15 +1,27 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scripts of bench/ and bench/documents/: everything that they import exists."""
+"""Scripts of bench/: all can be imported, generated files are up to date, an ablation ablates."""
 
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
+
+import ablation
+from parameter_tables import NODES, PARTS, outputs, parameters_yaml
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantities
+from sphere_nmpc.strategy.contract import make_strategy
+from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.conditions import StudyConditions
 
 BENCH = Path(__file__).parents[2] / "bench"
 
@@ -18,3 +30,46 @@ BENCH = Path(__file__).parents[2] / "bench"
 def test_script_can_be_imported(script, monkeypatch) -> None:
     monkeypatch.setattr(sys, "path", [str(script.parent), *sys.path])
     assert "__doc__" in runpy.run_path(str(script), run_name="imported")
+
+
+def test_ablated_run_has_its_settings_and_leaves_none_behind(monkeypatch) -> None:
+    seen = []
+
+    def make(settings, robot, tuning) -> object:
+        seen.append(tuning)
+        return make_strategy(settings, robot)
+
+    monkeypatch.setattr(ablation, "TimeOptimalStrategy", make)
+    conditions = StudyConditions(duration=0.5)
+    ablation.measured(ablation.DEFAULT, conditions, draw_scenarios(1, 1)[0])
+    Controller(conditions.controller, conditions.robot)
+    assert seen == [ablation.DEFAULT]
+
+
+def values(settings: Any) -> dict[str, Any]:
+    return {name: getattr(settings, name) for name in quantities(settings)}
+
+
+@pytest.mark.parametrize("path", outputs(), ids=lambda path: path.name)
+def test_file_is_up_to_date(path) -> None:
+    assert path.read_text(encoding="utf-8") == outputs()[path], (
+        "run python bench/documents/parameter_tables.py"
+    )
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_yaml_gives_the_defaults_back(node) -> None:
+    given = yaml.safe_load(parameters_yaml())[f"/**/{node}"]["ros__parameters"]
+    robot = given.pop("robot")
+    given.pop("use_sim_time", None)
+    expected = values(NODES[node])
+    for prefix, _, settings in PARTS[node]:
+        if prefix:
+            assert given.pop(prefix) == values(settings)
+        else:
+            expected |= values(settings)
+    assert {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()} == expected
+    assert robot == values(RobotParameters())
+    for key, value in given.items():
+        # YAML 1.1 reads some numbers as text.
+        assert isinstance(value, list) or type(value) is type(expected[key])

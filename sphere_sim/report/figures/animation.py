@@ -14,11 +14,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFilter, ImageFont
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_sim.evaluation.metrics import (
-    angle_errors,
-    position_errors,
-    settling_index,
-)
+from sphere_sim.evaluation.metrics import angle_errors, position_errors, settling_index
 from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.recording.run import Run
@@ -47,26 +43,16 @@ _HUB = 0.965
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Orthographic projection of world points [m] to pixels.
-
-    Attributes
-    ----------
-    size : tuple of int
-        Width and height [pixels].
-    right, up, towards : ndarray, shape (3,)
-        Axes of the picture and direction to the viewer, unit vectors [world frame].
-    scale : float
-        Scale [pixels/m].
-    middle : ndarray, shape (2,)
-        Centre of the picture along `right` and `up` [m].
-    """
+    """Orthographic projection of world points [m] to pixels."""
 
     size: tuple[int, int]
-    right: Vector
-    up: Vector
-    towards: Vector
+    """Width and height [pixels]."""
+    axes: Vector
+    """To the right, up and towards the viewer: unit vectors, shape (3, 3) [world frame]."""
     scale: float
+    """Scale [pixels/m]."""
     middle: Vector
+    """Centre of the picture to the right and up, shape (2,) [m]."""
 
     @classmethod
     def on(cls, places: Vector, radius: float, size: tuple[int, int]) -> "Camera":
@@ -81,27 +67,26 @@ class Camera:
             right = -right
         ahead = np.array((-right[1], right[0], 0.0))
         up = np.sin(_ELEVATION) * ahead + np.cos(_ELEVATION) * np.array((0.0, 0.0, 1.0))
-        towards = np.cross(right, up)
-        centres = np.column_stack((places, np.full(len(places), radius)))
-        flat = np.column_stack((centres @ right, centres @ up))
+        axes = np.stack((right, up, np.cross(right, up)))
+        flat = np.column_stack((places, np.full(len(places), radius))) @ axes[:2].T
         low, high = flat.min(axis=0) - 1.5 * radius, flat.max(axis=0) + 1.5 * radius
         scale = float(np.min(np.array(size) / (high - low)))
-        return cls(size, right, up, towards, scale, 0.5 * (low + high))
+        return cls(size, axes, scale, 0.5 * (low + high))
 
     def project(self, points: object) -> list[tuple[float, float]]:
         """Return the pixels of world points, shape (n, 3) [m]."""
-        world = np.asarray(points, dtype=float)
-        x = self.size[0] / 2.0 + self.scale * (world @ self.right - self.middle[0])
-        y = self.size[1] / 2.0 - self.scale * (world @ self.up - self.middle[1])
-        return list(zip(x.tolist(), y.tolist(), strict=True))
+        flat = self.scale * (np.asarray(points, dtype=float) @ self.axes[:2].T - self.middle)
+        pixels = np.array(self.size) / 2.0 + flat * (1.0, -1.0)
+        return [(x, y) for x, y in pixels.tolist()]
 
     def floor_extent(self, tile: float) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the ranges of x and y of the visible floor, in whole tiles [m]."""
         reach = np.array(self.size) / (2.0 * self.scale)
         reach[1] /= np.sin(_ELEVATION)
-        ahead = np.array((-self.right[1], self.right[0]))
-        middle = self.right[:2] * self.middle[0] + ahead * self.middle[1] / np.sin(_ELEVATION)
-        half = np.abs(self.right[:2]) * reach[0] + np.abs(ahead) * reach[1]
+        right = self.axes[0, :2]
+        ahead = np.array((-right[1], right[0]))
+        middle = right * self.middle[0] + ahead * self.middle[1] / np.sin(_ELEVATION)
+        half = np.abs(right) * reach[0] + np.abs(ahead) * reach[1]
         low = np.floor((middle - half) / tile) * tile
         high = np.ceil((middle + half) / tile) * tile
         return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
@@ -112,7 +97,10 @@ def write_animation(run: Run, path: Path) -> None:
 
     A run that does not settle is shown completely.
     """
-    end = min(_end_of_interest(run), float(run.times[-1]))
+    times, errors = run.errors()
+    index, end = settling_index(errors), float(run.times[-1])
+    if index is not None:
+        end = min(end, float(times[index]) + 0.5)
     instants = np.arange(0.0, end + 1e-9, 1.0 / _FRAME_RATE)
     indices = np.minimum(np.searchsorted(run.times, instants - 1e-9), run.times.size - 1)
     radius = run.robot.shell_radius
@@ -132,13 +120,6 @@ def write_animation(run: Run, path: Path) -> None:
         optimize=True,
     )
     write_atomically(path, packed.getvalue())
-
-
-def _end_of_interest(run: Run) -> float:
-    """Return half a second after the run has settled [s]; inf if it has not."""
-    times, errors = run.errors()
-    index = settling_index(errors)
-    return float("inf") if index is None else float(times[index]) + 0.5
 
 
 def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
@@ -207,12 +188,8 @@ def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int, radius: float) -> 
 
 
 def _paint_ball(
-    picture: Image.Image,
-    camera: Camera,
-    place: Sequence[float],
-    quaternion: Vector,
-    radius: float,
-    opacity: float = 1.0,
+    picture: Image.Image, camera: Camera, place: Sequence[float], quaternion: Vector,
+    radius: float, opacity: float = 1.0,
 ) -> None:
     """Draw a sphere with octants, circle Gamma and the ends of the rotors' axes.
 
@@ -230,8 +207,7 @@ def _paint_ball(
     a, b = np.meshgrid(across, -down)
     outside = a * a + b * b > 1.0
     c = np.sqrt(np.clip(1.0 - a * a - b * b, 0.0, 1.0))
-    axes = np.stack((camera.right, camera.up, camera.towards))
-    normals = np.stack((a, b, c), axis=-1) @ axes
+    normals = np.stack((a, b, c), axis=-1) @ camera.axes
     colours = _shell_colours(normals @ rotation.matrix(quaternion))
     shade = 0.55 + 0.5 * np.clip(normals @ _LIGHT, 0.0, 1.0)
     painted = np.clip(colours * shade[..., None], 0, 255).astype(np.uint8)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index
 from sphere_sim.recording.run import Run
-from sphere_sim.report.figures.paper_panels import draw_rotor_speeds
+from sphere_sim.report.figures.paper import draw_rotor_speeds
 from sphere_sim.report.figures.style import (
     BLACK,
     COLOURS,

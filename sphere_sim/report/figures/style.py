@@ -65,13 +65,7 @@ def styled() -> Iterator[None]:
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Save a figure as `name` in a folder in all formats, and return its files.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written; the error names it.
-    """
+    """Save a figure as `name` in a folder in all formats, and return its files."""
     files = [folder / f"{name}.{kind}" for kind in FORMATS]
     for kind, file in zip(FORMATS, files, strict=True):
         dated, drawn = {"Date": None} if kind == "svg" else {}, io.BytesIO()

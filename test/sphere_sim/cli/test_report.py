@@ -89,15 +89,6 @@ def test_report_of_one_bag_is_complete_also_outside_of_the_locale(tmp_path) -> N
     assert "a&amp;büg" in page and "http" not in re.sub(r'src="[^"]*"', "", page)
 
 
-def test_several_bags_are_compared_under_unique_names(tmp_path, one_figure) -> None:
-    bags = [str(make_bag(tmp_path / name / "bag")) for name in ("run", "other")]
-    out = tmp_path / "out"
-    assert main([*bags, bags[0], "--out", str(out), "--csv"]) == 0
-    assert (out / "comparison.png").exists() and (out / "other_value.svg").exists()
-    assert (out / "run_1_value.png").exists() and (out / "run_2_motion.csv").exists()
-    assert set(json.loads((out / "summary.json").read_text())) == {"run_1", "other", "run_2"}
-
-
 def test_momentum_and_pushes_are_reported(tmp_path, capsys, one_figure) -> None:
     bag, out = write_own(tmp_path / "run", momentum_messages()), tmp_path / "out"
     assert main([str(bag), "--out", str(out)]) == 0
@@ -128,16 +119,12 @@ def test_bag_of_several_goals_has_a_row_for_each_and_says_whose_figures_are_draw
     assert pq.read_table(out / "goals.parquet").column_names == list(table.dtype.names)
     np.testing.assert_allclose(table["goal"], [1, 2, 3])
     np.testing.assert_allclose(table["time_s"], [0, 1, 2], atol=1e-9)
-    np.testing.assert_allclose(table["duration_s"], [0.99, 0.99, 0.99], atol=1e-9)
     np.testing.assert_allclose(table["start_x"], [1, 3, 5])
     np.testing.assert_allclose(table["goal_x"], [0, 1, 2])
     np.testing.assert_allclose(table["settle_time_s"], SETTLED_AFTER, atol=1e-9)
-    assert np.isnan(table["max_rotor_speed"]).all()
     entry = json.loads((out / "summary.json").read_text())["run"]
-    assert entry["goal"] == 3
-    assert entry["metrics"]["settle_time_s"] == pytest.approx(0.58, abs=1e-9)
     assert [row["settle_time_s"] for row in entry["goals"]] == pytest.approx(SETTLED_AFTER)
-    assert entry["goals"][2].items() >= entry["metrics"].items()
+    assert entry["goal"] == 3 and entry["goals"][2].items() >= entry["metrics"].items()
     page = (out / "report.html").read_text()
     assert told in page and "<h2>run, goal 3</h2>" in page
     rows = [re.findall(r"<td>([^<]*)</td>", row) for row in page.split("<tr>") if "<td>" in row]
@@ -147,35 +134,26 @@ def test_bag_of_several_goals_has_a_row_for_each_and_says_whose_figures_are_draw
     assert len(np.genfromtxt(out / "motion.csv", delimiter=",", names=True)) == 300
 
 
-def test_figures_of_each_goal_that_is_asked_for(tmp_path, capsys, one_figure) -> None:
-    bag = str(make_bag(tmp_path / "run", goals=3))
-    assert main([bag, "--out", str(tmp_path / "out"), "--goal", "1", "2"]) == 0
+def test_figures_of_each_goal_that_is_asked_for_of_bags_with_unique_names(
+    tmp_path, capsys, one_figure
+) -> None:
+    bag, out = str(make_bag(tmp_path / "run" / "bag", goals=3)), tmp_path / "out"
+    assert main([bag, bag, "--out", str(out), "--goal", "1", "2"]) == 0
     assert "3 goals; figures of goals 1, 2; --goal" in capsys.readouterr().out
-    entry = json.loads((tmp_path / "out" / "summary.json").read_text())["run"]
-    assert entry["goal"] == 2
-    assert entry["metrics"]["settle_time_s"] == pytest.approx(0.53, abs=1e-9)
-    drawn = {file.name for file in (tmp_path / "out").glob("*.png")}
-    assert drawn == {"goal_1_value.png", "goal_2_value.png", "comparison.png"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert set(summary) == {"run_1", "run_2"} and summary["run_2"]["goal"] == 2
+    assert summary["run_2"]["metrics"]["settle_time_s"] == pytest.approx(0.53, abs=1e-9)
+    drawn = {file.name for file in out.glob("*.png")}
+    expected = {f"run_{bag}_goal_{goal}_value.png" for bag in (1, 2) for goal in (1, 2)}
+    assert drawn == expected | {"comparison.png"}
 
 
-@pytest.mark.parametrize(
-    ("goals", "given", "words"),
-    [
-        (3, "4", "--goal: given 4, expected 1 to 3 or 'all'"),
-        (0, "1", "--goal: given 1, expected none, as it holds no goal"),
-    ],
-)
-def test_goal_that_a_bag_does_not_have_is_refused(tmp_path, capsys, goals, given, words) -> None:
-    bag = make_bag(tmp_path / "run", goals=goals)
-    assert command(["report", str(bag), "--out", str(tmp_path / "out"), "--goal", given]) == 1
-    assert capsys.readouterr().err.splitlines()[-1].endswith(words)
-
-
-@pytest.mark.parametrize("given", ["0", "second"])
-def test_wrong_number_of_a_goal_is_refused(tmp_path, capsys, given) -> None:
+def test_goal_that_a_bag_does_not_have_is_refused(tmp_path, capsys) -> None:
+    bag = make_bag(tmp_path / "run", goals=3)
+    assert command(["report", str(bag), "--out", str(tmp_path / "out"), "--goal", "4"]) == 1
+    assert "--goal: given 4, expected 1 to 3 or 'all'" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
-        main(["bag", "--out", str(tmp_path), "--goal", given])
-    assert f"given '{given}', expected a number from 1 on, or all" in capsys.readouterr().err
+        main(["bag", "--out", str(tmp_path), "--goal", "second"])
 
 
 def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys, one_figure) -> None:
@@ -186,42 +164,17 @@ def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys, one_figure) ->
     printed = capsys.readouterr()
     assert "goal_pose and active_goal are missing" in printed.err
     assert "run: no metrics, as no goal was in force at any pose; see the notes" in printed.out
-    notes = json.loads((out / "summary.json").read_text())["run"]["notes"]
-    assert any("goal_pose and active_goal are missing" in note for note in notes)
     table = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
     assert np.all(np.isnan(table["error"])) and np.all(np.isfinite(table["x"]))
 
 
-@pytest.mark.parametrize(
-    ("entries", "words"),
-    [(None, "there is no such file or folder"), ([], "is empty"),
-     ([goal_at(0.0, 0.0)], "another robot; has: /controller/active_goal")],
-)
-def test_bag_that_cannot_be_reported_gives_one_line(tmp_path, capsys, entries, words) -> None:
-    bag = tmp_path / "bag"
-    if entries is not None:
-        write_own(bag, entries)
-    assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and words in error
-
-
-TABLES = {
-    f"{name}.{kind}" for name in ("motion", "solves", "goals") for kind in ("csv", "parquet")
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("limit", "failed", "left"),
-    [(64, "summary.json", set()), (35_000, "panels.png", {"summary.json", *TABLES})],
-)
-def test_error_names_the_file_that_cannot_be_written_and_numbers_are_kept(
-    tmp_path, limit, failed, left
-) -> None:
+def test_error_names_the_file_that_cannot_be_written_and_numbers_are_kept(tmp_path) -> None:
     bag, out = make_bag(tmp_path / "run"), tmp_path / "out"
-    ended = report(str(bag), "--out", str(out), "--csv", "--parquet", limit=limit)
+    ended = report(str(bag), "--out", str(out), "--csv", limit=35_000)
     assert ended.returncode == 1
-    assert ended.stderr.splitlines()[-1] == f"sphere_nmpc report: {out / failed}: File too large"
+    failed = out / "panels.png"
+    assert ended.stderr.splitlines()[-1] == f"sphere_nmpc report: {failed}: File too large"
     assert "Traceback" not in ended.stderr and "run: final error" in ended.stdout
-    assert {file.name for file in out.iterdir()} == left
+    kept = {"summary.json", *(f"{name}.csv" for name in ("motion", "solves", "goals"))}
+    assert {file.name for file in out.iterdir()} == kept

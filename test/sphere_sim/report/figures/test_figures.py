@@ -8,18 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from robots import GIANT, PALM
 
 from sphere_nmpc.model.drift import NO_DRIFT
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.run import Momentum, Run, Solves
-from sphere_sim.report.figures import analysis, animation
-from sphere_sim.report.figures.animation import Camera, write_animation
+from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison, side_by_side
-from sphere_sim.report.figures.contact_locus import contact_locus
-from sphere_sim.report.figures.paper_panels import paper_panels
+from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import save
-from sphere_sim.report.page import results
 
 FIGURES = {
     "panels": paper_panels,
@@ -29,6 +25,8 @@ FIGURES = {
     "solve": analysis.solve_times,
     "value": analysis.value_function,
     "momentum": analysis.momentum_over_time,
+    "comparison": lambda run: comparison((run, make_run())),
+    "side_by_side": lambda run: side_by_side(make_run(), run, "both"),
 }
 
 
@@ -55,25 +53,6 @@ def make_run(full: bool = True) -> Run:
 def test_figure_of_a_run_with_poses_only_is_drawn(name, tmp_path) -> None:
     png, svg = save(FIGURES[name](make_run(False)), tmp_path, name)
     assert png.read_bytes().startswith(b"\x89PNG") and "<svg" in svg.read_text()
-    if name == "panels":
-        words = [t.get_text() for axes in paper_panels(make_run(False)).axes for t in axes.texts]
-        assert "no rotor speeds in this bag" in words
-
-
-def test_runs_are_compared_in_four_panels() -> None:
-    runs = make_run(), make_run(False)
-    for figure in (comparison(runs), side_by_side(*runs, "both")):
-        titles = [axes.get_title(loc="left") for axes in figure.axes]
-        assert [title[:2] for title in titles] == ["a:", "b:", "c:", "d:"]
-
-
-def test_panels_show_the_quantities_of_the_paper() -> None:
-    axes = paper_panels(make_run()).axes
-    assert [a.get_title(loc="left")[:2] for a in axes] == ["a:", "b:", "c:", "d:"]
-    drawn = {line.get_label() for a in axes for line in a.lines}
-    assert {"x", "y", "$q_1$", "$q_4$", "$u_1$", "$u_2$", "start", "goal"} <= drawn
-    limits = [line.get_ydata()[0] for line in axes[3].lines if line.get_linestyle() == ":"]
-    assert {-100.0, 100.0} <= set(limits)
 
 
 def test_momentum_is_drawn_with_the_pushes_and_what_a_rotor_can_hold() -> None:
@@ -93,50 +72,8 @@ def test_equal_runs_give_equal_files(tmp_path) -> None:
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
 
 
-@pytest.mark.parametrize("robot", [RobotParameters(), PALM])
-def test_torques_are_drawn_with_those_of_the_largest_acceleration(robot) -> None:
-    bound = robot.rotor_axial_inertia * robot.max_rotor_acceleration
-    (axes,) = analysis.rotor_torques(replace(make_run(), robot=robot)).axes
-    limits = [line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":"]
-    np.testing.assert_allclose(limits, [-bound, bound])
-    (label,) = (text.get_text() for text in axes.texts)
-    assert label.startswith(f"{bound:.3g} N m")
-
-
-@pytest.mark.parametrize("robot", [RobotParameters(), GIANT])
-def test_path_panel_shows_a_radius_where_the_sphere_hardly_moves(robot) -> None:
-    run = make_run()
-    still = run.states * np.array([1e-6, 1e-6, 1.0, 1.0, 1.0, 1.0])
-    path = paper_panels(replace(run, states=still, goals=still[:1], robot=robot)).axes[2]
-    least = min(np.ptp(path.get_xlim()), np.ptp(path.get_ylim()))
-    assert robot.shell_radius <= least <= 1.5 * robot.shell_radius
-
-
-def test_animation_of_a_robot_of_a_tenth_is_that_of_the_robot_a_tenth_away() -> None:
-    def frame(scale: float) -> np.ndarray:
-        robot = replace(
-            RobotParameters(), shell_radius=0.3 * scale, rotor_offset=0.15 * scale
-        )
-        states = make_run().states * np.array([scale, scale, 1.0, 1.0, 1.0, 1.0])
-        run = replace(make_run(), states=states, robot=robot)
-        camera = Camera.on(states[:, :2], robot.shell_radius, (640, 300))
-        floor = animation._floor(camera, run, robot.shell_radius)
-        picture = animation._frame(camera, floor, run, 30, robot.shell_radius)
-        return np.asarray(picture, dtype=float)[40:]  # without the caption
-
-    # Edges of lines may be rounded to other pixels.
-    assert np.mean(np.abs(frame(0.1) - frame(1.0)) > 8.0) < 0.005
-
-
 def test_animation_is_written_until_the_run_ends(tmp_path) -> None:
     run = make_run()
     write_animation(replace(run, times=0.1 * run.times), tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as picture:
         assert picture.size == (640, 300) and picture.n_frames > 5
-
-
-def test_largest_rotor_speed_is_written_without_an_exponent() -> None:
-    run = make_run()
-    speeds = np.full_like(run.rotor_speeds, 1000.0)
-    written = dict(results(replace(run, rotor_speeds=speeds)))
-    assert written["largest rotor speed"] == "1000 rad/s"

@@ -1,44 +1,114 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Process that runs acados: its wheels contain a `casadi` that the other solvers cannot use.
+"""acados as a benchmarked solver, in a process of another Python.
 
-Messages are arrays of float64. A request is ``[start, state (6), goal (6), input in force (2)]``
-in m, quaternion and rad/s, where `start` is 1 at the start of a run; an answer is ``[status, wall
-[s], processor time [s], v (2)]``. Before the first answer comes a line of text: empty, or the
-reason why acados cannot be set up.
+Its wheels contain a `casadi` that the other solvers cannot use. Messages are arrays of float64. A
+request is ``[start, state (6), goal (6), input in force (2)]`` in m, quaternion and rad/s, where
+`start` is 1 at the start of a run; an answer is ``[status, wall [s], processor time [s], v (2)]``.
+Before the first answer comes a line of text: empty, or the reason why acados cannot be set up.
 """
 
 import ctypes
 import gc
 import importlib
 import os
+import subprocess
 import sys
 import tempfile
 import time
+import weakref
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+import sphere_sim
+from sphere_nmpc.child import python_command
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
-from sphere_sim.benchmark.problem import HORIZON, INPUT_WEIGHT, LIMIT, TERMINAL_WEIGHT, predicted
+from sphere_sim.benchmark.problem import (
+    HORIZON,
+    INPUT_WEIGHT,
+    LIMIT,
+    TERMINAL_WEIGHT,
+    Answer,
+    Maker,
+    predicted,
+)
 
 REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * STATE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
 SQP, RTI = "sqp", "rti"
 _OPTIONS: dict[str, dict[str, Any]] = {
-    SQP: {
-        "nlp_solver_type": "SQP",
-        "qp_solver": "FULL_CONDENSING_QPOASES",
-        "globalization": "MERIT_BACKTRACKING",
-        "levenberg_marquardt": 0.3,
-    },
-    RTI: {
-        "nlp_solver_type": "SQP_RTI",
-        "qp_solver": "PARTIAL_CONDENSING_HPIPM",
-        "levenberg_marquardt": 0.1,
-    },
+    SQP: {"nlp_solver_type": "SQP", "qp_solver": "FULL_CONDENSING_QPOASES",
+          "globalization": "MERIT_BACKTRACKING", "levenberg_marquardt": 0.3},
+    RTI: {"nlp_solver_type": "SQP_RTI", "qp_solver": "PARTIAL_CONDENSING_HPIPM",
+          "levenberg_marquardt": 0.1},
 }
+HOW_TO_GET_IT = (
+    "--acados-python takes the Python of an environment of its own with "
+    "`pip install comma-deps-acados`"
+)
+# Last on the path: other packages in this folder must not hide those of that Python.
+_CHILD = (
+    "sys.path.append(sys.argv[1]); "
+    "from sphere_sim.benchmark.acados import serve; serve(sys.argv[2])"
+)
+_PACKAGES = str(Path(sphere_sim.__file__).parents[1])
+_HARMFUL = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+"""Variables by which another Python loads wrong libraries."""
+
+
+class Acados:
+    """acados with the settings `SQP` or `RTI`; times are measured in its process, see `serve`.
+
+    `python` is the path of a Python that has acados. ModuleNotFoundError is raised if it is None,
+    RuntimeError if it cannot be started or acados cannot be set up in it.
+    """
+
+    def __init__(self, kind: str, python: str | None) -> None:
+        if python is None:
+            raise ModuleNotFoundError(HOW_TO_GET_IT)
+        try:
+            child = subprocess.Popen(
+                python_command(_CHILD, _PACKAGES, kind, python=python),
+                env={name: text for name, text in os.environ.items() if name not in _HARMFUL},
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            )
+        except OSError as error:
+            raise RuntimeError(f"{python} does not start: {error.strerror}") from error
+        if child.stdin is None or child.stdout is None:
+            raise RuntimeError(f"{python}: started without pipes")
+        self._requests, self._answers = child.stdin, child.stdout
+        # The process ends with its standard input, hence also when this process ends.
+        self.close = weakref.finalize(self, child.communicate)
+        message = self._answers.readline().decode(errors="replace")
+        if message != "\n":
+            raise RuntimeError(f"{python}: {message.strip() or 'ended without an answer'}")
+
+    def start(self, goal: Vector) -> None:
+        """Start a run without a warm start; see `BenchmarkedSolver`."""
+        self._goal, self._start = goal, 1.0
+
+    def solve(self, state: Vector, input_in_force: Vector) -> Answer:
+        """Return the next rotor speeds; see `BenchmarkedSolver`."""
+        request = np.concatenate(([self._start], state, self._goal, input_in_force))
+        self._start = 0.0
+        try:
+            self._requests.write(request.tobytes())
+            self._requests.flush()
+            data = self._answers.read(8 * ANSWER_SIZE)
+        except OSError:
+            data = b""
+        if len(data) != 8 * ANSWER_SIZE:
+            raise RuntimeError("acados' process has ended")
+        status, wall, cpu, *v = np.frombuffer(data)
+        return Answer(LIMIT * np.clip(v, -1.0, 1.0), bool(status == 0), (float(wall), float(cpu)))
+
+
+def acados_makers(python: str | None) -> dict[str, Maker]:
+    """Return both settings by the names under which they are reported; see `Acados`."""
+    return {f"acados {kind}": partial(Acados, kind, python) for kind in (SQP, RTI)}
 
 
 def build(kind: str, folder: Path) -> Any:
@@ -140,7 +210,7 @@ class Loop:
         return status, inputs[0]
 
 
-def main(kind: str) -> None:
+def serve(kind: str) -> None:
     """Answer requests on the standard input until it ends."""
     # What acados prints must not mix with the answers, nor its questions read the requests.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb", buffering=0)

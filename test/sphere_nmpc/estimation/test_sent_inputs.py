@@ -34,40 +34,6 @@ def replaced(holds: list[FirstOrderHold]) -> SentInputs:
     return sent
 
 
-def test_without_commands_there_is_no_speed_and_no_motion() -> None:
-    sent = SentInputs()
-    np.testing.assert_array_equal(sent.at(3.0), [0.0, 0.0])
-    np.testing.assert_array_equal(sent.predict(START, 0.0, 5.0, P), START)
-    np.testing.assert_array_equal(sent.predict(START, 0.8, 0.5, P), START)
-    assert sent.newest is None
-    assert not sent.moves_after(0.0)
-
-
-@given(
-    st.floats(0.0, 2.0), st.floats(0.0, 1.0),
-    st.lists(st.floats(-50.0, 50.0), min_size=6, max_size=6),
-)
-def test_until_a_hold_begins_the_one_in_force_is_followed(
-    now: float, ahead: float, speeds: list[float]
-) -> None:
-    sent = SentInputs()
-    knots = np.reshape([0.0, 0.0, *speeds], (4, 2))
-    before = FirstOrderHold(np.array([0.0, 0.7, 1.4, 2.9]), knots)
-    sent.record(before)
-    begins = now + ahead
-    hold = ramp(begins, before.at(begins).tolist(), [7.0, 8.0], 0.5)
-    followed = sent.leading_to(hold, now)
-    assert followed.start == now
-    for t in np.linspace(now, begins, 20):
-        np.testing.assert_allclose(followed.at(t), before.at(t), atol=1e-3)  # knots 1e-6 s apart
-    for t in np.linspace(begins, begins + 1.0, 20):
-        np.testing.assert_allclose(followed.at(t), hold.at(t), atol=1e-3)
-    # One that has begun is joined at its next knot.
-    joined = sent.leading_to(hold, begins + 0.1)
-    np.testing.assert_allclose(joined.times, [begins + 0.1, begins + 0.5])
-    np.testing.assert_allclose(joined.speeds, [before.at(begins + 0.1), hold.speeds[1]])
-
-
 def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces_later_ones():
     sent = SentInputs()
     sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))
@@ -138,28 +104,6 @@ def test_prediction_with_drift_also_covers_the_time_before_the_first_hold() -> N
     np.testing.assert_allclose(state, end[0], atol=1e-9)
     np.testing.assert_allclose(after.momentum, end[1], atol=1e-8)
     np.testing.assert_array_equal(after.as_array()[3:], drift.as_array()[3:])
-
-
-def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
-    rng = np.random.default_rng(5)
-    asked, fresh, now = SentInputs(), list[FirstOrderHold](), 0.0
-    for _ in range(300):
-        now += float(rng.choice([0.002, 0.01, 0.25]))
-        # Some holds have knots before the next one, some are as late as the last question.
-        times = now + np.cumsum(rng.uniform(1e-3, 0.02, 4)) - 1e-3
-        fresh.append(FirstOrderHold(times, rng.uniform(-100.0, 100.0, (4, 2))))
-        asked.record(fresh[-1])
-        if rng.random() < 0.5:
-            asked.collect(now - rng.uniform(0.0, 0.1))
-        if rng.random() < 0.3:
-            start, end = now - rng.uniform(0.0, 1.0), now + rng.choice([0.0, 1e-3])
-            expected = SentInputs()
-            for hold in fresh:
-                expected.record(hold)
-            for found, known in zip(
-                asked.pieces(start, end), expected.pieces(start, end), strict=True
-            ):
-                np.testing.assert_array_equal(found, known)
 
 
 def test_pieces_of_a_high_rate_are_joined_where_they_lie_on_a_line() -> None:

@@ -106,6 +106,28 @@ def test_prediction_with_drift_also_covers_the_time_before_the_first_hold() -> N
     np.testing.assert_array_equal(after.as_array()[3:], drift.as_array()[3:])
 
 
+def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
+    rng = np.random.default_rng(5)
+    asked, fresh, now = SentInputs(), list[FirstOrderHold](), 0.0
+    for _ in range(300):
+        now += float(rng.choice([0.002, 0.01, 0.25]))
+        # Some holds have knots before the next one, some are as late as the last question.
+        times = now + np.cumsum(rng.uniform(1e-3, 0.02, 4)) - 1e-3
+        fresh.append(FirstOrderHold(times, rng.uniform(-100.0, 100.0, (4, 2))))
+        asked.record(fresh[-1])
+        if rng.random() < 0.5:
+            asked.collect(now - rng.uniform(0.0, 0.1))
+        if rng.random() < 0.3:
+            start, end = now - rng.uniform(0.0, 1.0), now + rng.choice([0.0, 1e-3])
+            expected = SentInputs()
+            for hold in fresh:
+                expected.record(hold)
+            for found, known in zip(
+                asked.pieces(start, end), expected.pieces(start, end), strict=True
+            ):
+                np.testing.assert_array_equal(found, known)
+
+
 def test_pieces_of_a_high_rate_are_joined_where_they_lie_on_a_line() -> None:
     sent = SentInputs()
     for k in range(500):

@@ -137,17 +137,6 @@ def test_learning_by_a_worker_gives_the_constants_of_learning_in_line(
     assert same(found.plant, in_line.plant)
 
 
-def test_result_that_arrives_after_a_changed_drive_lag_does_not_undo_it(sent: SentInputs) -> None:
-    clock = Clock()
-    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(clock, 1.0))
-    before = found.plant
-    track(found, sent)
-    assert same(found.plant, before), "no result has arrived"
-    found.change(replace(EXACT, drive_lag=0.03))
-    clock.time = 1.0
-    assert found.plant.lag == pytest.approx(0.03)
-
-
 class Clock:
     """A clock that is set by hand."""
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.plant_estimator import JUMP, LEAST_NOISE, PlantEstimator
+from sphere_nmpc.estimation.plant_estimator import PlantEstimator
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -68,20 +68,6 @@ def test_noise_is_distinguished_from_wrong_constants() -> None:
     assert estimator.estimate.noise == pytest.approx(1e-3, rel=0.3)
     errors = estimator.estimate.constants.as_array() - robot.lumped.as_array()
     assert np.all(np.abs(errors) < 4.0 * deviations(estimator))
-
-
-def test_nothing_is_learnt_at_rest_or_from_a_robot_that_was_picked_up() -> None:
-    estimator = PlantEstimator(NOMINAL.lumped)
-    start = np.array([0, 0, 1.0, 0, 0, 0])
-    for _ in range(20):
-        estimator.observe(Transition(start, start, np.array([PERIOD]), np.zeros((2, 2))))
-    np.testing.assert_allclose(
-        deviations(estimator), 0.1 * NOMINAL.lumped.as_array(), rtol=1e-12
-    )
-    moved = start + np.array([2.0 * JUMP, 0, 0, 0, 0, 0])
-    estimator.observe(Transition(start, moved, np.array([PERIOD]), np.full((2, 2), 50.0)))
-    assert estimator.estimate.noise == LEAST_NOISE
-    assert relative_error(estimator, NOMINAL) == 0.0
 
 
 def drive_weakly(

@@ -5,12 +5,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import integrate_with_drift
@@ -126,19 +124,3 @@ def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
                 asked.pieces(start, end), expected.pieces(start, end), strict=True
             ):
                 np.testing.assert_array_equal(found, known)
-
-
-def test_pieces_of_a_high_rate_are_joined_where_they_lie_on_a_line() -> None:
-    sent = SentInputs()
-    for k in range(500):
-        time = 2e-3 * k
-        speeds = [50.0 - 100.0 * abs(time - 0.5), 10.0]
-        sent.record(ramp(time, speeds, speeds, 2e-3))
-    raw = Transition(START, START, *sent.pieces(0.0, 0.998))
-    joined = raw.straightened()
-    assert joined.durations.size < 10 < raw.durations.size
-    assert joined.duration == pytest.approx(raw.duration)
-    times = np.cumsum(raw.durations)
-    at = np.interp(times, np.concatenate(([0.0], np.cumsum(joined.durations))),
-                   joined.inputs[:, 0])
-    assert np.max(np.abs(at - raw.inputs[1:, 0])) <= 0.05

@@ -40,18 +40,3 @@ def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
     assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-6)
     raw = Transition(np.zeros(6), np.zeros(6), durations, inputs)
     assert np.array_equal(raw.driven(raw.steepest, 0.05).inputs, inputs)
-
-
-def test_what_a_rotor_lacks_at_the_start_comes_from_the_lead() -> None:
-    # 100 rad/s in the 0.25 s before the transition: at 300 rad/s^2 25 rad/s are missing, which
-    # take another 1/12 s.
-    transition = Transition(
-        np.zeros(6), np.zeros(6), np.array([0.25, 0.25]),
-        np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 0.0]]), lead=0.25,
-    )
-    driven = transition.driven(LIMIT, 0.05)
-    assert driven.lead == 0.05 and driven.duration == pytest.approx(0.25)
-    durations, speeds = driven.window(0.0)
-    assert speeds[0, 0] == pytest.approx(75.0)
-    assert durations[0] == pytest.approx(25.0 / LIMIT)
-    assert speeds[1, 0] == pytest.approx(100.0) and speeds[-1, 0] == pytest.approx(100.0)

@@ -77,8 +77,3 @@ def test_first_bracket_agrees_with_a_finite_difference_of_the_fields() -> None:
         expected = np.concatenate((bracket[:2] / p[0], rotation))
         # Central differences: h^2 times a third derivative of order 10, and rounding / h.
         np.testing.assert_allclose(bracket_matrix(state, LUMPED)[:, 2], expected, atol=1e-8)
-
-
-def test_state_that_is_not_finite_gives_no_number_and_no_error() -> None:
-    result = controllability(np.full(6, np.nan), LUMPED)
-    assert np.isnan(result.distance_to_circle) and np.isnan(result.smallest_singular_value)

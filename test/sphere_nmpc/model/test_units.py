@@ -46,15 +46,6 @@ def test_units_of_table_1_are_one_and_what_a_user_sets_is_used_as_set() -> None:
     assert (settings.period, settings.alpha, settings.longest_step) == (0.3, 2.0, 0.05)
 
 
-def test_ramp_of_many_sample_periods_lowers_the_speed_that_is_planned_with() -> None:
-    slow = replace(TABLE_1, max_rotor_acceleration=400.0 / 16.0)
-    units = RobotUnits.of(slow)
-    # Four times as long a ramp to half the speed: two sample periods of 0.5 s / 0.5.
-    assert units.max_speed == pytest.approx(50.0)
-    assert units.max_speed / slow.max_rotor_acceleration == pytest.approx(2.0 * 0.5 * units.time)
-    assert RobotUnits.of(replace(TABLE_1, max_rotor_acceleration=100.0)).max_speed == 100.0
-
-
 @pytest.mark.parametrize("name", ["paper", "plan_keeping"])
 def test_equivalent_robots_have_the_same_plan_in_their_units(name) -> None:
     other = scaled_robot(length=0.1, speed=8.0)

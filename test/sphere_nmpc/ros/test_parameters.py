@@ -3,7 +3,6 @@
 """What the nodes declare, what may change while they run, and what is refused."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 from parameter_tables import NODES, PARTS
@@ -14,8 +13,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.parameters import DeclaredSettings, Parameters
-from sphere_nmpc.ros.settings import ControllerNodeSettings
+from sphere_nmpc.ros.parameters import Parameters
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
@@ -115,41 +113,3 @@ def test_unknown_names_are_logged_in_one_warning_and_a_wrong_value_is_named(
     lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
     assert len(lines) == 1 and "'robot.mass, sed'" in lines[0]
     assert not node.has_parameter("sed")
-
-
-def text(value: Any) -> str:
-    """Return a value as YAML has it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.17e}" if isinstance(value, float) else str(value)
-
-
-@pytest.mark.parametrize("end", ["minimum", "maximum"])
-def test_extreme_values_are_in_force_from_a_file_or_set_live(graph, tmp_path, end) -> None:
-    default, about = ControllerNodeSettings(), quantities(ControllerNodeSettings())
-    given = {
-        name: type(getattr(default, name))(getattr(of, end))
-        for name, of in about.items() if of.minimum is not None
-    }
-    given |= {"learning": end == "maximum", "strategy": "plan_keeping"}
-    path = tmp_path / "values.yaml"
-    lines = ["controller:", "  ros__parameters:", "    use_sim_time: false"]
-    path.write_text("\n".join([*lines, *(f"    {n}: {text(v)}" for n, v in given.items())]))
-
-    def declared(*arguments: str) -> tuple[Node, DeclaredSettings[ControllerNodeSettings]]:
-        node = Node(
-            "controller", cli_args=["--ros-args", *arguments],
-            automatically_declare_parameters_from_overrides=True,
-        )
-        graph.add(node)
-        return node, Parameters(node).declare(default)
-
-    node, of_file = declared("--params-file", str(path))
-    assert of_file.settings == ControllerNodeSettings(**given)
-    assert all(node.get_parameter(name).value == value for name, value in given.items())
-    node, of_change = declared()
-    live = {name: value for name, value in given.items() if about[name].live}
-    changes = [Parameter(name, value=value) for name, value in live.items()]
-    result = node.set_parameters_atomically(changes)
-    assert result.successful, result.reason
-    assert of_change.settings == ControllerNodeSettings(**live)

@@ -400,28 +400,6 @@ def test_nanoseconds_are_resolved_at_the_time_of_a_bag_that_is_played(robot) -> 
         assert_within_acceleration(hold_from_trajectory(message, played))
 
 
-def test_failing_estimator_and_solver_are_logged_and_the_plan_is_followed(
-    robot, capfd, monkeypatch
-) -> None:
-    robot.send_goal()
-    robot.pass_time(0.6)
-
-    def fail(*given):
-        raise ArithmeticError("not today")
-
-    with monkeypatch.context() as failing:
-        failing.setattr(robot.node.controller.estimator, "observe", fail)
-        robot.pass_time(0.6)
-    assert "controller failed: ArithmeticError: not today" in capfd.readouterr().err
-    assert int(robot.status()["failures"]) > 0 and robot.status()["late_poses"] == "0"
-    robot.node.controller._strategy.plan = fail
-    robot.pass_time(1.2)
-    assert robot.reported[-1].level == DiagnosticStatus.WARN
-    assert robot.status()["mode"] == "solve failed, following the previous plan"
-    assert capfd.readouterr().err.count("solve failed: ArithmeticError: not today") == 1
-    assert_joined(robot.holds()[-2:])
-
-
 def test_lockstep_answers_each_sample_instant_and_repeats_its_answer(graph) -> None:
     robot = Robot(graph, lockstep=True)
     robot.pass_time(0.6)

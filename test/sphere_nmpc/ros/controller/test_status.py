@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.model.drift import (
     Drift,
@@ -20,7 +19,6 @@ from sphere_nmpc.model.drift import (
     slope_torque,
 )
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.controller import reports
 from sphere_nmpc.ros.controller.status import ControllerStatus, drift_values
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
@@ -56,10 +54,6 @@ def test_every_value_is_documented(strategy) -> None:
     # The deviations are described with what they belong to.
     assert {key.removesuffix("_deviation") for key in values} <= documented
     assert values["giving_up"] == "" and values["momentum_x"] == 0.0
-
-
-def test_every_mode_has_a_level() -> None:
-    assert set(reports._LEVELS) == set(Mode)
 
 
 @pytest.mark.parametrize("direction", [0.0, -2.0])

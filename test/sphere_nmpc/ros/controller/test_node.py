@@ -36,7 +36,7 @@ from sphere_nmpc.ros.messages import (
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 CASE = PAPER_CASES[1]
-TICK = 10_000_000
+TICK = 20_000_000
 """Spacing of poses and clock messages [ns]."""
 AT_REST = 1e-9
 """What a ramp may leave to rounding [rad/s]."""
@@ -146,7 +146,7 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
     robot.pass_time(2.2)
     robot.graph.until(lambda: len(robot.trajectories) >= 4 and len(paths) >= 4)
     starts = [hold.start for hold in robot.holds()]
-    np.testing.assert_allclose(np.diff(starts), 0.5, atol=0.011, err_msg="to a clock message")
+    np.testing.assert_allclose(np.diff(starts), 0.5, atol=0.021, err_msg="to a clock message")
     assert_joined(robot.holds())
     for hold in robot.holds():
         assert np.max(np.abs(hold.speeds)) <= 100.0 + 1e-9
@@ -154,7 +154,7 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
         assert_within_acceleration(hold)
     data = np.array([command.data for command in robot.commands])
     began = robot.holds()[0].start  # later on a busy machine, where the pace is known later
-    assert len(data) == pytest.approx(100.0 * (2.2 - began), abs=6), "100 a second"
+    assert len(data) == pytest.approx(50.0 * (2.2 - began), abs=4), "one a tick"
     samples = np.array([robot.holds()[-1].at(t) for t in np.arange(0.0, 4.0, 0.01)])
     distance = np.min(np.linalg.norm(samples - data[-1], axis=1))
     assert distance < 2.5, "no further from the hold than half a sample"
@@ -354,7 +354,7 @@ def test_clock_that_goes_back_forgets_poses_and_keeps_the_goal(robot, capfd) -> 
     ahead = float(robot.status()["time_s"]) - robot.now * 1e-9
     assert ahead <= 0.25, "half a sample ahead at the most"
     printed = capfd.readouterr().err
-    assert printed.count("clock jumped: given a step of -1.19 s") == 1
+    assert printed.count("clock jumped: given a step of -1.18 s") == 1
     assert printed.count("clock: runs on at another time; poses and plans are dropped") == 1
 
 

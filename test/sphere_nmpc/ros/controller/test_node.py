@@ -64,13 +64,24 @@ class NoPlanningTime:
         return 0.0
 
 
+class CountingNode(ControllerNode):
+    """Controller node that counts the poses which it has received."""
+
+    poses = 0
+
+    def _receive_pose(self, message: bytes) -> None:
+        self.poses += 1
+        super()._receive_pose(message)
+
+
 class Robot:
     """Publisher of a pose and the clock; `pass_time` lets simulated time run as fast as it can."""
 
     def __init__(self, graph, **settings) -> None:
         self.graph = graph
         settings = {"use_sim_time": True, "strategy": "paper", **settings}
-        self.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+        self.node = CountingNode([Parameter(k, value=v) for k, v in settings.items()])
+        self.lockstep = settings.get("lockstep", False)
         graph.add(self.node)
         self.trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
         self.commands = graph.collect(Float64MultiArray, "rotor_commands")
@@ -90,8 +101,11 @@ class Robot:
             self.now += TICK
             if self.publishes_pose:
                 self.pose.header.stamp = stamp_to_ros(self.now)
+                received = self.node.poses
                 self.pose_sender.publish(self.pose)
                 self.graph.spin()
+                if self.lockstep:  # where each pose may be that of a sampling instant
+                    self.graph.until(lambda: self.node.poses > received)  # noqa: B023
             self.clock.publish(Clock(clock=stamp_to_ros(self.now)))
             self.graph.until(lambda: self.node._control_clock.stamp() == self.now)
         for _ in range(10):
@@ -272,7 +286,7 @@ def started_again(robot: Robot, **settings) -> ControllerNode:
     robot.node.finish()
     robot.graph.remove(robot.node)
     settings = {"use_sim_time": True, **settings}
-    robot.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+    robot.node = CountingNode([Parameter(k, value=v) for k, v in settings.items()])
     robot.graph.add(robot.node)
     robot.graph.until(lambda: robot.clock.get_subscription_count() > 0)
     return robot.node

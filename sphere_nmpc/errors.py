@@ -13,17 +13,7 @@ class SphereNmpcError(Exception):
 
 
 class InvalidValueError(SphereNmpcError, ValueError):
-    """Value that is not accepted.
-
-    Parameters
-    ----------
-    name : str
-        Name of the value.
-    given : object
-        The value that was given.
-    expected : str
-        Description of what is accepted.
-    """
+    """Value that is not accepted: its name, what was given, and what would be accepted."""
 
     exit_code = 2
 

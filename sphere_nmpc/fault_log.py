@@ -19,14 +19,7 @@ EVENTS_EVERY = 2.0
 class FaultLog:
     """Log each kind of fault when it first occurs, then at most once every `period` seconds.
 
-    Parameters
-    ----------
-    write : callable
-        Takes a line, for example ``node.get_logger().warning``.
-    period : float, optional
-        Shortest wall time between two lines about one kind of fault [s].
-    clock : callable, optional
-        Steady clock [s].
+    `write` takes a line, as ``node.get_logger().warning`` does.
     """
 
     def __init__(
@@ -49,12 +42,8 @@ class FaultLog:
     def report(self, kind: str, message: str) -> None:
         """Count a fault and log it, unless one of its kind was logged less than `period` ago.
 
-        Parameters
-        ----------
-        kind : str
-            What is wrong, in a few words that do not change.
-        message : str
-            What was given and what was expected.
+        `kind` says what is wrong, in a few words that do not change, `message` what was given and
+        what was expected.
         """
         self.counts[kind] += 1
         now = self.now()
@@ -87,15 +76,7 @@ class FaultLog:
 
 
 class LastingFaults:
-    """Log of the beginning and the end of faults that last.
-
-    Parameters
-    ----------
-    log : FaultLog
-        Log of their beginning, which counts them.
-    write_over : callable
-        Takes a line about the end of one, for example ``node.get_logger().info``.
-    """
+    """Log of the beginning of faults that last, to a `FaultLog`, and of their end."""
 
     def __init__(self, log: FaultLog, write_over: Callable[[str], object]) -> None:
         self._log = log

@@ -57,10 +57,7 @@ def quantities(settings: Any) -> dict[str, Quantity]:
 def validate(settings: Any) -> None:
     """Check every quantity of a dataclass instance against its type, range and choices.
 
-    Raises
-    ------
-    InvalidParameterError
-        With the name of the first invalid field, the value given and what is expected.
+    `InvalidParameterError` names the first invalid field, the value given and what is expected.
     """
     defaults = {field.name: field.default for field in dataclasses.fields(settings)}
     for name, about in quantities(settings).items():

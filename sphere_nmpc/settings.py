@@ -13,20 +13,14 @@ from sphere_nmpc.quantity import quantity, validate
 
 @dataclass(frozen=True)
 class StrategyEntry:
-    """A strategy that can be chosen by name.
-
-    Attributes
-    ----------
-    sample_period : float
-        Spacing of the knots of the input that suits it [s; for the robot of Table 1].
-    path : str
-        Where its class is, as ``module:Class``; imported when the strategy is first made. The
-        class takes the settings of the controller and the parameters of the robot, and has the
-        methods of `sphere_nmpc.strategy.contract.Strategy`.
-    """
+    """A strategy that can be chosen by name."""
 
     sample_period: float
+    """Spacing of the knots of the input that suits it [s; for the robot of Table 1]."""
     path: str
+    """Where its class is, as ``module:Class``; imported when the strategy is first made. It takes
+    the settings of the controller and the parameters of the robot, and has the methods of
+    `sphere_nmpc.strategy.contract.Strategy`."""
 
 
 STRATEGIES: dict[str, StrategyEntry] = {
@@ -54,17 +48,7 @@ class ControllerSettings:
     """Parameters of the controller: problem, rates, estimation and limits.
 
     Where 0 stands for the strategy's own value, that is the one of the paper in the units of the
-    robot (`units`); other values are in SI units and used as they are.
-
-    Attributes
-    ----------
-    units : RobotUnits
-        Units of the robot; those of Table 1's unless set by `of`.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
+    robot, `units`, which `of` sets; other values are in SI units and used as they are.
     """
 
     strategy: str = quantity(
@@ -151,13 +135,7 @@ class ControllerSettings:
                 raise InvalidParameterError(name, given, f"0 or at least {least:g} s")
 
     def of(self: S, robot: RobotParameters) -> S:
-        """Return the settings with the units of a robot.
-
-        Raises
-        ------
-        InvalidParameterError
-            If the robot's torque limit is too low, see `RobotUnits.of`.
-        """
+        """Return the settings with the units of a robot."""
         return replace(self, units=RobotUnits.of(robot))
 
     @property

@@ -30,14 +30,7 @@ def knot(index: int) -> slice:
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """Prior of the common unknowns and of the first knot.
-
-    Attributes
-    ----------
-    mean : ndarray, shape (13,)
-    information : ndarray, shape (13, 13)
-        Inverse of the covariance.
-    """
+    """Prior of the common unknowns and of the first knot: mean (13,), inverse covariance."""
 
     mean: Vector
     information: Vector
@@ -45,18 +38,10 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Prediction over a transition, linearised.
+    """Prediction over a transition, linearised at common unknowns and first knot `at`, (13,).
 
-    Attributes
-    ----------
-    at : ndarray, shape (13,)
-        Common unknowns and first knot at which it was linearised.
-    error : ndarray, shape (5,)
-        Error of the predicted pose.
-    after : ndarray, shape (5,)
-        Predicted momentum and slope at the end.
-    by_unknowns : ndarray, shape (10, 13)
-        Derivative of both.
+    `error`, shape (5,), is that of the predicted pose, `after`, shape (5,), are momentum and slope
+    predicted at the end, `by_unknowns`, shape (10, 13), is the derivative of both.
     """
 
     at: Vector
@@ -74,14 +59,9 @@ class Prediction:
 class Weights:
     """Inverse variances of the terms of a transition.
 
-    Attributes
-    ----------
-    error : float
-        Of the prediction error of the pose.
-    change : ndarray, shape (5,)
-        Of the change of momentum and slope at its end that the model does not explain.
-    coupled : ndarray of shape (5,), or None
-        Of the change at its end minus that at its start, if it was pushed.
+    They are of the prediction error of the pose, of the change of momentum and slope at its end
+    that the model does not explain, shape (5,), and, if it was pushed, of that minus the one at
+    its start.
     """
 
     error: float
@@ -92,12 +72,8 @@ class Weights:
 class NormalEquations:
     """Information matrix and gradient of the cost over a number of transitions.
 
-    Parameters
-    ----------
-    unknowns : ndarray, shape (8 + 5 (n + 1),)
-        Values at which the cost is evaluated.
-    prior : Gaussian
-        Of the common unknowns and the first knot.
+    It is evaluated at the `unknowns`, shape (8 + 5 (n + 1),); the `prior` is that of the common
+    unknowns and the first knot.
     """
 
     def __init__(self, unknowns: Vector, prior: Gaussian) -> None:

@@ -107,12 +107,7 @@ class _Step:
 class DriftFit:
     """Fit of momentum, slope, imbalance and the plant's parameters to the newest transitions.
 
-    Parameters
-    ----------
-    nominal : LumpedConstants
-        Constants of the robot as built.
-    mean : ndarray, shape (5,)
-        Mean of the prior in scaled parameters.
+    `mean`, shape (5,), is that of the prior in scaled parameters.
     """
 
     def __init__(self, nominal: LumpedConstants, mean: Vector) -> None:
@@ -187,17 +182,9 @@ class DriftFit:
     def evidence(self, paper: Vector) -> tuple[float, float]:
         """Return how much better the window is explained with drift than without.
 
-        Parameters
-        ----------
-        paper : ndarray, shape (5,)
-            Scaled parameters of the model without drift.
-
-        Returns
-        -------
-        gain : float
-            Logarithm of the ratio of likelihoods, the level of the noise being unknown.
-        occam : float
-            Logarithm of the share of the drifts that would have explained the window as well.
+        That is the logarithm of the ratio of likelihoods, the level of the noise being unknown,
+        and that of the share of the drifts that would have explained the window as well. `paper`,
+        shape (5,), are the scaled parameters of the model without drift.
         """
         counted = [step for step in self._steps if not step.left_out]
         without = sum(

@@ -76,18 +76,9 @@ class DriftingPlantEstimator:
     """Estimator of the plant's parameters, and of drift where there is evidence of any.
 
     The result of an update is published as a whole when the update is complete: another thread
-    may read `result` at any time.
-
-    Parameters
-    ----------
-    nominal : LumpedConstants
-        Constants of the robot as built.
-    mean : ndarray, shape (5,)
-        Mean of the prior in scaled parameters.
-    momentum : bool
-        Whether drift is looked for.
-    acceleration : float, optional
-        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
+    may read `result` at any time. `mean`, shape (5,), is that of the prior in scaled parameters,
+    `momentum` says whether drift is looked for, and `acceleration` is the limit of the speeds sent
+    [rad/s^2], which the drives may not attain; by default they do.
     """
 
     def __init__(

@@ -54,21 +54,9 @@ def make_estimator(
 ) -> Estimator:
     """Return the estimator for the pose noise in the settings.
 
-    Parameters
-    ----------
-    settings : ControllerSettings
-        Pose noise, expected lag, and whether parameters are learnt.
-    nominal : LumpedConstants
-        Constants of the robot as built.
-    sent : SentInputs
-        Rotor speeds sent.
-    worker : Worker, optional
-        Learns beside the control loop; by default it is learnt in line.
-    previous : Estimator, optional
-        The one in use so far. It is kept if it still suits the settings; otherwise its
-        parameters and its newest pose are handed over.
-    acceleration : float, optional
-        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
+    A worker learns beside the control loop; without it is learnt in line. The `previous` estimator
+    is kept if it still suits the settings; otherwise its parameters and its newest pose are handed
+    over. `acceleration` is the limit of the speeds sent [rad/s^2], which drives may not attain.
     """
     prior = newest = None
     noisy = settings.pose_position_noise > 0.0 or settings.pose_orientation_noise > 0.0

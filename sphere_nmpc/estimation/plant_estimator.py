@@ -133,18 +133,9 @@ class PlantEstimator:
     """Least-squares fit of the parameters to the newest transitions.
 
     The result of an update is published as a whole when the update is complete: another thread
-    may read `estimate` and `parameters` at any time.
-
-    Parameters
-    ----------
-    nominal : LumpedConstants
-        Constants of the robot as built.
-    mean : ndarray, shape (5,), optional
-        Mean of the prior in scaled parameters; by default the robot as built, without lag.
-    acceleration : float, optional
-        Limit of the speeds sent [rad/s^2], which the drives may not attain; by default they do.
-    share : float, optional
-        Share of it that they attain, as known so far.
+    may read `estimate` and `parameters` at any time. `mean`, shape (5,), is that of the prior in
+    scaled parameters, by default of the robot as built, without lag; `acceleration` the limit of
+    the speeds sent [rad/s^2], of which the drives attain `share`, as known so far.
     """
 
     def __init__(

@@ -30,13 +30,7 @@ PRIOR_DEVIATION: Vector = np.append(np.full(4, PRIOR), 1.0)
 
 @dataclass(frozen=True, eq=False)
 class ParameterDistribution:
-    """Gaussian distribution of the scaled parameters.
-
-    Attributes
-    ----------
-    mean : ndarray, shape (5,)
-    covariance : ndarray, shape (5, 5)
-    """
+    """Gaussian distribution of the scaled parameters: mean (5,) and covariance (5, 5)."""
 
     mean: Vector
     covariance: Vector
@@ -64,11 +58,6 @@ class ParameterScaling:
     """Units and range of the scaled parameters [Rs, c1, r1, r3, lag].
 
     The unit of a constant is its nominal value, that of the lag is `LAG_PRIOR`.
-
-    Parameters
-    ----------
-    nominal : LumpedConstants
-        Constants of the robot as built.
     """
 
     def __init__(self, nominal: LumpedConstants) -> None:

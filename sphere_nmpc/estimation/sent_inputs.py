@@ -64,17 +64,10 @@ class SentInputs:
     def follow(
         self, hold: FirstOrderHold, known: list[tuple[float, Vector]], acceleration: float
     ) -> None:
-        """Add a hold that took effect late.
+        """Add a hold that took effect late and is not in force yet.
 
-        Parameters
-        ----------
-        hold : FirstOrderHold
-            The hold, which is not in force yet.
-        known : list of tuple of float and ndarray
-            Times [s] and the rotor speeds then [rad/s], shape (2,), first those at which the
-            hold before was left; then the rotors catch up.
-        acceleration : float
-            Limit of their acceleration [rad/s^2].
+        `known` are times [s] and the rotor speeds then [rad/s], shape (2,), first those at which
+        the hold before was left; then the rotors catch up, within `acceleration` [rad/s^2].
         """
         time, speeds = known[-1]
         later = [kept for kept in self._holds if kept.start > time]
@@ -172,14 +165,8 @@ class SentInputs:
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
         """Return the speeds sent between two times [s] as straight pieces.
 
-        Before the first hold the rotors are at rest.
-
-        Returns
-        -------
-        durations : ndarray, shape (K,)
-            Lengths of the pieces [s].
-        speeds : ndarray, shape (K + 1, 2)
-            Rotor speeds at their ends [rad/s].
+        That is their lengths [s], shape (K,), and the rotor speeds at their ends [rad/s], shape
+        (K + 1, 2). Before the first hold the rotors are at rest.
         """
         self._extend_ends(start, end)
         first, last = bisect_right(self._end_times, start), bisect_left(self._end_times, end)

@@ -69,18 +69,8 @@ class Entry(Generic[Kind]):
 class StateEstimator(Generic[Kind]):
     """Extended Kalman filter with the history that poses out of order need.
 
-    Parameters
-    ----------
-    sent : SentInputs
-        Rotor speeds that were sent.
-    scaling : ParameterScaling
-        Units and range of the parameters.
-    parameters : ParameterDistribution
-        Prior of the parameters; one without variance is taken as exact.
-    noise : PoseNoise
-        Measurement noise of the poses.
-    kind : type of FilterState
-        Model of the filter.
+    `parameters` are the prior of the parameters; one without variance is taken as exact. `kind` is
+    the model of the filter.
     """
 
     def __init__(

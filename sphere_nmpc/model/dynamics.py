@@ -27,14 +27,8 @@ from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product, 
 def body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
     """Return the angular velocity of the shell [rad/s; body frame], shape (3,).
 
-    Parameters
-    ----------
-    q : expression, shape (4,)
-        Unit quaternion wxyz, body to world.
-    u : expression, shape (2,)
-        Rotor speeds relative to the shell [rad/s].
-    p : expression, shape (4,)
-        Lumped constants [Rs, c1, r1, r3].
+    q is the unit quaternion wxyz, body to world, u are the rotor speeds relative to the shell
+    [rad/s], shape (2,), p the lumped constants [Rs, c1, r1, r3].
     """
     c1, r1, r3 = p[1], p[2], p[3]
     k = rotation_matrix(q)[2, :].T
@@ -51,15 +45,8 @@ def world_rate_with_momentum(
     """Return the angular velocity of the shell [rad/s; world frame], shape (3,).
 
     The balance of the momentum is solved in world axes, in which the vertical is constant.
-
-    Parameters
-    ----------
-    q, u, p
-        As in `body_rate`.
-    momentum : expression, shape (3,)
-        h, the angular momentum about the contact point over I1 [rad/s; world frame].
-    imbalance : expression, shape (3,)
-        a = Mt g c / I1 of a centre of mass at c [rad/s^2; body frame].
+    q, u and p are as in `body_rate`, momentum is h [rad/s; world frame], shape (3,), imbalance
+    a [rad/s^2; body frame], shape (3,), of `sphere_nmpc.model.drift`.
     """
     radius, c1, r1, r3 = p[0], p[1], p[2], p[3]
     turn = rotation_matrix(q)
@@ -88,17 +75,8 @@ def momentum_rate(
 ) -> Expression:
     """Return dh/dt [rad/s^2; world frame], shape (3,); `sphere_nmpc.model.drift` has the equation.
 
-    Parameters
-    ----------
-    q : expression, shape (4,)
-        Unit quaternion wxyz, body to world.
-    world : expression, shape (3,)
-        Angular velocity of the shell [rad/s; world frame].
-    shell_radius : expression
-        Rs [m].
-    torques : expression, shape (5,)
-        [s, a]: torque of the slope over I1 [rad/s^2; world frame] and imbalance Mt g c / I1
-        [rad/s^2; body frame].
+    `world` is the angular velocity of the shell [rad/s; world frame], `torques`, shape (5,), are
+    [s, a]: of the slope [rad/s^2; world frame] and the imbalance [rad/s^2; body frame].
     """
     a = ca.mtimes(rotation_matrix(q), torques[2:5])
     velocity = rolling_velocity(world, shell_radius)

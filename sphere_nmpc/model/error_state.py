@@ -54,13 +54,7 @@ def error_between(state: Vector, other: Vector) -> Vector:
 def state_rates(state: Vector, speeds: Vector, constants: Vector) -> Vector:
     """Return velocity [m/s; world frame] and angular velocity [rad/s; body frame], shape (5,).
 
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-    speeds : ndarray, shape (2,)
-        Rotor speeds [rad/s].
-    constants : ndarray, shape (4,)
-        Lumped constants [Rs, c1, r1, r3].
+    For a state (6,), rotor speeds (2,) [rad/s] and constants [Rs, c1, r1, r3].
     """
     return np.array(_rates()(state, speeds, constants)).ravel()
 
@@ -75,16 +69,8 @@ def propagate(
     """Advance over an interval of a first-order hold, with the derivatives of the result.
 
     The arguments are those of `sphere_nmpc.model.integrator.integrate`; `speeds` are the rotor
-    speeds at both ends.
-
-    Returns
-    -------
-    state : ndarray, shape (6,)
-        State at the end.
-    by_state : ndarray, shape (5, 5)
-        Derivative of the error at the end by the error at the start.
-    by_constants : ndarray, shape (5, 4)
-        Derivative of the error at the end by the constants.
+    speeds at both ends. Returned are the state at the end, and the derivatives of its error by
+    the error at the start, shape (5, 5), and by the constants, shape (5, 4).
     """
     steps = steps_for(duration, max_step)
     by_state: Vector = np.eye(ERROR_SIZE)
@@ -168,16 +154,9 @@ def propagate_with_drift(
 ) -> DriftPropagation:
     """Advance over the intervals of a first-order hold with drift, with derivatives.
 
-    Parameters
-    ----------
-    state, constants, max_step
-        As in `sphere_nmpc.model.integrator.integrate`.
-    drift : Drift
-        Drift at the start.
-    durations : ndarray, shape (K,)
-        Lengths of the intervals [s].
-    speeds : ndarray, shape (K + 1, 2)
-        Rotor speeds at their ends [rad/s].
+    `drift` is that at the start, `durations`, shape (K,), are the lengths of the intervals [s],
+    `speeds`, shape (K + 1, 2), the rotor speeds at their ends [rad/s]; for the others see
+    `sphere_nmpc.model.integrator.integrate`.
     """
     work = _step()
     work.state[:], work.momentum[:], work.constants[:] = state, drift.momentum, constants

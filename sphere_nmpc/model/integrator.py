@@ -42,25 +42,10 @@ _Rates = Callable[
 def cf4_step(
     q: Expression, u_start: Expression, u_end: Expression, h: Expression, p: Expression
 ) -> tuple[Expression, Expression]:
-    """Advance one step with the inputs ramping from `u_start` to `u_end`.
+    """Advance one step of h [s] with rotor speeds [rad/s] ramping from `u_start` to `u_end`.
 
-    Parameters
-    ----------
-    q : expression, shape (4,)
-        Unit quaternion wxyz at the start of the step.
-    u_start, u_end : expression, shape (2,)
-        Rotor speeds at its start and end [rad/s].
-    h : expression
-        Length of the step [s].
-    p : expression, shape (4,)
-        Lumped constants [Rs, c1, r1, r3].
-
-    Returns
-    -------
-    displacement : expression, shape (2,)
-        Displacement of the centre [m; world frame].
-    q_end : expression, shape (4,)
-        Quaternion at the end of the step.
+    q is the unit quaternion at its start, p the lumped constants [Rs, c1, r1, r3]. Returned are
+    the displacement of the centre [m; world frame], shape (2,), and the quaternion at the end.
     """
 
     def rates(
@@ -218,18 +203,8 @@ def integrate(
 ) -> Vector:
     """Return the state after one interval of a first-order hold (Eq. 20 with Eq. 21).
 
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        State at the start.
-    u_start, u_end : ndarray, shape (2,)
-        Rotor speeds at the start and the end of the interval [rad/s].
-    duration : float
-        Length of the interval [s].
-    constants : ndarray, shape (4,)
-        Lumped constants [Rs, c1, r1, r3].
-    max_step : float, optional
-        Longest integration step [s].
+    From a state, shape (6,), with the rotor speeds at both ends [rad/s], shape (2,), over
+    `duration` [s] in steps of `max_step` [s] at most; `constants` are [Rs, c1, r1, r3].
     """
     steps = steps_for(duration, max_step)
     step, h = step_function(), duration / steps

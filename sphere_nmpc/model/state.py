@@ -28,18 +28,8 @@ FARTHEST = 1e6
 def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
     """Build a state from its parts, normalising the quaternion.
 
-    Parameters
-    ----------
-    position : array_like, shape (2,)
-        Centre of the sphere [m; world frame].
-    quaternion_wxyz : array_like, shape (4,)
-        Orientation, body to world, of a norm within `NORM_TOLERANCE` of 1.
-
-    Raises
-    ------
-    InvalidStateError
-        If a part has the wrong length, is not finite or too far away, or the quaternion is not of
-        unit norm.
+    `InvalidStateError` is raised if a part has the wrong length, is not finite or too far away, or
+    the norm of the quaternion is not within `NORM_TOLERANCE` of 1.
     """
     place = np.asarray(position, dtype=float)
     turn = np.asarray(quaternion_wxyz, dtype=float)
@@ -67,13 +57,7 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
 
 
 def as_state(values: ArrayLike) -> Vector:
-    """Check and normalise a flat state [x, y, qw, qx, qy, qz], shape (6,).
-
-    Raises
-    ------
-    InvalidStateError
-        If the length is wrong; otherwise see `make_state`.
-    """
+    """Check and normalise a flat state [x, y, qw, qx, qy, qz], shape (6,); see `make_state`."""
     flat = np.asarray(values, dtype=float)
     if flat.shape != (STATE_SIZE,):
         raise InvalidStateError("state", flat.shape, f"the shape ({STATE_SIZE},)")

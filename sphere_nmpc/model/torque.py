@@ -39,21 +39,8 @@ def torques(
 ) -> tuple[Vector, Vector]:
     """Return the motor torques along a plan of K knots, just after and just before them.
 
-    Parameters
-    ----------
-    states : ndarray, shape (K, 6)
-        States at the knots.
-    hold : FirstOrderHold
-        Rotor speeds.
-    constants : LumpedConstants
-        Constants of the plant.
-    rotor_axial_inertia : float
-        I1 [kg m^2].
-
-    Returns
-    -------
-    after, before : ndarray, shape (K - 1, 2)
-        At the start and at the end of each interval [N m]; in between it is nearly linear in time.
+    `states`, shape (K, 6), are those at the knots. The torques are at the start and at the end of
+    each interval [N m], shape (K - 1, 2); in between they are nearly linear in time.
     """
     slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
     turns, p = states[:, QUATERNION], constants.as_array()
@@ -65,12 +52,8 @@ def torques(
 def largest_acceleration(robot: RobotParameters) -> float:
     """Return the rotor acceleration [rad/s^2] that respects the torque limit in all orientations.
 
-    At most `max_rotor_acceleration`, which is also the result without a torque limit.
-
-    Raises
-    ------
-    InvalidParameterError
-        If the torque limit is too low even for constant largest speeds while the shell rotates.
+    At most `max_rotor_acceleration`, which is also the result without a torque limit. A limit that
+    is too low even for constant largest speeds while the shell rotates is refused.
     """
     if robot.max_rotor_torque <= 0.0:
         return robot.max_rotor_acceleration

@@ -41,13 +41,7 @@ class RobotUnits:
 
     @classmethod
     def of(cls, robot: RobotParameters) -> "RobotUnits":
-        """Return the units of a robot.
-
-        Raises
-        ------
-        InvalidParameterError
-            If its torque limit is too low, see `sphere_nmpc.model.torque.largest_acceleration`.
-        """
+        """Return the units of a robot."""
         # casadi is not needed for the settings alone, as in the launch file.
         from sphere_nmpc.model.torque import within_torque
 

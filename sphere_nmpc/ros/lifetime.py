@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
@@ -83,24 +83,16 @@ class RunnableNode(GuardedNode):
 def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about: str) -> int:
     """Run a node until a signal asks it to end, see `END_SIGNALS`, then let it finish.
 
-    Parameters
-    ----------
-    make_node : callable
-        Makes the node, with rclpy initialised.
-    args : sequence of str or None
-        Arguments after the program's name; those of the process by default.
-    about : str
-        What ``--help`` prints.
-
-    Returns
-    -------
-    int
-        0 after a signal; 2 for wrong arguments, parameters or environment variables, 1 if the node
-        cannot be made for another reason; the reason is printed in one line.
+    `make_node` is called with rclpy initialised, `args` are those after the program's name,
+    `about` is what ``--help`` prints. Returns 0 after a signal; 2 for wrong arguments, parameters
+    or environment variables, 1 if the node cannot be made for another reason, which is printed in
+    one line.
     """
     given = list(sys.argv[1:] if args is None else args)
     try:
         own = without_ros_arguments(given)
+        if not own:
+            start_ros([*given, *_OWN_CLOCK])
     except SphereNmpcError as error:
         print(f"cannot start: {error}", file=sys.stderr)
         return error.exit_code
@@ -108,13 +100,9 @@ def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about
         print(about.strip())
         return 0
     if own:
-        print(f"{own[0]}: not understood; parameters are given as\n{_HOW_TO}", file=sys.stderr)
+        how = "  --ros-args -p NAME:=VALUE ... --params-file FILE.yaml"
+        print(f"{own[0]}: not understood; parameters are given as\n{how}", file=sys.stderr)
         return 2
-    try:
-        start_ros([*given, *_OWN_CLOCK])
-    except SphereNmpcError as error:
-        print(f"cannot start: {error}", file=sys.stderr)
-        return error.exit_code
     try:
         return _run_until_signal(make_node)
     finally:
@@ -140,7 +128,7 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
         node.get_logger().info(network_reach())
         try:
             priority = 0
-            with GarbageCollection(time.monotonic()) as garbage:
+            with _collected_garbage() as collect_if_due:
                 while not stop.requested:
                     if node.thread_priority != priority:
                         priority = node.thread_priority
@@ -150,8 +138,12 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
                                 "schedule in real time, expected root, CAP_SYS_NICE or rtprio in "
                                 "/etc/security/limits.conf; continuing with ordinary scheduling"
                             )
-                    _serve(node, executor)
-                    garbage.collect_if_due(time.monotonic())
+                    try:
+                        node.work(executor)
+                    except Exception as error:  # one line in the log, as one of its callbacks
+                        node.report(FAILED, error)
+                        time.sleep(_AFTER_FAILURE)
+                    collect_if_due()
         finally:
             # Nothing may interrupt the final messages: launch's second SIGINT arrives about now.
             for number in END_SIGNALS:
@@ -160,15 +152,6 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
             executor.shutdown()
             node.destroy_node()
     return 0
-
-
-def _serve(node: RunnableNode, executor: Executor) -> None:
-    """Let the node work once; an error is a line in its log, as those of its callbacks are."""
-    try:
-        node.work(executor)
-    except Exception as error:
-        node.report(FAILED, error)
-        time.sleep(_AFTER_FAILURE)
 
 
 class StopRequest:
@@ -241,39 +224,35 @@ def _make_executor(by_events: bool) -> Executor:
     return SingleThreadedExecutor()
 
 
-class GarbageCollection:
-    """Collector that runs when it is called and due, and not otherwise within its context.
+@contextlib.contextmanager
+def _collected_garbage() -> Iterator[Callable[[], None]]:
+    """Return a function that collects garbage if that is due, which does not happen otherwise.
 
     Almost everything is freed by its reference count; the collector only finds cycles. Left to
     itself it looks at all objects made since the start every few seconds, in the middle of a
-    sample, for longer than a control period of 2 ms. `now` is the steady clock at the start [s].
+    sample, for longer than a control period of 2 ms.
     """
+    young_at = all_at = time.monotonic()
 
-    def __init__(self, now: float) -> None:
-        self._young_at = self._all_at = now
+    def collect_if_due() -> None:
+        nonlocal young_at, all_at
+        now = time.monotonic()
+        if now >= young_at + _YOUNG_EVERY:
+            young_at = now
+            is_full = now >= all_at + _ALL_EVERY
+            all_at = now if is_full else all_at
+            gc.collect(_OLDEST if is_full else _MIDDLE)
 
-    def __enter__(self) -> "GarbageCollection":
-        # Objects that exist as long as the process are excluded: with them a full collection
-        # takes tens of milliseconds.
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
+    # Objects that exist as long as the process are excluded: with them a full collection takes
+    # tens of milliseconds.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield collect_if_due
+    finally:
         gc.enable()
         gc.unfreeze()
-
-    def collect_if_due(self, now: float) -> None:
-        """Collect new objects or all, whatever is due at `now` [s, steady clock]."""
-        if now < self._young_at + _YOUNG_EVERY:
-            return
-        self._young_at = now
-        if now < self._all_at + _ALL_EVERY:
-            gc.collect(_MIDDLE)
-        else:
-            self._all_at = now
-            gc.collect(_OLDEST)
 
 
 def schedule(priority: int) -> bool:
@@ -296,8 +275,7 @@ def schedule(priority: int) -> bool:
 def lower_priority() -> None:
     """Give this process a lower priority than the nodes in the control loop.
 
-    Within a session the niceness of the process decides; between sessions Linux divides processor
-    time by the niceness of the session.
+    Between sessions Linux divides processor time by the niceness of the session.
     """
     os.nice(_NICENESS)
     with contextlib.suppress(OSError):
@@ -307,6 +285,3 @@ def lower_priority() -> None:
 
 def _do_nothing(number: int, frame: FrameType | None) -> None:
     """Replace the default handler; the reader acts on the signal."""
-
-
-_HOW_TO = "  --ros-args -p NAME:=VALUE ... --params-file FILE.yaml"

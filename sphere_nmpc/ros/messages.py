@@ -3,7 +3,7 @@
 """ROS messages from and to arrays and stamps; wxyz becomes xyzw here only.
 
 Stamps are whole nanoseconds on this side, so that they compare exactly; control times are seconds
-since `epoch`, a stamp that is 0 in simulated time.
+since `epoch`, a stamp [ns] that is 0 in simulated time.
 
 Clock, pose, trajectory and speeds are written and read in their serialised form (CDR), as
 ``bytes``, and joint states are written so. They pass at up to 2000 Hz, and rclpy makes message
@@ -11,6 +11,9 @@ objects field by field: with objects a pose or a trajectory of ten knots takes t
 write and eight times to read, a clock message a hundred times. One of another layout than the
 usual one, such as with further joints or from a big-endian machine, is read by way of its object,
 with the same result. All other messages are objects of rclpy, as they are rare or for displays.
+
+What cannot be read or used raises an `InvalidStateError`, where it is a pose, or an
+`InvalidInputError`.
 """
 
 import struct
@@ -97,13 +100,7 @@ def clock_message(stamp: int) -> bytes:
 
 
 def clock_stamp(raw: bytes) -> int:
-    """Return the stamp [ns] of a Clock message.
-
-    Raises
-    ------
-    InvalidInputError
-        If it cannot be read, or is before 0, which a ROS clock cannot be set to.
-    """
+    """Return the stamp [ns] of a Clock message, of 0 or more, as a ROS clock has it."""
     stamp = _stamp(raw) if _is_plain(raw) else stamp_from_ros(message_object(raw, Clock).clock)
     if stamp < 0:
         raise InvalidInputError("clock", stamp / NANOSECONDS, "0 or more [s]")
@@ -115,16 +112,7 @@ def pose_message(
 ) -> bytes:
     """Return a state, shape (6,), as the PoseStamped of a sphere resting on the plane z = 0.
 
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        [x, y, qw, qx, qy, qz] [m; world frame], body to world.
-    stamp : int
-        Time of the state [ns].
-    shell_radius : float
-        Height of the centre [m].
-    frame : str, optional
-        Frame of the pose.
+    `stamp` is its time [ns], `shell_radius` the height of the centre [m].
     """
     name = _text(frame)
     x, y, qw, qx, qy, qz = state.tolist()
@@ -133,24 +121,12 @@ def pose_message(
 
 
 def header_stamp(raw: bytes) -> int:
-    """Return the stamp [ns] of a serialised PoseStamped.
-
-    Raises
-    ------
-    InvalidStateError
-        If it cannot be read.
-    """
+    """Return the stamp [ns] of a serialised PoseStamped."""
     return _stamp(raw) if _is_plain(raw) else stamp_from_ros(_pose_object(raw).header.stamp)
 
 
 def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
-    """Return the state, shape (6,), of a serialised PoseStamped; see `framed_pose_from_ros`.
-
-    Raises
-    ------
-    InvalidStateError
-        As there, and if it cannot be read.
-    """
+    """Return the state, shape (6,), of a serialised PoseStamped; see `framed_pose_from_ros`."""
     begin = _BODY + _LENGTH.size
     if _is_plain(raw) and len(raw) >= begin:
         end = begin + _LENGTH.unpack_from(raw, _BODY)[0]
@@ -173,25 +149,13 @@ def pose_to_ros(
 
 
 def pose_from_ros(message: Any) -> Vector:
-    """Return the state, shape (6,), of a PoseStamped; its height and frame are ignored.
-
-    Raises
-    ------
-    InvalidStateError
-        If a number is not finite or the quaternion is not of unit norm.
-    """
+    """Return the state, shape (6,), of a PoseStamped; its height and frame are ignored."""
     place, turn = message.pose.position, message.pose.orientation
     return make_state((place.x, place.y), (turn.w, turn.x, turn.y, turn.z))
 
 
 def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
-    """Return the state, shape (6,), of a PoseStamped in the given frame or without one.
-
-    Raises
-    ------
-    InvalidStateError
-        If the frame is neither `frame` nor empty, or see `pose_from_ros`.
-    """
+    """Return the state, shape (6,), of a PoseStamped in the given frame or without one."""
     given = message.header.frame_id
     if given not in ("", frame):
         raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
@@ -204,13 +168,6 @@ def trajectory_message(hold: FirstOrderHold, epoch: int = 0) -> bytes:
     It is stamped with the time of the first one. A controller that interpolates the speeds
     linearly, as ros2_controllers' joint trajectory controller does with velocities alone, moves
     the rotors exactly as planned.
-
-    Parameters
-    ----------
-    hold : FirstOrderHold
-        Rotor speeds [rad/s] over control time [s].
-    epoch : int, optional
-        Stamp [ns] of control time 0.
     """
     start = stamp_of(hold.start, epoch)
     # As `stamp_of`, for all knots.
@@ -224,11 +181,7 @@ def trajectory_message(hold: FirstOrderHold, epoch: int = 0) -> bytes:
 
 
 def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold, int]:
-    """Return hold and stamp [ns] of a serialised JointTrajectory.
-
-    See `hold_from_trajectory` for the other arguments and the errors; one that cannot be read is
-    an `InvalidInputError`, too.
-    """
+    """Return hold and stamp [ns] of a serialised JointTrajectory; see `hold_from_trajectory`."""
     points = _points(raw)
     if points is None:
         read = message_object(raw, JointTrajectory)
@@ -242,20 +195,8 @@ def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold
 def hold_from_trajectory(message: Any, now: int, epoch: int = 0) -> FirstOrderHold:
     """Return the first-order hold of a trajectory; rotors are matched by name, in any order.
 
-    Parameters
-    ----------
-    message : JointTrajectory
-        Points need velocities [rad/s]; positions and accelerations are ignored.
-    now : int
-        Start [ns] of a trajectory with stamp 0, which means "now".
-    epoch : int, optional
-        Stamp [ns] of control time 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If the names are not those of the rotors, a point lacks a velocity or has one that is not
-        finite, or the times do not rise.
+    Points need velocities [rad/s]; positions and accelerations are ignored. `now` is the start
+    [ns] of a trajectory with stamp 0, which means "now".
     """
     order = _order_of_rotors(message.joint_names)
     given = [len(point.velocities) for point in message.points]
@@ -277,13 +218,7 @@ def speeds_message(speeds: Vector) -> bytes:
 
 
 def speeds_of_message(raw: bytes) -> Vector:
-    """Return the numbers of a serialised Float64MultiArray, shape (K,).
-
-    Raises
-    ------
-    InvalidInputError
-        If it cannot be read.
-    """
+    """Return the numbers of a serialised Float64MultiArray, shape (K,)."""
     at = len(_SPEEDS_HEAD)
     if raw.startswith(_SPEEDS_HEAD) and len(raw) >= at + _SPEEDS.size:
         return np.array(_SPEEDS.unpack_from(raw, at))
@@ -298,13 +233,7 @@ def joint_states_message(angles: Vector, speeds: Vector, torques: Vector, stamp:
 
 
 def joint_states_from_ros(message: Any) -> tuple[Vector, Vector, Vector]:
-    """Return rotor angles [rad], speeds [rad/s] and torques [N m], rotor 1 first.
-
-    Raises
-    ------
-    InvalidInputError
-        If the names are not those of the rotors.
-    """
+    """Return rotor angles [rad], speeds [rad/s] and torques [N m], rotor 1 first."""
     order = _order_of_rotors(message.name)
     parts = (message.position, message.velocity, message.effort)
     angles, speeds, torques = (np.array(part, dtype=float)[order] for part in parts)
@@ -315,11 +244,6 @@ def rotor_speeds_and_stamp(raw: bytes) -> tuple[Vector | None, int]:
     """Return rotor speeds [rad/s], shape (2,), and stamp [ns] of a serialised JointState.
 
     The joints may be more, in any order; the speeds are None if one is missing or not finite.
-
-    Raises
-    ------
-    InvalidInputError
-        If it cannot be read.
     """
     message = message_object(raw, JointState)
     names, given, stamp = list(message.name), message.velocity, message.header.stamp
@@ -335,16 +259,8 @@ def odometry_to_ros(
 ) -> Odometry:
     """Return pose and twist, the twist in the body frame as Odometry demands.
 
-    Parameters
-    ----------
-    state, stamp, shell_radius, frame
-        See `pose_message`.
-    velocity : ndarray, shape (3,)
-        Velocity of the centre [m/s; world frame].
-    body_rate : ndarray, shape (3,)
-        Angular velocity [rad/s; body frame].
-    body_frame : str, optional
-        Name of the body frame.
+    `velocity` is that of the centre [m/s; world frame], shape (3,), `body_rate` the angular
+    velocity [rad/s; body frame], shape (3,); for the others see `pose_message`.
     """
     message = Odometry()
     message.header.stamp = stamp_to_ros(stamp)
@@ -385,13 +301,7 @@ def path_to_ros(
 
 
 def message_object(raw: bytes, kind: Any) -> Any:
-    """Return the object of a serialised message.
-
-    Raises
-    ------
-    InvalidInputError
-        If it cannot be read.
-    """
+    """Return the object of a serialised message."""
     try:
         return deserialize_message(raw, kind)
     except Exception:  # the middleware's own types of error are private to it

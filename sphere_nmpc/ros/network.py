@@ -75,10 +75,7 @@ class RosEnvironmentError(InvalidValueError):
 def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> list[str]:
     """Check the environment of this process and adapt it; return what to tell, in one line each.
 
-    Raises
-    ------
-    RosEnvironmentError
-        If a variable has a value that ROS cannot use.
+    A value that ROS cannot use raises `RosEnvironmentError`.
     """
     apply_localhost_only(environment)
     waited = wait_for_network(environment)  # first: names of peers may need it to be resolved
@@ -87,13 +84,7 @@ def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> l
 
 
 def check_environment(environment: Mapping[str, str] = os.environ) -> None:
-    """Raise if ROS cannot start with this environment.
-
-    Raises
-    ------
-    RosEnvironmentError
-        If a variable has a value that ROS cannot use.
-    """
+    """Raise `RosEnvironmentError` if ROS cannot start with this environment."""
     domain_id(environment)
     for name in _PROFILE_VARIABLES:
         if path := environment.get(name):
@@ -111,13 +102,7 @@ def check_environment(environment: Mapping[str, str] = os.environ) -> None:
 
 
 def domain_id(environment: Mapping[str, str] = os.environ) -> int | None:
-    """Return the ROS domain id that the environment sets; None where it sets none.
-
-    Raises
-    ------
-    RosEnvironmentError
-        If the value is not a valid domain id.
-    """
+    """Return the ROS domain id that the environment sets; None where it sets none."""
     given = environment.get(DOMAIN)
     if not given:
         return None
@@ -128,14 +113,9 @@ def domain_id(environment: Mapping[str, str] = os.environ) -> int | None:
 
 
 def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
-    """Raise if the selected middleware is not installed; call it before rclpy is imported.
+    """Raise `RosEnvironmentError` if the selected middleware is not installed.
 
-    Importing rclpy with a middleware that is not there aborts the process.
-
-    Raises
-    ------
-    RosEnvironmentError
-        If it is not installed; the message names those that are.
+    Call it before rclpy is imported, which would abort the process.
     """
     given = environment.get(_MIDDLEWARE)
     if not given:
@@ -150,10 +130,7 @@ def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
 
 
 def unwritable_log_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return ROS's default log folder if it cannot be written; None if it can.
-
-    Returns None for a folder that the user has set; `check_environment` checks that one.
-    """
+    """Return ROS's default log folder if it cannot be written; None if it can, or is not used."""
     if environment.get(_LOG_FOLDER):
         return None
     home = environment.get("ROS_HOME")

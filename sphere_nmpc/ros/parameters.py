@@ -66,11 +66,6 @@ class Parameters:
 
     The node must be made with ``automatically_declare_parameters_from_overrides=True``, so that
     values from a file or the command line can be read before they are given a type.
-
-    Parameters
-    ----------
-    node : Node
-        Where the parameters are declared.
     """
 
     def __init__(self, node: Node) -> None:
@@ -86,19 +81,9 @@ class Parameters:
     ) -> DeclaredSettings[S]:
         """Declare the fields of a settings dataclass, and return its values as they are given.
 
-        Parameters
-        ----------
-        default : dataclass instance
-            Defaults; its quantities give types, ranges and descriptions.
-        prefix : str, optional
-            Prefix of each name, before a dot: ``robot`` gives ``robot.shell_mass``.
-        on_change : callable, optional
-            Called with the new settings after a live change.
-
-        Raises
-        ------
-        InvalidParameterError
-            Naming the parameter whose given value is not accepted.
+        The quantities of `default` give types, ranges and descriptions. Names begin with `prefix`
+        and a dot: ``robot.shell_mass``. `on_change` is called with the settings after a live
+        change. A given value that is not accepted raises `InvalidParameterError`.
         """
         declared = DeclaredSettings(default, prefix, on_change)
         given = {name: _take(self._node, name) for name in declared.fields}

@@ -32,11 +32,8 @@ class RosArgumentsError(SphereNmpcError):
 def without_ros_arguments(words: Sequence[str]) -> list[str]:
     """Return the arguments, after the program's name, that are not for ROS.
 
-    Raises
-    ------
-    RosArgumentsError
-        If ROS refuses an argument. Also for ``strategy:=paper`` alone, which ROS takes for the
-        remapping of a topic where no ``--ros-args`` precedes it.
+    `RosArgumentsError` is raised for one that ROS refuses, and for ``strategy:=paper`` alone,
+    which ROS takes for the remapping of a topic where no ``--ros-args`` precedes it.
     """
     for before, word in pairwise(["", *words]):
         if ":=" in word and before not in _BEFORE_ASSIGNMENTS:
@@ -56,20 +53,9 @@ def without_ros_arguments(words: Sequence[str]) -> list[str]:
 def start_ros(args: Sequence[str], *, quiet: bool = False) -> None:
     """Initialise rclpy without signal handlers; `rclpy.try_shutdown` reverses it.
 
-    Parameters
-    ----------
-    args : sequence of str
-        Arguments after the program's name.
-    quiet : bool, optional
-        Whether to omit the messages about a missing log file, network or shared memory, where the
-        nodes that are started afterwards print them too.
-
-    Raises
-    ------
-    RosEnvironmentError
-        If an environment variable has a value that ROS cannot use.
-    RosStartError
-        If rclpy fails, with its reason.
+    `args` are those after the program's name. `quiet` omits the messages about a missing log
+    file, network or shared memory, where the nodes that are started afterwards print them too.
+    `RosEnvironmentError` or `RosStartError` has the reason if it fails.
     """
     messages = prepare_environment()
     unwritable = unwritable_log_folder()

@@ -20,25 +20,6 @@ def test_fault_is_logged_immediately_then_with_a_count() -> None:
     assert faults.counts == {"pose refused": 4, "goal refused": 1}
 
 
-def test_newest_suppressed_fault_is_logged_when_its_period_is_over() -> None:
-    lines: list[str] = []
-    now = [0.0]
-    goals = FaultLog(lines.append, period=2.0, clock=lambda: now[0])
-    for number in range(100):
-        now[0] = 0.01 * number
-        goals.report("goal", str(number))
-        goals.flush()
-    assert lines == ["goal: 0"]
-    now[0] = 2.0
-    goals.flush()
-    goals.flush()
-    assert lines == ["goal: 0", "goal: 99 (98 more since the last message)"]
-    now[0] = 10.0
-    goals.report("goal", "100")
-    goals.flush()
-    assert lines[2:] == ["goal: 100"]
-
-
 def test_fault_that_comes_and_goes_begins_once_and_is_over_once() -> None:
     lines: list[str] = []
     now = [0.0]

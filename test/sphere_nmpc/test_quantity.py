@@ -9,7 +9,7 @@ import pytest
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.quantity import quantities, quantity, validate
+from sphere_nmpc.quantity import quantity, validate
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,6 @@ def test_defaults_and_both_ends_of_a_range_are_accepted() -> None:
     Settings()
     Settings(length=0.5, count=1, place=(-5.0, 5.0))
     Settings(length=2.0, count=9, colour="green", name="anything", switch=True, free=-1e300)
-
-
-def test_quantities_are_listed_in_order_and_without_plain_fields() -> None:
-    names = ["length", "count", "switch", "colour", "name", "place", "free"]
-    assert list(quantities(Settings)) == names
-    assert list(quantities(Settings())) == names
-    assert quantities(Settings)["switch"].live
 
 
 @pytest.mark.parametrize(

@@ -24,15 +24,9 @@ class ControlClock:
     In simulated time control time is the time on ``/clock``, less a multiple of a million seconds
     where that is later, as when a bag is played; otherwise it begins with the node.
 
-    Parameters
-    ----------
-    node : Node
-        The node whose clock it is; it passes the messages on ``/clock`` to `hear`.
-    on_jump : callable
-        Called when the clock has jumped, when it has become steady again, and, with True, after a
-        change between system and simulated clock (``use_sim_time``).
-    has_pace : bool, optional
-        See `ClockWatch`.
+    The node passes the messages on ``/clock`` to `hear`. `on_jump` is called when the clock has
+    jumped, when it has become steady again, and, with True, after a change between system and
+    simulated clock (``use_sim_time``). For `has_pace` see `ClockWatch`.
     """
 
     def __init__(

@@ -142,28 +142,25 @@ class ControllerMonitor:
 
 @dataclass(frozen=True)
 class GraphState:
-    """Observations of the ROS graph by a controller at one moment."""
+    """Observations of the ROS graph by a controller at one moment.
+
+    Control `time` [s] is nan before the first message on /clock; the silences [s] are of wall
+    time, since control time last changed and since the last pose; `pose_age` [s] is that of the
+    newest pose on the node's clock when it was received, nan before it; `clocks` and `poses` name
+    the nodes that publish them, `other_clocks` the other topics on which a clock is published.
+    """
 
     follows_clock: bool
-    """Whether the node runs with ``use_sim_time``."""
     time: float
-    """Control time [s]; nan before the first message on /clock."""
     clock_silence: float
-    """Wall time since control time last changed [s]."""
     pose_silence: float
-    """Wall time since the last pose was received [s]."""
     pose_age: float
-    """Age of the newest pose on the node's clock when it was received [s]; nan before it."""
     pose_timeout: float
-    """Largest accepted age of a pose [s]."""
     clocks: Sequence[str]
-    """Names of the nodes that publish the clock."""
     poses: Sequence[str]
-    """Names of the nodes that publish the pose."""
     clock_topic: str = "/clock"
     pose_topic: str = "/pose"
     other_clocks: Sequence[str] = ()
-    """Other topics on which a clock is published."""
 
 
 def find_faults(seen: GraphState) -> list[GraphFault]:

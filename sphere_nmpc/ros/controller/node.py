@@ -60,13 +60,7 @@ _SAVE_EVERY = 1.0
 
 
 class ControllerNode(RunnableNode):
-    """Node that passes messages to a `Schedule` and a `Controller`, and publishes commands.
-
-    Parameters
-    ----------
-    parameter_overrides : list of Parameter, optional
-        Parameters as given on a command line; for use within a program.
-    """
+    """Node that passes messages to a `Schedule` and a `Controller`, and publishes commands."""
 
     uses_events_executor = True
 

@@ -80,20 +80,27 @@ class Run:
 
 
 @BOTH
-def test_nothing_is_invented(settings: ControllerSettings) -> None:
-    for seed in range(2):
-        run = Run(settings, NO_DRIFT, seed)
-        paper = Run(replace(settings, momentum=False), NO_DRIFT, seed)
-        for until in range(1, 7):
-            run.go(float(until))
-            paper.go(float(until))
-            assert run.estimate.drift.is_zero
-            np.testing.assert_array_equal(run.estimate.state, paper.estimate.state)
-            assert run.estimate.plant.constants == paper.estimate.plant.constants
+def test_nothing_is_invented_before_a_push_and_that_is_estimated(
+    settings: ControllerSettings,
+) -> None:
+    run, paper = Run(settings, NO_DRIFT), Run(replace(settings, momentum=False), NO_DRIFT)
+    for until in (1.0, 2.0, 3.0):
+        run.go(until)
+        paper.go(until)
+        assert run.estimate.drift.is_zero
+        np.testing.assert_array_equal(run.estimate.state, paper.estimate.state)
+        assert run.estimate.plant.constants == paper.estimate.plant.constants
+    if settings is EXACT:
+        run.go(3.5, PUSH)
+        assert run.momentum_error() < 0.02 * np.linalg.norm(PUSH), "two samples are enough"
+    run.go(6.0, PUSH if settings is NOISY else None)
+    assert run.momentum_error() < (3.0 if settings is NOISY else 0.05)
 
 
 @BOTH
-def test_slope_and_momentum_are_estimated(settings: ControllerSettings) -> None:
+def test_slope_is_estimated_survives_forgotten_poses_and_is_switched_off_and_on(
+    settings: ControllerSettings,
+) -> None:
     # Noise of 5 mm and 1 degree at 20 Hz: the rate of turn of a second is known to 0.01 rad/s,
     # that is the momentum to 0.6 rad/s; four seconds improve it, wrong constants do not.
     momentum, slope = (2.0, 0.8) if settings is NOISY else (0.05, 0.1)
@@ -107,57 +114,27 @@ def test_slope_and_momentum_are_estimated(settings: ControllerSettings) -> None:
     gained = later.drift.momentum - run.estimate.drift.momentum
     np.testing.assert_allclose(gained[:2], 0.4 * SLOPE, atol=0.4)
 
-
-@BOTH
-def test_push_is_estimated(settings: ControllerSettings) -> None:
-    for seed in range(2):
-        run = Run(settings, NO_DRIFT, seed)
-        run.go(3.0)
-        assert run.estimate.drift.is_zero
-        run.go(6.0, PUSH)
-        assert run.momentum_error() < (3.0 if settings is NOISY else 0.05)
-
-
-@BOTH
-def test_momentum_is_switched_on_and_off_while_running(settings: ControllerSettings) -> None:
-    run = Run(settings, Drift(slope=SLOPE))
-    run.go(6.0)
-    assert not run.estimate.drift.is_zero
     run.estimator.change(replace(settings, momentum=False))
     assert run.estimated(run.time).drift.is_zero
-    run.go(7.0)
-    assert run.estimate.drift.is_zero
     run.estimator.change(settings)
-    run.go(12.0)
-    assert not run.estimate.drift.is_zero
-
-
-@BOTH
-def test_drift_survives_forgotten_poses(settings: ControllerSettings) -> None:
-    run = Run(settings, Drift(slope=SLOPE))
-    run.go(6.0)
     before = run.estimator.drift.as_array()
     run.estimator.forget()
-    np.testing.assert_array_equal(run.estimator.drift.as_array(), before)
     run.observe()
     np.testing.assert_array_equal(run.estimator.drift.as_array(), before)
     run.go(10.0)
-    assert run.momentum_error() < (4.0 if settings is NOISY else 0.05)
+    assert run.momentum_error() < 2.0 * momentum
 
 
-def test_wrong_slope_and_constants_are_learnt_again() -> None:
-    # A filter that is certain of a slope of the other sign, and of a wrong constant.
-    run = Run(NOISY, Drift(slope=SLOPE))
-    run.go(4.0)
-    filtered = run.estimator._drifting  # type: ignore[attr-defined]
-    last = filtered._history.pop()
-    values = last.after.values.copy()
-    values[3:5] = -SLOPE
-    scaled = last.after.scaled + np.array([0.0, 0.0, 0.0, 0.15, 0.0])
-    filtered._history.clear()
-    filtered._history.append(
-        replace(last, after=replace(last.after, values=values, scaled=scaled))
-    )
-    run.go(10.0)
-    assert run.momentum_error() < 3.0
-    np.testing.assert_allclose(run.estimate.drift.slope, SLOPE, atol=2.5)
+def test_floor_that_tilts_is_noticed_and_a_robot_that_was_carried_is_not_pushed() -> None:
+    run = Run(EXACT, NO_DRIFT)
+    run.go(3.0)
+    run.state = run.state + np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
+    run.go(5.0)
+    assert run.estimate.drift.is_zero
+    run = Run(EXACT, NO_DRIFT)
+    run.go(3.0)
+    for slope in (SLOPE, -SLOPE):
+        run.drift = replace(run.drift, slope=slope)
+        run.go(run.time + 3.5)
+        assert run.momentum_error() < 0.1
+        np.testing.assert_allclose(run.estimate.drift.slope, slope, atol=0.2)

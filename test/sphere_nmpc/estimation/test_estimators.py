@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
 
-from sphere_nmpc.estimation import plant_estimator
 from sphere_nmpc.estimation.contract import Estimator, PlantEstimate
 from sphere_nmpc.estimation.estimators import (
     ExactPoseEstimator,
@@ -107,23 +106,6 @@ def test_changed_drive_lag_restarts_the_lag_and_keeps_the_constants(
     assert found.plant.lag == pytest.approx(LAG, rel=0.1), "estimated again from the new prior"
 
 
-def test_changed_noise_level_keeps_state_and_constants_and_weighs_later_poses(
-    sent: SentInputs,
-) -> None:
-    kept, changed = tracked(NOISY, sent), tracked(NOISY, sent)
-    noisier = replace(NOISY, pose_position_noise=0.1, pose_orientation_noise=0.1)
-    assert make_estimator(noisier, LUMPED, sent, previous=changed) is changed
-    assert changed.plant.constants == kept.plant.constants
-    np.testing.assert_array_equal(state_at(changed, DURATION), state_at(kept, DURATION))
-    stamp, shift = DURATION + PERIOD, 2.0 * NOISY.pose_position_noise
-    seen = stamp - kept.plant.lag
-    moved = state_at(kept, seen) + shift * np.array([1.0, 0, 0, 0, 0, 0])
-    for found in (kept, changed):
-        assert found.observe(stamp, moved)
-    remaining = [abs(state_at(found, seen)[0] - moved[0]) for found in (kept, changed)]
-    assert remaining[0] < 0.9 * shift and remaining[1] > 0.99 * shift
-
-
 @pytest.mark.parametrize(
     ("before", "after", "kind"),
     [(EXACT, NOISY, NoisyPoseEstimator), (NOISY, EXACT, ExactPoseEstimator)],
@@ -155,17 +137,6 @@ def test_learning_by_a_worker_gives_the_constants_of_learning_in_line(
     assert same(found.plant, in_line.plant)
 
 
-def test_result_that_arrives_after_a_changed_drive_lag_does_not_undo_it(sent: SentInputs) -> None:
-    clock = Clock()
-    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(clock, 1.0))
-    before = found.plant
-    track(found, sent)
-    assert same(found.plant, before), "no result has arrived"
-    found.change(replace(EXACT, drive_lag=0.03))
-    clock.time = 1.0
-    assert found.plant.lag == pytest.approx(0.03)
-
-
 class Clock:
     """A clock that is set by hand."""
 
@@ -180,24 +151,6 @@ def same(first: PlantEstimate, second: PlantEstimate) -> bool:
     return (first.constants, first.lag, first.noise) == (
         second.constants, second.lag, second.noise
     ) and np.array_equal(first.deviations, second.deviations)
-
-
-def test_update_that_fails_changes_nothing_and_the_next_one_succeeds(
-    sent: SentInputs, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = make_estimator(EXACT, LUMPED, sent, worker=DelayedWorker(Clock(), 0.0))
-    track(found, sent, DURATION - 2.0 * PERIOD)
-    before = found.plant
-
-    def fail(matrix: Vector) -> Vector:
-        raise np.linalg.LinAlgError("singular")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(plant_estimator.np.linalg, "inv", fail)
-        track(found, sent, DURATION - PERIOD)
-    assert same(found.plant, before)
-    track(found, sent)
-    assert not same(found.plant, before)
 
 
 def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known(

@@ -5,12 +5,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import integrate_with_drift
@@ -32,40 +30,6 @@ def replaced(holds: list[FirstOrderHold]) -> SentInputs:
     for hold in holds:
         sent.record(hold.starting_at(hold.start, sent.at(hold.start)))
     return sent
-
-
-def test_without_commands_there_is_no_speed_and_no_motion() -> None:
-    sent = SentInputs()
-    np.testing.assert_array_equal(sent.at(3.0), [0.0, 0.0])
-    np.testing.assert_array_equal(sent.predict(START, 0.0, 5.0, P), START)
-    np.testing.assert_array_equal(sent.predict(START, 0.8, 0.5, P), START)
-    assert sent.newest is None
-    assert not sent.moves_after(0.0)
-
-
-@given(
-    st.floats(0.0, 2.0), st.floats(0.0, 1.0),
-    st.lists(st.floats(-50.0, 50.0), min_size=6, max_size=6),
-)
-def test_until_a_hold_begins_the_one_in_force_is_followed(
-    now: float, ahead: float, speeds: list[float]
-) -> None:
-    sent = SentInputs()
-    knots = np.reshape([0.0, 0.0, *speeds], (4, 2))
-    before = FirstOrderHold(np.array([0.0, 0.7, 1.4, 2.9]), knots)
-    sent.record(before)
-    begins = now + ahead
-    hold = ramp(begins, before.at(begins).tolist(), [7.0, 8.0], 0.5)
-    followed = sent.leading_to(hold, now)
-    assert followed.start == now
-    for t in np.linspace(now, begins, 20):
-        np.testing.assert_allclose(followed.at(t), before.at(t), atol=1e-3)  # knots 1e-6 s apart
-    for t in np.linspace(begins, begins + 1.0, 20):
-        np.testing.assert_allclose(followed.at(t), hold.at(t), atol=1e-3)
-    # One that has begun is joined at its next knot.
-    joined = sent.leading_to(hold, begins + 0.1)
-    np.testing.assert_allclose(joined.times, [begins + 0.1, begins + 0.5])
-    np.testing.assert_allclose(joined.speeds, [before.at(begins + 0.1), hold.speeds[1]])
 
 
 def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces_later_ones():
@@ -160,19 +124,3 @@ def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
                 asked.pieces(start, end), expected.pieces(start, end), strict=True
             ):
                 np.testing.assert_array_equal(found, known)
-
-
-def test_pieces_of_a_high_rate_are_joined_where_they_lie_on_a_line() -> None:
-    sent = SentInputs()
-    for k in range(500):
-        time = 2e-3 * k
-        speeds = [50.0 - 100.0 * abs(time - 0.5), 10.0]
-        sent.record(ramp(time, speeds, speeds, 2e-3))
-    raw = Transition(START, START, *sent.pieces(0.0, 0.998))
-    joined = raw.straightened()
-    assert joined.durations.size < 10 < raw.durations.size
-    assert joined.duration == pytest.approx(raw.duration)
-    times = np.cumsum(raw.durations)
-    at = np.interp(times, np.concatenate(([0.0], np.cumsum(joined.durations))),
-                   joined.inputs[:, 0])
-    assert np.max(np.abs(at - raw.inputs[1:, 0])) <= 0.05

@@ -77,26 +77,3 @@ def test_first_bracket_agrees_with_a_finite_difference_of_the_fields() -> None:
         expected = np.concatenate((bracket[:2] / p[0], rotation))
         # Central differences: h^2 times a third derivative of order 10, and rounding / h.
         np.testing.assert_allclose(bracket_matrix(state, LUMPED)[:, 2], expected, atol=1e-8)
-
-
-def test_measure_depends_on_the_distance_alone_and_rises_with_it() -> None:
-    rng = np.random.default_rng(4)
-    values = []
-    for latitude in np.linspace(0.0, np.pi / 2, 20):
-        found = [
-            controllability(
-                state_at(side * latitude, *rng.uniform(-np.pi, np.pi, 2)), LUMPED
-            ).smallest_singular_value
-            for side in (-1.0, 1.0)
-        ]
-        # Rounding of a singular value beside one of order 20.
-        assert found[0] == pytest.approx(found[1], abs=1e-12)
-        values.append(found[0])
-    assert np.all(np.diff(values) > 0.0)
-    near = controllability(state_at(1e-3, 0.2, 0.1), LUMPED).smallest_singular_value
-    assert near / 1e-3 == pytest.approx(1.13, abs=0.01)
-
-
-def test_state_that_is_not_finite_gives_no_number_and_no_error() -> None:
-    result = controllability(np.full(6, np.nan), LUMPED)
-    assert np.isnan(result.distance_to_circle) and np.isnan(result.smallest_singular_value)

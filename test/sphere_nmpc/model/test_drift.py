@@ -57,19 +57,3 @@ def test_units_of_a_robot_and_their_inverses_agree_with_hand_calculation() -> No
 def test_time_to_saturation_agrees_with_hand_calculation(drift, quaternion, expected) -> None:
     found = time_to_saturation(drift, quaternion, 100.0)
     assert found == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_rotor_is_at_its_limit_at_that_time_and_none_before() -> None:
-    """Against the drift after a rest of this duration; tolerance: rounding."""
-    rng = np.random.default_rng(4)
-    for _ in range(50):
-        quaternion = rng.normal(size=4)
-        quaternion /= np.linalg.norm(quaternion)
-        drift = Drift(*(rng.normal(size=n) * size for n, size in ((3, 30), (2, 5), (3, 5))))
-        time = time_to_saturation(drift, quaternion, 150.0)
-        for part, compare in ((1.0, np.isclose), (0.99, np.less), (0.5, np.less)):
-            speeds = drift.after_rest(quaternion, part * time).rest_speeds(quaternion)
-            assert compare(np.abs(speeds).max(), 150.0)
-    # On its side, with the torque along the level body z, both rotors are free of it.
-    along = Drift(slope=np.array([0.0, 1.0]))
-    assert time_to_saturation(along, ON_SIDE, 100.0) > 1e9  # inf but for rounding

@@ -2,20 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error states on the plane and SO(3), and their propagation with and without momentum."""
 
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.error_state import (
     apply_error,
     error_between,
     propagate,
     propagate_with_drift,
-    state_rates,
-    state_rates_with_drift,
 )
 from sphere_nmpc.model.integrator import integrate, integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
@@ -95,32 +92,3 @@ def test_propagated_states_are_those_of_the_integrator() -> None:
         drift = replace(drift, momentum=momentum)
     np.testing.assert_allclose(found.state, state, atol=1e-13)
     np.testing.assert_allclose(found.momentum, drift.momentum, atol=1e-12)
-
-
-def test_rates_are_those_of_a_short_step() -> None:
-    for drift in (NO_DRIFT, DRIFT):
-        end, _ = integrate_with_drift(STATE, drift, SPEEDS[1], SPEEDS[1], DIFFERENCE, CONSTANTS)
-        seen = error_between(STATE, end) / DIFFERENCE
-        found = state_rates_with_drift(STATE, drift, SPEEDS[1], CONSTANTS)
-        np.testing.assert_allclose(found, seen, atol=1e-5)
-        if drift is NO_DRIFT:
-            np.testing.assert_allclose(state_rates(STATE, SPEEDS[1], CONSTANTS), found, atol=1e-12)
-
-
-def test_several_threads_may_propagate_at_once() -> None:
-    wrong: list[int] = []
-
-    def repeat(seed: int) -> None:
-        torques = np.random.default_rng(seed).normal(size=5)
-        drift = np.concatenate((DRIFT.momentum, torques))
-        own = moving(STATE, drift, CONSTANTS)[1][0]
-        for _ in range(50):
-            if not np.array_equal(moving(STATE, drift, CONSTANTS)[1][0], own):
-                wrong.append(seed)
-
-    threads = [threading.Thread(target=repeat, args=(seed,)) for seed in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong

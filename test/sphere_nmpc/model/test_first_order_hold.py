@@ -28,10 +28,6 @@ def holds(draw: st.DrawFn) -> FirstOrderHold:
     return FirstOrderHold(start + np.cumsum(gaps), np.array(speeds))
 
 
-def simple() -> FirstOrderHold:
-    return FirstOrderHold(np.array([1.0, 2.0, 4.0]), np.array([[0, 10], [20, -10], [0, 0.0]]))
-
-
 def largest_slope(hold: FirstOrderHold) -> float:
     if hold.times.size == 1:
         return 0.0
@@ -55,9 +51,7 @@ def test_speeds_follow_eqs_21_and_22_and_hold_outside(hold: FirstOrderHold, plac
         ([0.0, 1.0], np.zeros((3, 2)), r"\(2,\).*\(3, 2\)"),
         ([0.0, 1.0], np.zeros((2, 3)), r"\(2, 3\)"),
         ([0.0, 0.0], np.zeros((2, 2)), "strictly rising"),
-        ([1.0, 0.0], np.zeros((2, 2)), "strictly rising"),
         ([0.0, np.nan], np.zeros((2, 2)), "finite"),
-        ([0.0, np.inf], np.zeros((2, 2)), "finite"),
         ([0.0, 1.0], np.array([[0, 0], [0, np.nan]]), "finite"),
         ([0.0, 1e-3], np.array([[0, 0], [0, -1e308]]), "at most 1e\\+06 rad/s"),
         ([0.0], np.array([[1.1e6, 0]]), "at most 1e\\+06 rad/s"),
@@ -68,25 +62,6 @@ def test_invalid_knots_are_refused(
 ) -> None:
     with pytest.raises(InvalidInputError, match=words):
         FirstOrderHold(np.array(times), speeds)
-
-
-def test_start_in_the_middle_or_at_a_knot_keeps_the_next_knots_alone() -> None:
-    hold = simple().starting_at(1.5, np.array([3.0, 4.0]))
-    np.testing.assert_array_equal(hold.times, [1.5, 2.0, 4.0])
-    np.testing.assert_array_equal(hold.speeds, [[3, 4], [20, -10], [0, 0]])
-    assert simple().starting_at(2.0, np.ones(2)).times.tolist() == [2.0, 4.0]
-    assert simple().starting_at(7.0, np.ones(2)).times.tolist() == [7.0]
-    late = simple().delayed(0.25)
-    np.testing.assert_array_equal(late.times, [1.25, 2.25, 4.25])
-    with pytest.raises(ValueError, match="read-only"):
-        late.speeds[0, 0] = 1.0
-
-
-def test_end_before_the_last_knot_cuts_the_hold() -> None:
-    hold = simple().until(3.0)
-    np.testing.assert_array_equal(hold.times, [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(hold.speeds, [[0, 10], [20, -10], [10, -5]])
-    assert simple().until(4.0).times.tolist() == [1.0, 2.0, 4.0]
 
 
 @given(hold=holds())
@@ -108,13 +83,6 @@ def test_hold_within_the_limits_is_unchanged_and_ends_at_rest(hold: FirstOrderHo
     ended = same.ending_at_rest(MAX_ACCELERATION)
     np.testing.assert_array_equal(ended.speeds[: len(hold.speeds)], hold.speeds)
     assert not ended.speeds[-1].any()
-
-
-def test_knots_are_put_on_nanoseconds_and_those_that_nearly_coincide_are_dropped() -> None:
-    times = np.array([0.0, 0.1 + 3e-10, 0.1 + 5e-7, 0.2])
-    hold = FirstOrderHold(times, np.arange(8.0).reshape(4, 2)).in_nanoseconds()
-    assert hold.times.tolist() == [0.0, 0.1, 0.2]
-    np.testing.assert_array_equal(hold.speeds, [[0, 1], [2, 3], [6, 7]])
 
 
 @given(speeds=speed_pairs, time=st.sampled_from([0.0, 12.5, EPOCH]))

@@ -4,12 +4,10 @@
 
 import casadi as ca
 import numpy as np
-import pytest
 
 from sphere_nmpc.model.integrator import (
     integrate,
     step_function,
-    steps_for,
 )
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
@@ -77,18 +75,3 @@ def test_motion_runs_backwards_when_the_inputs_do_and_no_time_is_no_motion() -> 
     back = integrate(there, -B, -A, PERIOD, P, max_step=0.01)
     np.testing.assert_allclose(back, START, atol=1e-7)
     np.testing.assert_array_equal(integrate(START, A, B, 0.0, P), START)
-
-
-def test_motion_depends_on_the_angle_turned_and_not_on_time() -> None:
-    slow = integrate(START, 0.5 * A, 0.5 * B, PERIOD, P, max_step=0.05)
-    fast = integrate(START, A, B, 0.5 * PERIOD, P, max_step=0.025)
-    np.testing.assert_allclose(fast, slow, atol=1e-13)
-
-
-@pytest.mark.parametrize(
-    ("duration", "steps"),
-    # The last one is a difference of two readings of a wall clock.
-    [(0.5, 5), (0.51, 6), (0.1, 1), (1e-9, 1), (0.0, 1), ((1.7e9 + 0.5) - 1.7e9, 5)],
-)
-def test_interval_gets_the_steps_it_needs(duration: float, steps: int) -> None:
-    assert steps_for(duration) == steps

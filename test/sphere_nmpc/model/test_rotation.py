@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.rotation import Vector
 from sphere_nmpc.model.symbolic_rotation import (
-    exponential_parts,
-    left_jacobian_parts,
     quaternion_exponential,
     quaternion_product,
     rotation_matrix,
@@ -59,18 +57,6 @@ def test_exponential_and_logarithm_agree_with_scipy(angle: float) -> None:
     np.testing.assert_allclose(q, expected, atol=ROUNDING)
     for sign in (q, -q):
         np.testing.assert_allclose(rotation.logarithm(sign), vector, rtol=1e-14, atol=1e-23)
-    scalar, parts = exponential_parts(ca.vertsplit(ca.DM(vector)))
-    np.testing.assert_allclose(np.array(ca.vertcat(scalar, *parts)).ravel(), expected, atol=1e-14)
     if angle <= 2.0:  # up to which the power series is meant
         series = np.array(quaternion_exponential(ca.DM(vector))).ravel()
         np.testing.assert_allclose(series, expected, atol=2e-16)
-
-
-def test_left_jacobian_is_the_derivative_of_the_exponential() -> None:
-    vector, step = np.array([0.4, -0.9, 0.6]), 1e-6
-    rows = left_jacobian_parts(ca.vertsplit(ca.DM(vector)), ca.DM(1.0))
-    jacobian = np.array([[float(part) for part in row] for row in rows])
-    for i, change in enumerate(step * np.eye(3)):
-        ahead, behind = (rotation.exponential(vector + sign * change) for sign in (1.0, -1.0))
-        moved = rotation.logarithm(rotation.product(ahead, rotation.conjugate(behind)))
-        np.testing.assert_allclose(moved / (2.0 * step), jacobian[:, i], atol=1e-9)

@@ -15,7 +15,6 @@ from sphere_nmpc.ros.graph_monitor import (
     GraphFault,
     GraphMonitor,
     full_name,
-    several_publishers,
 )
 
 LONG = 10.0 * SILENCE_LIMIT
@@ -51,11 +50,6 @@ def test_stopped_clock_is_a_fault_unless_the_simulator_repeats_its_last_pose(
 def test_node_is_named_only_by_a_name_that_a_node_can_have(namespace, name, shown) -> None:
     info = TopicEndpointInfo(node_namespace=namespace, node_name=name)
     assert full_name(info) == shown
-
-
-def test_message_about_many_nodes_names_a_few() -> None:
-    (fault,) = several_publishers("/pose", [f"/n{number:03}" for number in range(500)], "effect")
-    assert "given 500 (/n000, /n001, " in fault.message and ", /n007, ...)" in fault.message
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from type_description_interfaces.srv import GetTypeDescription
 
@@ -133,21 +132,3 @@ def test_request_that_fails_is_answered_with_the_reason(graph, wanting, capfd) -
         "switch refused", "wanting/set_parameters refused",
         "wanting/set_parameters_atomically refused", "wanting/get_type_description refused",
     ]
-
-
-def test_clock_that_cannot_be_is_refused_and_time_goes_on(graph, wanting, capfd) -> None:
-    on = Parameter(name="use_sim_time", value=ParameterValue(type=1, bool_value=True))
-    request = SetParameters.Request(parameters=[on])
-    assert graph.call(SetParameters, "wanting/set_parameters", request).results[0].successful
-    clock = graph.publisher(Clock, "/clock")
-    negative, now = Clock(), Clock()
-    negative.clock.sec, now.clock.sec = -5, 2
-    counts = wanting._fault_log.counts
-    clock.publish(DAMAGED)
-    graph.until(lambda: counts["/clock refused"] == 1)
-    clock.publish(negative)
-    graph.until(lambda: counts["/clock refused"] == 2)
-    clock.publish(now)
-    graph.until(lambda: wanting.get_clock().now().nanoseconds == 2 * 10**9)
-    assert any(line.startswith("/clock refused: ") for line in warnings(capfd))
-    assert graph.call(SetBool, "switch", SetBool.Request(data=True)).success

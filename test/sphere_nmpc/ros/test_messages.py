@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -46,11 +47,16 @@ def holds(draw) -> FirstOrderHold:
     return FirstOrderHold(start + np.cumsum([0.0, *gaps]), np.array(speeds))
 
 
-@given(stamp=STAMPS)
-def test_clock_is_the_one_of_rclpy_both_ways(stamp) -> None:
-    message = Clock(clock=ms.stamp_to_ros(stamp))
-    assert deserialize_message(ms.clock_message(stamp), Clock) == message
-    assert ms.clock_stamp(serialize_message(message)) == stamp
+@given(stamp=STAMPS, speeds=SPEEDS)
+def test_clock_and_speeds_are_those_of_rclpy_both_ways(stamp, speeds) -> None:
+    clock, commands = Clock(clock=ms.stamp_to_ros(stamp)), Float64MultiArray(data=speeds.tolist())
+    assert deserialize_message(ms.clock_message(stamp), Clock) == clock
+    assert deserialize_message(ms.speeds_message(speeds), Float64MultiArray) == commands
+    assert ms.clock_stamp(serialize_message(clock)) == stamp
+    np.testing.assert_array_equal(ms.speeds_of_message(serialize_message(commands)), speeds)
+    commands.data = [1.0, 2.0, 3.0]
+    commands.layout.dim = [MultiArrayDimension(label="rotors", size=3, stride=3)]
+    assert ms.speeds_of_message(serialize_message(commands)).tolist() == [1.0, 2.0, 3.0]
 
 
 @given(state=states(), stamp=STAMPS, frame=st.sampled_from(["world", "", "a", "robot/map"]))
@@ -87,22 +93,6 @@ def test_trajectory_is_read_as_the_hold_that_was_written(hold, epoch, swapped) -
         assert stamp == ms.stamp_from_ros(message.header.stamp)
         np.testing.assert_array_equal(read.times, expected.times)
         np.testing.assert_array_equal(read.speeds, hold.speeds)
-
-
-@given(speeds=SPEEDS)
-def test_speeds_are_those_of_rclpy_both_ways(speeds) -> None:
-    message = Float64MultiArray(data=speeds.tolist())
-    written = ms.speeds_message(speeds)
-    assert deserialize_message(written, Float64MultiArray) == message
-    for given_as in (written, serialize_message(message)):
-        np.testing.assert_array_equal(ms.speeds_of_message(given_as), speeds)
-
-
-def test_speeds_with_dimensions_or_of_another_number_are_read() -> None:
-    message = Float64MultiArray(data=[1.0, 2.0, 3.0])
-    message.layout.dim = [MultiArrayDimension(label="rotors", size=3, stride=3)]
-    assert ms.speeds_of_message(serialize_message(message)).tolist() == [1.0, 2.0, 3.0]
-    assert ms.speeds_of_message(serialize_message(Float64MultiArray())).size == 0
 
 
 @given(values=st.tuples(SPEEDS, SPEEDS, SPEEDS), stamp=STAMPS)
@@ -159,12 +149,11 @@ def test_trajectory_of_another_layout_is_read_all_the_same(points) -> None:
     [
         (["rotor_1_joint", "wheel"], [point()], "given.*wheel.*expected"),
         (["rotor_1_joint"] * 2, [point()], "given.*expected"),
-        (ms.JOINT_NAMES, [], r"velocities .*: given \[\], expected one"),
         (ms.JOINT_NAMES, [point(velocities=[1.0])], r"velocities .*: given \[1\], expected one"),
         (ms.JOINT_NAMES, [point(velocities=[1.0, math.nan])], "nan.*expected finite numbers"),
         (ms.JOINT_NAMES, [point(1), point(0)], "strictly rising"),
     ],
-    ids=["unknown", "twice", "empty", "short", "nan", "times"],
+    ids=["unknown", "twice", "short", "nan", "times"],
 )
 def test_trajectory_that_is_wrong_is_refused_with_what_was_given(names, points, words) -> None:
     message = JointTrajectory(joint_names=list(names), points=points)
@@ -172,17 +161,6 @@ def test_trajectory_that_is_wrong_is_refused_with_what_was_given(names, points, 
         ms.hold_from_trajectory(message, 0)
     with pytest.raises(InvalidInputError, match=words):
         ms.hold_and_stamp(serialize_message(message), 0)
-
-
-@pytest.mark.parametrize(("x", "w"), [(math.nan, 1.0), (1e7, 1.0), (0.0, math.inf), (0.0, 2.0)])
-def test_pose_that_is_no_state_is_refused_in_either_form(x, w) -> None:
-    message = PoseStamped()
-    message.pose.position.x, message.pose.orientation.w = x, w
-    with pytest.raises(InvalidStateError) as expected:
-        ms.framed_pose_from_ros(message)
-    with pytest.raises(InvalidStateError) as error:
-        ms.pose_of_message(serialize_message(message))
-    assert str(error.value) == str(expected.value)
 
 
 def test_pose_of_a_big_endian_machine_is_read() -> None:
@@ -193,7 +171,7 @@ def test_pose_of_a_big_endian_machine_is_read() -> None:
     np.testing.assert_array_equal(ms.pose_of_message(raw), [1.5, 2, 1, 0, 0, 0])
 
 
-@pytest.mark.parametrize("cut", [0, 3, 12, 15, 20, 60])
+@pytest.mark.parametrize("cut", [0, 3, 15, 60])
 @pytest.mark.parametrize(
     ("message", "read"),
     [
@@ -212,25 +190,10 @@ def test_bytes_that_are_no_message_are_refused(message, read: Callable, cut) -> 
         read(message[:cut])
 
 
-@pytest.mark.parametrize("state", STATES)
-def test_odometry_twist_is_in_the_body_frame(state) -> None:
+def test_odometry_twist_is_in_the_body_frame() -> None:
     velocity, rate = np.array([0.3, -0.7, 0.0]), np.array([1.0, 2.0, 3.0])
-    twist = ms.odometry_to_ros(state, velocity, rate, 7, 0.3).twist.twist
-    w, x, y, z = state[2:]
-    to_world = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    twist = ms.odometry_to_ros(STATES[0], velocity, rate, 7, 0.3).twist.twist
     linear = np.array([twist.linear.x, twist.linear.y, twist.linear.z])
-    np.testing.assert_allclose(to_world @ linear, velocity, atol=1e-12)
+    to_world = Rotation.from_quat(STATES[0][[3, 4, 5, 2]])
+    np.testing.assert_allclose(to_world.apply(linear), velocity, atol=1e-12)
     assert (twist.angular.x, twist.angular.y, twist.angular.z) == tuple(rate)
-
-
-def test_path_stamps_each_pose() -> None:
-    path = ms.path_to_ros([1.0, 1.5], np.array(STATES[:2]), 0.3)
-    assert [ms.stamp_from_ros(pose.header.stamp) for pose in path.poses] == [10**9, 15 * 10**8]
-    assert path.header == path.poses[0].header
-    np.testing.assert_allclose(ms.pose_from_ros(path.poses[1]), STATES[1], atol=1e-15)

@@ -4,7 +4,6 @@
 
 import math
 import time
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,12 +14,11 @@ from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc import fault_log
-from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import NANOSECONDS
@@ -29,6 +27,7 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import (
     hold_from_trajectory,
+    joint_states_message,
     pose_from_ros,
     pose_to_ros,
     stamp_from_ros,
@@ -37,10 +36,12 @@ from sphere_nmpc.ros.messages import (
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 CASE = PAPER_CASES[1]
-TICK = 10_000_000
+TICK = 20_000_000
 """Spacing of poses and clock messages [ns]."""
 AT_REST = 1e-9
 """What a ramp may leave to rounding [rad/s]."""
+SPEEDS = np.array([3.0, -4.0])
+"""Of the rotors [rad/s]."""
 STANDS_STILL = "the clock stands still"
 
 
@@ -63,13 +64,24 @@ class NoPlanningTime:
         return 0.0
 
 
+class CountingNode(ControllerNode):
+    """Controller node that counts the poses which it has received."""
+
+    poses = 0
+
+    def _receive_pose(self, message: bytes) -> None:
+        self.poses += 1
+        super()._receive_pose(message)
+
+
 class Robot:
     """Publisher of a pose and the clock; `pass_time` lets simulated time run as fast as it can."""
 
     def __init__(self, graph, **settings) -> None:
         self.graph = graph
         settings = {"use_sim_time": True, "strategy": "paper", **settings}
-        self.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+        self.node = CountingNode([Parameter(k, value=v) for k, v in settings.items()])
+        self.lockstep = settings.get("lockstep", False)
         graph.add(self.node)
         self.trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
         self.commands = graph.collect(Float64MultiArray, "rotor_commands")
@@ -89,8 +101,11 @@ class Robot:
             self.now += TICK
             if self.publishes_pose:
                 self.pose.header.stamp = stamp_to_ros(self.now)
+                received = self.node.poses
                 self.pose_sender.publish(self.pose)
                 self.graph.spin()
+                if self.lockstep:  # where each pose may be that of a sampling instant
+                    self.graph.until(lambda: self.node.poses > received)  # noqa: B023
             self.clock.publish(Clock(clock=stamp_to_ros(self.now)))
             self.graph.until(lambda: self.node._control_clock.stamp() == self.now)
         for _ in range(10):
@@ -138,15 +153,25 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
     monkeypatch.setattr(controller_node, "time", NoPlanningTime)
     paths = robot.graph.collect(Path, "controller/predicted_path")
     robot.send_goal()
+    robot.pose_sender.publish(robot.pose)
+    robot.graph.until(lambda: len(robot.statuses) >= 2)
+    assert not robot.trajectories and not robot.commands
+    assert {values_of(status)["mode"] for status in robot.statuses} == {"no clock yet"}
     robot.pass_time(2.2)
     robot.graph.until(lambda: len(robot.trajectories) >= 4 and len(paths) >= 4)
     starts = [hold.start for hold in robot.holds()]
-    np.testing.assert_allclose(np.diff(starts), 0.5, atol=0.011, err_msg="to a clock message")
+    np.testing.assert_allclose(np.diff(starts), 0.5, atol=0.021, err_msg="to a clock message")
     assert_joined(robot.holds())
     for hold in robot.holds():
         assert np.max(np.abs(hold.speeds)) <= 100.0 + 1e-9
         assert not hold.speeds[-1].any(), "a plan ends at rest"
         assert_within_acceleration(hold)
+    data = np.array([command.data for command in robot.commands])
+    began = robot.holds()[0].start  # later on a busy machine, where the pace is known later
+    assert len(data) == pytest.approx(50.0 * (2.2 - began), abs=4), "one a tick"
+    samples = np.array([robot.holds()[-1].at(t) for t in np.arange(0.0, 4.0, 0.01)])
+    distance = np.min(np.linalg.norm(samples - data[-1], axis=1))
+    assert distance < 2.5, "no further from the hold than half a sample"
     np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12)
     assert len(paths[-1].poses) == 5
     status = robot.status()
@@ -163,50 +188,23 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
         assert 0.5 * value <= float(status[f"learnt_{name}"]) <= 1.6 * value
 
 
-def test_commands_are_the_hold_sampled(robot, monkeypatch) -> None:
-    monkeypatch.setattr(controller_node, "time", NoPlanningTime)
+def test_wrong_pose_or_goal_is_logged_once_and_has_no_effect(robot, capfd) -> None:
     robot.send_goal()
-    robot.pass_time(1.6)
-    data = np.array([command.data for command in robot.commands])
-    began = robot.holds()[0].start  # later on a busy machine, where the pace is known later
-    assert len(data) == pytest.approx(100.0 * (1.6 - began), abs=6), "100 a second"
-    hold = robot.holds()[-1]
-    samples = np.array([hold.at(t) for t in np.arange(0.0, 3.0, 0.01)])
-    distance = np.min(np.linalg.norm(samples - data[-1], axis=1))
-    assert distance < 2.5, "no further from the hold than half a sample"
-    assert np.max(np.abs(np.diff(data, axis=0))) <= 3 * 400.0 * 0.01
-
-
-@pytest.mark.parametrize(
-    "change, words",
-    [
-        (lambda pose: setattr(pose.pose.position, "x", math.nan), "expected finite numbers"),
-        (lambda pose: setattr(pose.header, "frame_id", "map"), "expected 'world'"),
-    ],
-    ids=["nan", "frame"],
-)
-def test_wrong_pose_is_logged_once_and_moves_nothing(robot, capfd, change, words) -> None:
-    robot.send_goal()
-    change(robot.pose)
-    robot.pass_time(1.2)
-    robot.graph.until(lambda: robot.reported)
-    assert not robot.moved()
-    assert robot.status()["mode"] == "no pose yet"
-    lines = [line for line in capfd.readouterr().err.splitlines() if "pose refused" in line]
-    assert len(lines) == 1 and words in lines[0]
-
-
-def test_wrong_goal_is_logged_once_and_has_no_effect(robot, capfd) -> None:
-    robot.send_goal()
+    robot.pose.pose.position.x = math.nan
     wrong = pose_to_ros(CASE.start, 0, 0.3)
     wrong.pose.orientation.w = 0.5
     for _ in range(5):
         robot.goal_sender.publish(wrong)
-        robot.pass_time(0.05)
-    lines = [line for line in capfd.readouterr().err.splitlines() if "goal_pose refused" in line]
-    assert len(lines) == 1 and "expected norm 1" in lines[0]
+        robot.pass_time(0.2)
+    robot.graph.until(lambda: robot.reported)
+    assert not robot.moved()
+    assert robot.status()["mode"] == "no pose yet"
     np.testing.assert_array_equal(robot.node.controller.goal, CASE.goal)
     assert len(robot.goals) == 1
+    printed = capfd.readouterr().err
+    for kind, words in (("pose", "expected finite numbers"), ("goal_pose", "expected norm 1")):
+        (line,) = (line for line in printed.splitlines() if f": {kind} refused" in line)
+        assert words in line
 
 
 def test_stale_pose_ramps_to_rest(robot) -> None:
@@ -219,15 +217,6 @@ def test_stale_pose_ramps_to_rest(robot) -> None:
     assert robot.status()["mode"] == "no fresh pose, ramping to rest"
     np.testing.assert_allclose(robot.node.controller.speeds_at(robot.now / 1e9), 0.0, atol=AT_REST)
     np.testing.assert_allclose(robot.commands[-1].data, 0.0, atol=AT_REST)
-
-
-def test_nothing_is_sent_before_the_clock(robot) -> None:
-    robot.send_goal()
-    robot.pose_sender.publish(robot.pose)
-    robot.graph.until(lambda: len(robot.statuses) >= 2)
-    assert not robot.trajectories and not robot.commands
-    assert {value.value for status in robot.statuses for value in status.values
-            if value.key == "mode"} == {"no clock yet"}
 
 
 def test_disable_ramps_to_rest_immediately_and_enable_resumes(robot, capfd) -> None:
@@ -272,18 +261,6 @@ def test_arrival_is_published_until_there_is_another_goal(robot, capfd) -> None:
     assert [arrival.data for arrival in arrivals] == [False, True, False]
 
 
-def test_goal_that_is_in_force_is_confirmed_and_changes_nothing(robot) -> None:
-    robot.send_goal()
-    robot.pass_time(1.2)
-    plans = len(robot.trajectories)
-    robot.send_goal()
-    robot.send_goal()
-    robot.pass_time(0.3)
-    assert len(robot.goals) == 3
-    starts = [hold.start for hold in robot.holds()[plans:]]
-    assert all(start > 1.2 for start in starts) and len(starts) <= 1, "the grid of samples is kept"
-
-
 def test_status_and_diagnostics_are_published_while_time_stands_still(robot) -> None:
     reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.send_goal()
@@ -309,34 +286,46 @@ def started_again(robot: Robot, **settings) -> ControllerNode:
     robot.node.finish()
     robot.graph.remove(robot.node)
     settings = {"use_sim_time": True, **settings}
-    robot.node = ControllerNode([Parameter(k, value=v) for k, v in settings.items()])
+    robot.node = CountingNode([Parameter(k, value=v) for k, v in settings.items()])
     robot.graph.add(robot.node)
     robot.graph.until(lambda: robot.clock.get_subscription_count() > 0)
     return robot.node
 
 
-def test_goal_in_force_is_restored_after_a_restart(robot) -> None:
-    robot.send_goal()
-    robot.pass_time(0.5)
-    second = started_again(robot)
-    robot.pass_time(0.3)
-    robot.graph.until(lambda: second.controller.goal is not None)
-    np.testing.assert_allclose(second.controller.goal, CASE.goal, atol=1e-12)
-    robot.graph.until(lambda: len(robot.goals) == 2)
-
-
 @pytest.mark.parametrize(
-    ("memory", "enabled"), [(0.0, True), (30.0, False)], ids=["not wanted", "was disabled"]
+    ("memory", "enabled"), [(30.0, True), (0.0, True), (30.0, False)],
+    ids=["wanted", "not wanted", "was disabled"],
 )
-def test_stored_goal_is_not_restored(graph, memory, enabled) -> None:
+def test_goal_in_force_is_restored_after_a_restart_where_wanted(graph, memory, enabled) -> None:
     robot = Robot(graph, goal_memory=memory)
     robot.send_goal()
     robot.pass_time(0.5)
-    graph.call(SetBool, "controller/enable", SetBool.Request(data=enabled))
+    if not enabled:
+        graph.call(SetBool, "controller/enable", SetBool.Request(data=False))
     second = started_again(robot, goal_memory=memory)
     robot.pass_time(0.3)
     graph.until(lambda: second._stored_goal.is_settled)
-    assert second.controller.goal is None
+    if memory and enabled:
+        np.testing.assert_allclose(second.controller.goal, CASE.goal, atol=1e-12)
+        graph.until(lambda: len(robot.goals) == 2)
+    else:
+        assert second.controller.goal is None
+
+
+def test_measured_rotor_speeds_are_heard_while_they_are_needed(robot, monkeypatch) -> None:
+    heard: list[tuple[float, np.ndarray]] = []
+    controller = robot.node.controller
+    monkeypatch.setattr(controller, "observe_rotors", lambda *given: heard.append(given))
+    publisher = robot.graph.publisher(JointState, "joint_states")
+    robot.pass_time(0.3)
+    for stamp in (robot.now + 10**12, robot.now):
+        publisher.publish(joint_states_message(np.zeros(2), SPEEDS, np.zeros(2), stamp))
+    robot.graph.until(lambda: heard)
+    ((time_of, speeds),) = heard
+    assert time_of == pytest.approx(robot.now * 1e-9), "not the one of another clock"
+    assert speeds.tolist() == SPEEDS.tolist()
+    controller.rotor_feedback._in_time = 10
+    robot.graph.until(lambda: publisher.get_subscription_count() == 0)
 
 
 def test_use_sim_time_that_is_unset_while_the_node_runs_is_told_with_its_remedy(robot) -> None:
@@ -379,7 +368,7 @@ def test_clock_that_goes_back_forgets_poses_and_keeps_the_goal(robot, capfd) -> 
     ahead = float(robot.status()["time_s"]) - robot.now * 1e-9
     assert ahead <= 0.25, "half a sample ahead at the most"
     printed = capfd.readouterr().err
-    assert printed.count("clock jumped: given a step of -1.19 s") == 1
+    assert printed.count("clock jumped: given a step of -1.18 s") == 1
     assert printed.count("clock: runs on at another time; poses and plans are dropped") == 1
 
 
@@ -425,28 +414,6 @@ def test_nanoseconds_are_resolved_at_the_time_of_a_bag_that_is_played(robot) -> 
         assert_within_acceleration(hold_from_trajectory(message, played))
 
 
-def test_failing_estimator_and_solver_are_logged_and_the_plan_is_followed(
-    robot, capfd, monkeypatch
-) -> None:
-    robot.send_goal()
-    robot.pass_time(0.6)
-
-    def fail(*given):
-        raise ArithmeticError("not today")
-
-    with monkeypatch.context() as failing:
-        failing.setattr(robot.node.controller.estimator, "observe", fail)
-        robot.pass_time(0.6)
-    assert "controller failed: ArithmeticError: not today" in capfd.readouterr().err
-    assert int(robot.status()["failures"]) > 0 and robot.status()["late_poses"] == "0"
-    robot.node.controller._strategy.plan = fail
-    robot.pass_time(1.2)
-    assert robot.reported[-1].level == DiagnosticStatus.WARN
-    assert robot.status()["mode"] == "solve failed, following the previous plan"
-    assert capfd.readouterr().err.count("solve failed: ArithmeticError: not today") == 1
-    assert_joined(robot.holds()[-2:])
-
-
 def test_lockstep_answers_each_sample_instant_and_repeats_its_answer(graph) -> None:
     robot = Robot(graph, lockstep=True)
     robot.pass_time(0.6)
@@ -486,39 +453,3 @@ def test_strategy_can_be_changed_on_the_way(graph, capfd) -> None:
     # A plan that takes effect when it was made for begins later than its instant.
     assert np.median(np.diff(starts[starts > changed])) == pytest.approx(0.25, abs=0.05)
     assert_joined(robot.holds())
-
-
-def test_strategy_of_another_period_is_refused_in_lockstep(graph) -> None:
-    robot = Robot(graph, strategy="time_optimal", lockstep=True)
-    result = robot.node.set_parameters([Parameter("strategy", value="paper")])[0]
-    assert not result.successful and "every 0.25 s" in result.reason
-    assert robot.node.get_parameter("strategy").value == "time_optimal"
-    robot = Robot(graph, strategy="time_optimal", lockstep=True, sample_period=0.5)
-    assert robot.node.set_parameters([Parameter("strategy", value="paper")])[0].successful
-
-
-def test_no_progress_is_reported_until_there_is_another_goal(robot, capfd, monkeypatch) -> None:
-    monkeypatch.setattr(fault_log, "_PERIOD", 0.0)  # over at once
-    decide = robot.node.controller.decide
-
-    def stand(instant: float, time_budget: float) -> Decision:
-        decision = decide(instant, time_budget)
-        return replace(decision, mode=Mode.NO_PROGRESS, no_progress="given a stone")
-
-    with monkeypatch.context() as standing:
-        standing.setattr(robot.node.controller, "decide", stand)
-        robot.send_goal()
-        robot.pass_time(1.2)
-        # It is repeated between sampling instants, too.
-        received = len(robot.statuses)
-        robot.graph.until(lambda: len(robot.statuses) >= received + 2)
-        status = values_of(robot.reported[-1])
-        assert status["mode"] == "no progress towards the goal"
-        assert status["no_progress"] == "given a stone"
-        assert robot.reported[-1].level == DiagnosticStatus.WARN
-        assert robot.reported[-1].message == "no progress: given a stone"
-    assert capfd.readouterr().err.count("no progress: given a stone") == 1
-    robot.pass_time(1.2)
-    assert robot.status()["mode"] == "on the way to the goal"
-    assert robot.status()["no_progress"] == ""
-    assert "no progress: over" in capfd.readouterr().err

@@ -3,7 +3,7 @@
 """Faults on running nodes, up to three at once, and fuzzing of all nodes.
 
     make faults ARGS="--quick --json out/faults.json"
-    make faults ARGS="--json out/contact.json --plant rigid_body --triples 50 --jobs 2"
+    make faults ARGS="--json out/contact.json --plant rigid_body --triples 50"
     make faults ARGS="--fuzz --seed 12 --minutes 10"
     make faults ARGS="--fuzz --seed 12 --only 17"            # try 17 again
 
@@ -12,26 +12,28 @@ goal, and evaluates the recovery. Exits 0 when every trial was survived.
 """
 
 import argparse
-import os
+import json
+import math
+import statistics
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from catalogue import FAULTS, Fault, chosen, combined
+from catalogue import FAULTS, Fault, chosen, combined, name_of
 from fuzz import fuzz
-from outcome import read_outcomes, table, write_json
-from trial import RATE, Plan, Settings, run_trials
+from trial import RATE, Outcome, Settings, run_trials
 from tries import TRIES
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.network import DOMAIN, RosEnvironmentError
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import number, whole
-from sphere_sim.output.files import prepare_folder
+from sphere_sim.output.files import prepare_folder, write_atomically
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.world.settings import PLANTS
 
@@ -47,45 +49,108 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prefix="sphere_nmpc_faults_", ignore_cleanup_errors=True
     ) as temporary:
         folder = given.out.expanduser().absolute() if given.out else Path(temporary)
-        if not given.fuzz:
-            return _campaign(given, folder)
         with own_domain():
-            return 0 if fuzz(given, folder) else 1
+            survived = fuzz(given, folder) if given.fuzz else _campaign(given, folder)
+    return 0 if survived else 1
 
 
-def _campaign(given: argparse.Namespace, folder: Path) -> int:
-    if given.jobs > 1 and (domain := os.environ.get(DOMAIN)):
-        raise RosEnvironmentError(DOMAIN, domain, f"no value with --jobs {given.jobs}")
+def _campaign(given: argparse.Namespace, folder: Path) -> bool:
+    """Run all trials that the file lacks; return whether each was survived."""
     settings = Settings(given.seed, given.rtf, given.strategy, given.plant, given.rate)
     in_common = asdict(settings)
     outcomes = read_outcomes(given.json, in_common) if given.resume else []
     done = {(outcome.fault, outcome.repetition) for outcome in outcomes}
-    plans = [plan for plan in _plans(given) if (plan.name, plan.repetition) not in done]
+    plans = [plan for plan in _plans(given) if (name_of(plan[0]), plan[1]) not in done]
     trials = len(outcomes) + len(plans)
-    for outcome in run_trials(plans, settings, folder, given.jobs):
+    for outcome in run_trials(plans, settings, folder):
         outcomes.append(outcome)
         write_json(given.json, outcomes, in_common)
         print(f"{len(outcomes)} of {trials}: {outcome}", flush=True)
     robot = RobotParameters()
     print(f"\nlimits: {robot.max_rotor_speed:g} rad/s, {robot.max_rotor_acceleration:g} rad/s^2\n")
-    print("\n".join(table(outcomes)))
+    print("\n".join(_table(outcomes)))
     survived = sum(outcome.survived for outcome in outcomes)
     print(f"\n{survived} of {len(outcomes)} trials survived")
-    return 0 if survived == len(outcomes) else 1
+    return survived == len(outcomes)
 
 
-def _plans(given: argparse.Namespace) -> list[Plan]:
+def _plans(given: argparse.Namespace) -> list[tuple[tuple[Fault, ...], int]]:
     """Return the trials: each fault, as often as wanted, then the combinations."""
-    singles = chosen(FAULTS.values(), given.fault, given.quick)
+    singles = chosen(given.fault, given.quick)
     several: list[tuple[Fault, ...]] = [(fault,) for fault in singles] * given.repeat
     for size, wanted in ((2, given.pairs), (3, given.triples)):
         several += combined(singles, size, wanted, given.seed)
-    tried: Counter[tuple[str, ...]] = Counter()
+    tried: Counter[str] = Counter()
     plans = []
-    for names in (tuple(fault.name for fault in faults) for faults in several):
-        plans.append(Plan(names, tried[names]))
-        tried[names] += 1
+    for faults in several:
+        name = name_of(faults)
+        plans.append((faults, tried[name]))
+        tried[name] += 1
     return plans
+
+
+def _row(fault: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return what the file and the tables hold of all trials of a fault."""
+    recoveries = [outcome.recovery for outcome in outcomes if outcome.recovery >= 0.0]
+    return {
+        "fault": fault,
+        "tried": len(outcomes),
+        "survived": sum(outcome.survived for outcome in outcomes),
+        "recover_s": round(max(recoveries), 3) if recoveries else None,
+        "recover_median_s": round(statistics.median(recoveries), 3) if recoveries else None,
+        "worst_speed": max(outcome.worst_speed for outcome in outcomes),
+        "worst_slew": max(outcome.worst_slew for outcome in outcomes),
+    }
+
+
+def _rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Return a row for each fault, in order of their first trial."""
+    faults = dict.fromkeys(outcome.fault for outcome in outcomes)
+    return [_row(fault, [o for o in outcomes if o.fault == fault]) for fault in faults]
+
+
+def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Yield the lines of a table in Markdown: the faults, then all by their number at once."""
+    at_once = [
+        _row(f"all, {size} at once", several) for size in (1, 2, 3)
+        if (several := [o for o in outcomes if o.fault.count(" + ") == size - 1])
+    ]
+    yield ("| fault | survived | recovery, median [s] | longest [s] | speed [rad/s] "
+           "| slew [rad/s²] |")
+    yield "|---" * 6 + "|"
+    for one in _rows(outcomes) + at_once:
+        median, longest = (
+            "-" if seconds is None else f"{seconds:.1f}"
+            for seconds in (one["recover_median_s"], one["recover_s"])
+        )
+        yield (f"| {one['fault']} | {one['survived']} of {one['tried']} | {median} | {longest} "
+               f"| {one['worst_speed']:.2f} | {one['worst_slew']:.2f} |")
+
+
+def write_json(path: Path, outcomes: Sequence[Outcome], campaign: Mapping[str, Any]) -> None:
+    """Write the settings in common, the table of faults, and all trials to a file, at once."""
+    trials = [
+        asdict(o) | {"recovery": None if math.isnan(o.recovery) else o.recovery} for o in outcomes
+    ]
+    content = {"campaign": dict(campaign), "faults": _rows(outcomes), "trials": trials}
+    write_atomically(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def read_outcomes(path: Path, campaign: Mapping[str, Any]) -> list[Outcome]:
+    """Return the trials in a file of the same campaign; none if there is no file."""
+    if not path.exists():
+        return []
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if content["campaign"] != dict(campaign):
+        raise SphereNmpcError(f"{path}: given trials of the campaign "
+                              f"{shown(content['campaign'])}, expected {dict(campaign)}")
+    return [
+        Outcome(**trial | {
+            "complaints": tuple(trial["complaints"]),
+            "recovery": math.nan if trial["recovery"] is None else trial["recovery"],
+        })
+        for trial in content["trials"]
+    ]
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -121,8 +186,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     campaign.add_argument("--rate", type=number(RATE, 500.0), default=RATE, metavar="HZ",
                           help="rate of poses, commands and, above the default, solves (default: "
                           "%(default)g Hz, and a solve at each sampling instant)")
-    campaign.add_argument("--jobs", type=whole(1, 16), default=1, metavar="N",
-                          help="run N trials at the same time, each in a ROS domain of its own")
     campaign.add_argument("--resume", action="store_true",
                           help="keep the trials in --json and run those that it lacks")
     fuzzing = parser.add_argument_group("fuzzing")

@@ -27,7 +27,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from relay import stamped, taken
 from std_srvs.srv import SetBool, Trigger
-from tries import TRIES, WEIGHTS
+from tries import TRIES
 
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -81,17 +81,15 @@ class FuzzJudge(Judge):
     def __init__(self, fail: Callable[..., None]) -> None:
         super().__init__()
         self._fail = fail
-        self.reset_until = 0.0
-        """Wall time until which the rotors may be set to rest at once, as by a reset [s]."""
-        self.on_system_clock_until = 0.0
-        """Wall time until which the controller may follow the system clock [s]."""
+        self.lenient_until = 0.0
+        """Wall time until which the rotors may be set to rest at once, as by a reset, and the
+        controller may follow the system clock [s]."""
         self.worst = {"speed_rad_s": 0.0, "slew_rad_s2": 0.0, "ahead_s": 0.0, "duration_s": 0.0}
         self._hold: tuple[float, int, FirstOrderHold] | None = None
         self._true_times: deque[tuple[int, int]] = deque(maxlen=500)
         self._back_until = 0
 
     def clock(self, raw: bytes, wall: int, shift: int) -> None:
-        """Take the time of the simulator."""
         super().clock(raw, wall, shift)
         shifted = self.now + shift
         if self._true_times and shifted < self._true_times[-1][1]:
@@ -99,8 +97,7 @@ class FuzzJudge(Judge):
         self._true_times.append((wall, shifted))
 
     def joints(self, raw: bytes, wall: int, shift: int) -> None:
-        """Take joint states of the simulator."""
-        if time.monotonic() < self.reset_until:
+        if time.monotonic() < self.lenient_until:
             self.limits.restart()
         super().joints(raw, wall, shift)
 
@@ -116,7 +113,7 @@ class FuzzJudge(Judge):
         if true is None or wall < self._back_until:
             return
         ahead = (stamp - true) / NANOSECONDS
-        if time.monotonic() < self.on_system_clock_until:
+        if time.monotonic() < self.lenient_until:
             ahead = min(ahead, (stamp - wall) / NANOSECONDS)
         self.worst["ahead_s"] = max(self.worst["ahead_s"], ahead)
         if ahead > MOST_AHEAD:
@@ -162,16 +159,14 @@ class FuzzSession(Session):
         self.fail = fail
         self.alone = True
         """Whether the present try is the only one."""
-        self.changed: set[str] = set()
-        """What has to be restored after a try: parameters, services, plant."""
+        self.is_pushed = False
+        """Whether the present try may have pushed the sphere."""
         self.expected: set[str] = set()
         """Nodes whose end is wanted."""
         self.topics: dict[str, type] = {}
         """Topics to which a node subscribes, with their types."""
         self.parameters: dict[str, dict[str, ParameterValue]] = {}
         """Parameters of each node, as they were at the beginning."""
-        self.most_lines = 0
-        """Largest number of lines that a node has logged in a try."""
         self._examples: dict[str, bytes] = {}
         self._read: Counter[str] = Counter()
 
@@ -227,28 +222,24 @@ class FuzzSession(Session):
 
     def restore(self) -> None:
         """Start nodes that have ended, and undo what the tries have changed."""
-        changed, judge = self.changed, self.judge
-        self.changed = set()
+        judge = self.judge
         try:
             self.start(*(name for name in self.nodes if self.processes[name].code is not None))
-            if "parameters" in changed:
-                for name in self.nodes:
-                    self._restore_parameters(name)
-            if "services" in changed:
-                self.call("simulator/pause", SetBool.Request(data=False))
-                self.call("controller/enable", SetBool.Request(data=True))
-                self.call("recorder/start", Trigger.Request())
-            if "plant" in changed or not self._is_near():
-                judge.reset_until = math.inf
+            for name in self.nodes:
+                self._restore_parameters(name)
+            self.call("simulator/pause", SetBool.Request(data=False))
+            self.call("controller/enable", SetBool.Request(data=True))
+            self.call("recorder/start", Trigger.Request())
+            if self.is_pushed or not self._is_near():
+                judge.lenient_until = math.inf
                 self.call("simulator/reset", Trigger.Request())
                 done = judge.now + _LATER
                 self.wait(
                     lambda: judge.pose_stamp > done and self._is_near(), "a pose of the start"
                 )
         finally:
-            soon = time.monotonic() + _NOTICED
-            judge.reset_until = min(judge.reset_until, soon)
-            judge.on_system_clock_until = min(judge.on_system_clock_until, soon)
+            self.is_pushed = False
+            judge.lenient_until = min(judge.lenient_until, time.monotonic() + _NOTICED)
 
     def control_back(self, rng: np.random.Generator) -> float | None:
         """Send a goal; return the time until the rotors follow a command to it [s, wall].
@@ -287,9 +278,7 @@ class FuzzSession(Session):
                 log.seek(self._read[process.name])
                 whole, _, _ = log.read().rpartition(b"\n")
             self._read[process.name] += len(whole) + (1 if whole else 0)
-            lines = whole.decode(errors="replace").split("\n")
-            self.most_lines = max(self.most_lines, len(lines))
-            for line in lines:
+            for line in whole.decode(errors="replace").split("\n"):
                 for what in faults_of_line(line):
                     self.fail(what, f"{process.name}: {line}", process.name)
 
@@ -339,20 +328,15 @@ class Fuzz:
         self.session.learn()
 
     def one(self, number: int) -> None:
-        """Make the try of a number: one kind, or two at once."""
-        rng = random.Random(f"{self._seed}:{number}")
-        weights = [WEIGHTS.get(kind, 1) for kind in self._kinds]
-        drawn = rng.choices(self._kinds, weights, k=2 if rng.random() < 0.3 else 1)
-        self.cause(number, list(dict.fromkeys(drawn)), rng.uniform(1.0, 5.0))
-
-    def cause(self, number: int, kinds: list[str], duration: float) -> None:
-        """Cause faults of some kinds together for `duration` [s, wall], restore all, and judge."""
-        session = self.session
+        """Cause a fault, or two at once, for some seconds; then restore all, and judge."""
+        session, rng = self.session, random.Random(f"{self._seed}:{number}")
+        kinds = rng.sample(self._kinds, 2 if rng.random() < 0.3 and len(self._kinds) > 1 else 1)
         self._number, self._name = number, "+".join(kinds)
         session.alone = len(kinds) == 1
         self._tried.update(kinds)
         drawn = {kind: random.Random(f"{self._seed}:{number}:{kind}") for kind in kinds}
         tries = [TRIES[kind](session, rng) for kind, rng in drawn.items()]
+        duration = rng.uniform(1.0, 5.0)
         running = [one for one in tries if next(one, one) is not one]
         end = time.monotonic() + duration  # what they wait for first does not count
         while running and time.monotonic() < end:
@@ -396,8 +380,8 @@ class Fuzz:
         worst = {k: round(v, 4) if math.isfinite(v) else None for k, v in judge.worst.items()}
         result = {
             "seed": self._seed, "tries": self._number, "commands_judged": judge.count,
-            "worst": worst, "most_log_lines_of_a_node_in_a_try": self.session.most_lines,
-            "counts": dict(self.counts), "seconds_without_control": _distribution(self._back),
+            "worst": worst, "counts": dict(self.counts),
+            "seconds_without_control": _distribution(self._back),
             "kinds": dict(self._tried), "failures": self.failures,
         }
         write_atomically(path, json.dumps(result, indent=2) + "\n")

@@ -73,11 +73,6 @@ class LimitCheck:
         self._left: FirstOrderHold | None = None
         self._measured: tuple[int, Vector] | None = None
 
-    def trajectory(self, hold: FirstOrderHold) -> None:
-        """Check a commanded hold by itself and against the one that it replaces."""
-        self.sent(hold)
-        self.delivered(hold)
-
     def sent(self, hold: FirstOrderHold) -> None:
         """Check a commanded hold by itself."""
         self._check_speed("rotor_trajectory", hold.speeds)

@@ -23,7 +23,6 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from relay import REMAPPED, Relay
 from std_srvs.srv import SetBool, Trigger
@@ -46,6 +45,8 @@ _SPIN = 4e-3
 _REPEAT = 1.0
 """Wall time after which a goal or request that is not confirmed is sent again [s]: it may be lost,
 as a node that was killed stays matched for some time."""
+_MATCHED = 30.0
+"""Longest wait for a subscriber [s, wall]."""
 _SAME = 1e-9
 """Largest difference between the goal sent and the goal confirmed [mixed units]."""
 _MOST_PENDING = 10
@@ -147,10 +148,6 @@ class Session:
         """Serve this process's own node once."""
         self._executor.spin_once(timeout_sec=0.0)
 
-    def serve(self, node: Node, wanted: bool = True) -> None:
-        """Serve another node of this process, or no longer."""
-        (self._executor.add_node if wanted else self._executor.remove_node)(node)
-
     def until(self, condition: Callable[[], object], timeout: float) -> bool:
         """Serve until a condition holds; return False after `timeout` [s, wall]."""
         return serve_until(self.spin, condition, timeout)
@@ -242,17 +239,14 @@ class Session:
         self._pushes.publish(Vector3(x=x, y=y))
 
     @contextmanager
-    def publisher(self, kind: type, topic: str, qos: Any = 10, timeout: float = READY) -> (
-        Iterator[Any]
-    ):
+    def publisher(self, kind: type, topic: str, qos: Any = 10) -> Iterator[Any]:
         """Yield a further publisher, which a subscriber is matched with unless that takes long."""
         publisher = self.node.create_publisher(kind, topic, qos)
         try:
-            self.until(lambda: publisher.get_subscription_count() > 0, timeout)
+            self.until(lambda: publisher.get_subscription_count() > 0, _MATCHED)
             yield publisher
         finally:
             self.node.destroy_publisher(publisher)
-
 
 
 def random_goal(

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
-from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import pose_message
 from sphere_nmpc.ros.settings import ControllerNodeSettings
@@ -27,10 +26,6 @@ from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_
 
 HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()
 ROW = b"2,-3,1,0,0,0,0,0,0,1,0,0,7"
-CELLS = st.sampled_from(
-    [b"", b"0", b"1", b"nan", b"-inf", b"1e400", b"1_0", b"0x1", b'"', b'"1', b"\xff", b"\x00",
-     "٣".encode(), b"1;2", b" 1 ", b"-0", b"\r", b"'", b"1e6", b"99999999999999999999"]
-)
 SAME_FILE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -44,13 +39,6 @@ def read_or_refuse(path: Path, data: bytes) -> None:
     for scenario in scenarios:
         assert np.all(np.isfinite(scenario.start)) and np.all(np.isfinite(scenario.goal))
         assert np.linalg.norm(scenario.goal[2:]) == pytest.approx(1.0)
-
-
-@SAME_FILE
-@given(rows=st.lists(st.lists(CELLS, min_size=11, max_size=14), max_size=3))
-def test_any_cells_are_read_or_refused(tmp_path, rows) -> None:
-    lines = [HEADER, ROW, *(b",".join(row) for row in rows)]
-    read_or_refuse(tmp_path / "cells.csv", b"\n".join(lines))
 
 
 @SAME_FILE
@@ -75,7 +63,7 @@ def bag(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("name", ["metadata.yaml", "bag_0.mcap"])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(12))
 def test_any_damage_to_a_bag_is_read_or_refused(bag, tmp_path, name, seed) -> None:
     rng = random.Random(seed)
     copy = tmp_path / "bag"
@@ -101,21 +89,6 @@ def test_any_damage_to_a_bag_is_read_or_refused(bag, tmp_path, name, seed) -> No
     assert len(run.times) == len(run.states) > 0
 
 
-NAMES = st.sampled_from(
-    [*quantities(ControllerNodeSettings()), *(f"robot.{n}" for n in quantities(RobotParameters())),
-     "robot", "use_sim_time", "unheard_of", "a.b.c", "qos_overrides", "''", "~", "1", "sphere:"]
-)
-VALUES = st.one_of(
-    st.integers(-(2**70), 2**70).map(str),
-    st.floats().map(str),
-    st.sampled_from(
-        ["", "true", "no", "paper", "[]", "[1, 2.0]", "[1, a]", "{}", "{a: 1}", "'", '"x',
-         "!!python/object:os.system x", "!!binary aGk=", "*x", "&x 1", ".nan", "-.inf", "0x1F",
-         "1e999", "2026-01-01", "[[1]]", "|", "- 1", "\t1", "\u2028", "null"]
-    ),
-)
-
-
 class ShortNode(RunnableNode):
     """Node with the parameters of the controller, which ends as soon as it runs."""
 
@@ -130,21 +103,31 @@ class ShortNode(RunnableNode):
         executor.spin_once(timeout_sec=0.1)
 
 
-def parameter_file(values: dict[str, str]) -> bytes:
-    lines = [f"    {name}: {value}" for name, value in values.items()]
-    return "\n".join(["controller:", "  ros__parameters:", *lines]).encode()
+def parameters(*lines: str) -> bytes:
+    return "\n    ".join(["controller:\n  ros__parameters:", *lines]).encode()
 
 
-@settings(SAME_FILE, max_examples=60)
-@given(text=st.one_of(
-    st.dictionaries(NAMES, VALUES, min_size=1, max_size=3).map(parameter_file),
-    st.binary(max_size=80),
-    st.text("{}[]:-#&*!|>'\"%@`, \n\tab1/", max_size=60).map(str.encode),
-))
-def test_node_starts_with_a_parameter_file_or_reports_why_not(tmp_path, capfd, text) -> None:
+@pytest.mark.parametrize(
+    ("content", "starts"),
+    [
+        (parameters("strategy: paper", "unheard_of: [1, 2.0]"), True),
+        (parameters("time_budget: .nan"), False),
+        (parameters("max_iterations: 99999999999999999999999"), False),
+        (parameters("robot: {shell_mass: !!python/object:os.system x}"), False),
+        (parameters("robot: 1", "pose_timeout: [1, a]"), False),
+        (parameters("strategy: |", "sample_period: 1e999"), False),
+        (parameters("\t1"), False),
+        (b"\xff\x00{]", False),
+        (b"", True),
+    ],
+    ids=range(9),
+)
+def test_node_starts_with_a_parameter_file_or_reports_why_not(
+    tmp_path, capfd, content, starts
+) -> None:
     path = tmp_path / "any.yaml"
-    path.write_bytes(text)
+    path.write_bytes(content)
     code = run(ShortNode, ["--ros-args", "--params-file", str(path)], "")
     output = capfd.readouterr().err
-    assert code in (0, 1, 2) and "Traceback" not in output
-    assert code == 0 or output.strip(), "a node that does not start prints the reason"
+    assert (code == 0) is starts and code in (0, 1, 2) and "Traceback" not in output
+    assert starts or output.strip(), "a node that does not start prints the reason"

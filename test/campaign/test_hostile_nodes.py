@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes under malformed bytes and extreme values on each topic, parameter and service.
+"""Nodes under malformed bytes and extreme values on each topic, parameter and service.
 
 Nothing of it ends a node or breaks a limit: each still answers, does its work and ends in order,
 and its log has short printable lines only.
@@ -18,13 +18,30 @@ pytest.importorskip("rclpy")
 pytest.importorskip("viser")
 
 from fuzz import FuzzSession
-from hostile import damaged, extreme, extreme_value, parameter_value
+from geometry_msgs.msg import PoseStamped
+from hostile import NUMBERS, damaged, extreme, extreme_value, parameter_value
+from judge import LimitCheck
 from node_session import class_of
 from patience import PATIENCE
-from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
+from trajectory_msgs.msg import JointTrajectory
 from tries import messages
+
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import make_state
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.messages import (
+    hold_and_stamp,
+    pose_message,
+    speeds_message,
+    trajectory_message,
+)
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 SEED = 26
 TOPICS = {
@@ -64,7 +81,7 @@ def disturb_parameters(session: FuzzSession) -> None:
             values = [parameter_value(rng, kind) for kind in kinds]
             results = []
             for several in (values, [ParameterValue(type=UNKNOWN_TYPE)]):
-                given = [Parameter(name=name, value=value) for value in several]
+                given = [ParameterMessage(name=name, value=value) for value in several]
                 request = SetParameters.Request(parameters=given)
                 results += session.call(f"{node}/set_parameters", request).results
             assert len(results) == len(values) + 1
@@ -93,8 +110,7 @@ def extreme_request(rng: random.Random, request: Any) -> Any:
 def test_no_message_parameter_or_request_ends_a_node(tmp_path) -> None:
     complaints: list[tuple[str, ...]] = []
     with FuzzSession(tmp_path, lambda *words: complaints.append(words)) as session:
-        session.judge.on_system_clock_until = math.inf  # use_sim_time is one of the parameters
-        session.judge.reset_until = math.inf
+        session.judge.lenient_until = math.inf  # use_sim_time is one of the parameters
         session.start(*session.nodes)
         session.learn()
         assert session.topics.keys() >= TOPICS
@@ -102,7 +118,7 @@ def test_no_message_parameter_or_request_ends_a_node(tmp_path) -> None:
             disturb_topic(session, topic)
         disturb_parameters(session)
         disturb_services(session)
-        session.changed = {"parameters", "services", "plant"}
+        session.is_pushed = True
         session.restore()
         assert session.control_back(np.random.default_rng(SEED)) is not None
         session.check_logs()
@@ -117,3 +133,61 @@ def test_no_message_parameter_or_request_ends_a_node(tmp_path) -> None:
     for bag in bags:
         with Reader(bag) as reader:
             list(reader.messages())
+
+
+@pytest.fixture
+def controller(graph) -> ControllerNode:
+    node = ControllerNode([Parameter("strategy", value="paper")])
+    graph.add(node)
+    return node
+
+
+@pytest.fixture
+def sent(controller, monkeypatch) -> LimitCheck:
+    check = LimitCheck()
+    publish = controller._sender._trajectories.publish
+
+    def check_and_publish(message) -> None:
+        # Relative to the epoch, as times since 1970 would be rounded.
+        hold, _ = hold_and_stamp(message, 0, controller._control_clock.epoch)
+        check.sent(hold)
+        check.delivered(hold)
+        publish(message)
+
+    monkeypatch.setattr(controller._sender._trajectories, "publish", check_and_publish)
+    return check
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_any_pose_and_goal_leave_the_controller_within_its_limits(
+    controller, sent, share
+) -> None:
+    """Half of the poses, or none, are those that a robot can have."""
+    rng, draws = random.Random(1), np.random.default_rng(1)
+    sent.begin()
+    for _ in range(100):
+        now = controller.get_clock().now().nanoseconds
+        place, turn = draws.choice([0.0, 1e-300, 5.0, -1e6, 1e5], 2), draws.normal(size=4)
+        pose = pose_message(make_state(place, turn / np.linalg.norm(turn)), now, 0.3)
+        hostile = extreme(rng, PoseStamped, pose)
+        controller._receive_goal(deserialize_message(hostile, PoseStamped))
+        controller._receive_pose(pose if rng.random() < share else hostile)
+        controller._tick()
+    assert not sent.broken
+    assert share == 0.0 or sent.worst_speed > 0.0, "plans were sent"
+
+
+def test_any_command_leaves_the_robot_within_its_limits(graph) -> None:
+    node = SimulatorNode([Parameter("start_paused", value=True)])
+    graph.add(node)
+    rng = random.Random(1)
+    valid = trajectory_message(FirstOrderHold(np.arange(3.0), np.array([[0, 0], [9, -9], [0, 0]])))
+    for _ in range(150):
+        node._receiver._receive_trajectory(extreme(rng, JointTrajectory, valid))
+        node._receiver._receive_speeds(speeds_message(np.array(rng.choices(NUMBERS, k=2))))
+        before = np.array(node.simulator.speed_reference)
+        for _ in range(3):
+            node._advance()
+        after = node.simulator.speed_reference
+        assert np.all(np.isfinite(node.simulator.plant.state))
+        assert np.all(np.abs(after) <= 100.0) and np.all(np.abs(after - before) <= 12.0 + 1e-9)

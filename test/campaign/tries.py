@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tries of the fuzzing: each is a generator that causes a fault until it is closed.
 
-What a try has changed beyond its own publishers it names in ``session.changed``: the session then
-restores parameters, services or the plant.
+Afterwards the session restores parameters and services, and the plant where a try has set
+``session.is_pushed``.
 """
 
 import math
@@ -15,14 +15,13 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
 import actions
-import rclpy
-from geometry_msgs.msg import PoseStamped, Vector3
-from hostile import NUMBERS, TEXTS, damaged, extreme, goal_message, parameter_value
+import numpy as np
+from catalogue import FAULTS
+from geometry_msgs.msg import PoseStamped
+from hostile import TEXTS, damaged, extreme, parameter_value
 from node_session import OF_PARAMETERS, RADIUS
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from relay import stamped
 from rosgraph_msgs.msg import Clock
@@ -31,13 +30,11 @@ from std_srvs.srv import SetBool
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import clock_message, pose_to_ros
-from sphere_sim.ros.session.child_process import verb_command
 
 if TYPE_CHECKING:
     from fuzz import FuzzSession as Session
 
 Try = Generator[None, None, None]
-_PUSH = "/simulator/push"
 _JUMPS = (1.0, 10.0, 60.0, 600.0, 3600.0, 1e9)
 """Jumps of the clock [s]."""
 _LARGEST_SHIFT = 10**9 * NANOSECONDS - 1
@@ -82,11 +79,11 @@ def messages(
     session: "Session", topics: Sequence[str], next_message: Callable[[str], bytes]
 ) -> Try:
     """Serialised messages on some topics, one after the other."""
-    if _PUSH in topics:  # some are valid: with that momentum no goal can be promised
-        session.changed.add("plant")
+    if "/simulator/push" in topics:  # some are valid: with that momentum no goal can be promised
+        session.is_pushed = True
     with ExitStack() as made:
         publishers = [
-            made.enter_context(session.publisher(session.topics[topic], topic, _ACCEPTING, 3.0))
+            made.enter_context(session.publisher(session.topics[topic], topic, _ACCEPTING))
             for topic in topics
         ]
         while True:
@@ -97,37 +94,30 @@ def messages(
 
 
 def parameters(session: "Session", rng: random.Random) -> Try:
-    """Requests to set parameters to values of any type."""
-    session.changed |= {"parameters", "plant"}
-    session.judge.on_system_clock_until = math.inf  # use_sim_time is one of them
+    """Requests to set parameters to values of any type, and questions by hostile names."""
+    session.is_pushed, session.judge.lenient_until = True, math.inf
     node = rng.choice(sorted(session.parameters))
     own = session.parameters[node]
+    known = rng.choice((list(own), ["use_sim_time"]))
     while True:
-        names = [rng.choice([*own, *TEXTS[:3]]) for _ in range(rng.choice((1, 1, 5)))]
-        values = [parameter_value(rng, own.get(name, ParameterValue())) for name in names]
-        given = [ParameterMessage(name=n, value=v) for n, v in zip(names, values, strict=True)]
-        service = rng.choice(("set_parameters", "set_parameters_atomically"))
-        session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(parameters=given))
-        yield
-
-
-def questions(session: "Session", rng: random.Random) -> Try:
-    """Questions for parameters by hostile names."""
-    node = rng.choice(sorted(session.parameters))
-    while True:
-        names = [rng.choice([*session.parameters[node], *TEXTS]) for _ in range(rng.randrange(20))]
-        given: dict[str, Any] = {"names": names}
-        service = rng.choice([name for name in OF_PARAMETERS if not name.startswith("set")])
+        service = rng.choice(sorted(OF_PARAMETERS))
+        names = [rng.choice([*known, *TEXTS[:3]]) for _ in range(rng.choice((1, 1, 5)))]
+        given: dict[str, Any] = {"names": names + rng.sample(TEXTS, 3)}
         if service == "list_parameters":
             given = {"prefixes": names, "depth": rng.choice((0, 1, 2**64 - 1))}
+        elif service.startswith("set"):
+            values = [parameter_value(rng, own.get(name, ParameterValue())) for name in names]
+            given = {"parameters": [
+                ParameterMessage(name=name, value=value)
+                for name, value in zip(names, values, strict=True)
+            ]}
         session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(**given))
         yield
 
 
 def services(session: "Session", rng: random.Random) -> Try:
     """Services of the nodes at random moments."""
-    session.changed |= {"services", "plant"}
-    session.judge.reset_until = math.inf
+    session.is_pushed, session.judge.lenient_until = True, math.inf
     while True:
         name = rng.choice(sorted(session.services))
         request = session.services[name].Request()
@@ -163,7 +153,7 @@ def clock_forged(session: "Session", rng: random.Random) -> Try:
     fixed = rng.choice((None, None, None, 0, -NANOSECONDS, -(2**31) * NANOSECONDS, 2**61))
     period = rng.choice((0.0, 0.0005, 0.02, 0.5))
     due = 0.0
-    with session.publisher(Clock, "/clock", timeout=3.0) as publisher:
+    with session.publisher(Clock, "/clock") as publisher:
         while True:
             for _ in range(1 if period else 20):
                 if time.monotonic() < due:
@@ -175,109 +165,12 @@ def clock_forged(session: "Session", rng: random.Random) -> Try:
             yield
 
 
-def clock_still(session: "Session", rng: random.Random) -> Try:
-    """A clock that stands still, lost or paused, or poses or commands that are lost."""
-    if rng.random() < 0.3:
-        session.changed.add("services")
-        session.ask("simulator/pause", SetBool.Request(data=True))
-    else:
-        session.relay.lost.update(rng.sample(("/clock", "pose", "rotor_trajectory"), 1))
-    try:
-        yield from lasting()
-    finally:
-        session.relay.lost.clear()
-
-
-def clock_changed(session: "Session", rng: random.Random) -> Try:
-    """Changes of use_sim_time while the nodes run."""
-    session.changed.add("parameters")
-    session.judge.on_system_clock_until = math.inf
-    node = rng.choice(sorted(session.parameters))
-    while True:
-        value = Parameter("use_sim_time", value=rng.random() < 0.5).to_parameter_msg()
-        session.ask(f"{node}/set_parameters", SetParameters.Request(parameters=[value]))
-        yield from lasting(rng.choice((0.05, 0.5, 2.0)))
-
-
-def second_simulator(session: "Session", rng: random.Random) -> Try:
-    """A second simulator on the same topics."""
-    name = "second"
-    again = name in session.processes.pids
-    process = session.processes.add(name, verb_command("simulator"), append=again)
-    session.expected.discard(name)
-    process.start(["--ros-args", "-r", "__node:=simulator_2"])
-    session.until(lambda: session.node.count_publishers("pose") > 1, 30.0)
-    try:
-        yield from lasting()
-    finally:
-        session.expected.add(name)
-        process.kill()
-        session.until(lambda: session.node.count_publishers("pose") < 2, 30.0)
-
-
-def goals(session: "Session", rng: random.Random) -> Try:
-    """Goals that are absurd, malformed, repeated or too frequent."""
-    kind = rng.choice(("far", "number", "norm", "frame", "flood", "same"))
-    same = goal_message(rng, "valid")
-    with session.publisher(PoseStamped, "/goal_pose", timeout=3.0) as publisher:
-        while True:
-            for _ in range(10 if kind == "flood" else 1):
-                publisher.publish(same if kind == "same" else goal_message(rng, kind))
-            yield
-
-
-def pushes(session: "Session", rng: random.Random) -> Try:
-    """Pushes, some of them absurd."""
-    session.changed.add("plant")
-    with session.publisher(Vector3, _PUSH, timeout=3.0) as publisher:
-        while True:
-            push = Vector3(x=rng.uniform(-2.0, 2.0), y=rng.uniform(-2.0, 2.0))
-            if rng.random() < 0.3:
-                push.x = rng.choice(NUMBERS)
-            publisher.publish(push)
-            yield from lasting(rng.choice((0.05, 1.0)))
-
-
-def foreign_node(session: "Session", rng: random.Random) -> Try:
-    """Another node with unusual parameters that publishes a recorded topic."""
-    name = rng.choice(("foreign", "simulator", "controller"))
-    if name != "foreign" and rng.random() < 0.5:  # in place of that node
-        session.expected.add(name)
-        session.processes[name].kill()
-    node = rclpy.create_node(name, use_global_arguments=False)
-    node.declare_parameter("bytes", [b"\x00", b"\xff"])
-    node.declare_parameter("number", rng.choice(NUMBERS))
-    node.declare_parameter("real_time_factor", rng.choice(("fast", float("nan"), [1.0], True)))
-    node.declare_parameter("strategy", rng.choice((1, "none", "paper")))
-    topic = rng.choice(("/joint_states", "/pose", "/diagnostics"))
-    publisher = node.create_publisher(session.topics[topic], topic, 10)
-    session.serve(node)
-    try:
-        while True:
-            publisher.publish(session.current_example(topic))
-            yield
-    finally:
-        session.serve(node, False)
-        node.destroy_node()
-
-
-def stopped(session: "Session", rng: random.Random) -> Try:
-    """A node that is stopped and continued."""
-    process = session.processes[rng.choice(sorted(session.parameters))]
-    try:
-        while True:
-            process.send(signal.SIGSTOP)
-            yield
-    finally:
-        process.send(signal.SIGCONT)
-
-
 def ended(session: "Session", rng: random.Random) -> Try:
     """A signal that ends a node; after that of a controller the rotors have to come to rest."""
     name = rng.choice(("controller", *sorted(session.parameters)))
     number = signal.Signals(rng.choice((
         signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL)))
-    with session.publisher(PoseStamped, "/goal_pose", timeout=3.0) as publisher:
+    with session.publisher(PoseStamped, "/goal_pose") as publisher:
         if name == "controller":
             _set_in_motion(session, publisher, rng)
     session.expected.add(name)
@@ -325,18 +218,32 @@ def worker(session: "Session", rng: random.Random) -> Try:
             actions.send(pid, signal.SIGCONT)
 
 
-def nothing(session: "Session", rng: random.Random) -> Try:
-    """No fault, for comparison."""
-    return lasting()
+def of_catalogue(*names: str) -> Callable[["Session", random.Random], Try]:
+    """Return a try of one of some faults of the catalogue."""
+
+    def attempt(session: "Session", rng: random.Random) -> Try:
+        fault = FAULTS[rng.choice(names)]
+        session.rng = np.random.default_rng(rng.getrandbits(32))
+        action = fault.action(session, **fault.options)
+        repeat = next(action)
+        try:
+            while True:
+                if repeat is not None:
+                    repeat()
+                yield
+        finally:
+            next(action, None)
+
+    return attempt
 
 
 TRIES: dict[str, Callable[["Session", random.Random], Try]] = {
     function.__name__: function for function in (
-        malformed, extremes, parameters, questions, services, clock_jump, clock_forged,
-        clock_still, clock_changed, second_simulator, goals, pushes, foreign_node, stopped,
-        ended, worker, nothing,
+        malformed, extremes, parameters, services, clock_jump, clock_forged, ended, worker,
     )
+} | {
+    "goals": of_catalogue("goal_burst", "goal_unreachable", "goal_malformed"),
+    "lost": of_catalogue("clock_lost", "burst_poses", "burst_commands", "pose_future_10"),
+    "stopped": of_catalogue("controller_stopped", "simulator_stopped"),
 }
 """Tries by kind."""
-WEIGHTS = {"malformed": 3, "extremes": 3, "parameters": 3, "clock_jump": 3, "ended": 2}
-"""Weights of the kinds that are drawn more often than the others."""

@@ -1,9 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of any content are read, or refused in one line that names the file."""
+"""Files of any content are read, or refused in one line; machines that lack something."""
 
+import os
 import random
+import resource
 import signal
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,9 @@ pytest.importorskip("rclpy")
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from patience import PATIENCE
 
+from sphere_nmpc.child import python_command
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.lifetime import RunnableNode, run
@@ -110,7 +115,7 @@ def parameters(*lines: str) -> bytes:
 @pytest.mark.parametrize(
     ("content", "starts"),
     [
-        (parameters("strategy: paper", "unheard_of: [1, 2.0]"), True),
+        (parameters("strategy: paper", "unheard_of: [1, 2]"), True),
         (parameters("time_budget: .nan"), False),
         (parameters("max_iterations: 99999999999999999999999"), False),
         (parameters("robot: {shell_mass: !!python/object:os.system x}"), False),
@@ -131,3 +136,19 @@ def test_node_starts_with_a_parameter_file_or_reports_why_not(
     output = capfd.readouterr().err
     assert (code == 0) is starts and code in (0, 1, 2) and "Traceback" not in output
     assert starts or output.strip(), "a node that does not start prints the reason"
+
+
+STUDY = ("study", "--draw", "2", "--seed", "1", "--duration", "1", "--jobs", "2", "--no-bound")
+
+
+def test_study_without_a_home_and_with_few_files_has_its_results(tmp_path) -> None:
+    program = "from sphere_sim.cli.main import main; sys.exit(main())"
+    done = subprocess.run(
+        python_command(program, *STUDY, "--out", str(tmp_path / "out")),
+        # Not even root can create a folder there.
+        env={**os.environ, "HOME": "/dev/null/home"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)),
+        capture_output=True, text=True, timeout=PATIENCE, cwd=tmp_path,
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert (tmp_path / "out" / "runs.csv").exists()

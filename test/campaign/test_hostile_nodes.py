@@ -9,7 +9,6 @@ and its log has short printable lines only.
 import math
 import random
 import signal
-from typing import Any
 
 import numpy as np
 import pytest
@@ -77,8 +76,7 @@ def disturb_parameters(session: FuzzSession) -> None:
     for node, own in session.parameters.items():
         for name in own:
             rng = drawn_for(f"{node}/{name}")
-            kinds = [ParameterValue(type=kind) for kind in range(10) for _ in range(2)]
-            values = [parameter_value(rng, kind) for kind in kinds]
+            values = [parameter_value(rng, ParameterValue(type=kind)) for kind in range(10)]
             results = []
             for several in (values, [ParameterValue(type=UNKNOWN_TYPE)]):
                 given = [ParameterMessage(name=name, value=value) for value in several]
@@ -95,15 +93,10 @@ def disturb_services(session: FuzzSession) -> None:
         for name, types in session.node.get_service_names_and_types_by_node(node, "/"):
             rng, kind = drawn_for(name), class_of(types[0])
             session.services.setdefault(name.strip("/"), kind)
-            for _ in range(2):
-                session.call(name.strip("/"), extreme_request(rng, kind.Request()))
-
-
-def extreme_request(rng: random.Random, request: Any) -> Any:
-    """Return a request with extreme values."""
-    for field, name in request.get_fields_and_field_types().items():
-        setattr(request, field, extreme_value(rng, name))
-    return request
+            request = kind.Request()
+            for field, of in request.get_fields_and_field_types().items():
+                setattr(request, field, extreme_value(rng, of))
+            session.call(name.strip("/"), request)
 
 
 @pytest.mark.slow

@@ -13,11 +13,11 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 import yaml
+from documented_topics import table
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from ros2_checks import table
 
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_sim.ros.recorder.node import RecorderNode

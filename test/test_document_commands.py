@@ -64,7 +64,8 @@ FLAGS = {
     "--topics",
 }
 """Options of ros2 topic, service, param and bag."""
-ASSIGNING, OF_ROS = ("-p", "--param", "-r", "--remap"), ("--params-file", "--enclave", "--log-level")
+ASSIGNING = ("-p", "--param", "-r", "--remap")
+OF_ROS = ("--params-file", "--enclave", "--log-level")
 """Arguments of ROS with name:=value, and others."""
 NOT_CHECKED = ("security", "pkg prefix", "topic list", "node list")
 """Commands of ros2 whose arguments do not depend on the package."""

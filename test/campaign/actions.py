@@ -18,12 +18,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from hostile import goal_message
-from node_session import RADIUS, Session, SessionError, random_goal
+from hostile import RADIUS, goal_message, random_goal
+from node_session import Session, SessionError
 from relay import Disturbance, restamped, stamp_of
 from std_srvs.srv import SetBool, Trigger
 
@@ -33,9 +33,6 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
-
-if TYPE_CHECKING:
-    from trial import CampaignSession
 
 Action = Iterator[Any]
 _SLICE = 0.1
@@ -92,7 +89,7 @@ def clock_back(session: Session, by: float) -> Action:
     yield
 
 
-def pace(session: "CampaignSession", factor: float) -> Action:
+def pace(session: Session, factor: float) -> Action:
     """Set another real-time factor."""
     session.require_parameters("simulator", real_time_factor=factor)
     yield
@@ -114,7 +111,7 @@ def bad_goals(session: Session, kinds: tuple[str, ...], period: float = 0.2) -> 
         yield send
 
 
-def two_poses(session: "CampaignSession", offset: float = 0.0) -> Action:
+def two_poses(session: Session, offset: float = 0.0) -> Action:
     """Publish further poses, each at a random time between one of the sphere and the next.
 
     They are displaced by `offset` along x [m]; with 0 they are those of another sphere, within 2 m
@@ -141,7 +138,7 @@ def two_poses(session: "CampaignSession", offset: float = 0.0) -> Action:
         yield send
 
 
-def kill(session: "CampaignSession", node: str) -> Action:
+def kill(session: Session, node: str) -> Action:
     """Send SIGKILL to a node and start it again.
 
     To a recorder once it has written, as it may lose its last second.
@@ -224,7 +221,7 @@ def worker_of(controller: int) -> int:
     return 0
 
 
-def bad_solver(session: "CampaignSession", mode: str) -> Action:
+def bad_solver(session: Session, mode: str) -> Action:
     """Let the solver fail in a mode of `bad_strategy`."""
     session.solver_file.write_text(mode)
     yield
@@ -277,7 +274,7 @@ def second_controller(session: Session) -> Action:
         session.processes.stop("rival")  # with SIGINT first: it commands its rotors to rest
 
 
-def bad_start(session: "CampaignSession") -> Action:
+def bad_start(session: Session) -> Action:
     """Start the controller with invalid parameters, each of which it has to name, then again."""
     controller = session.processes["controller"]
     controller.stop()
@@ -296,7 +293,7 @@ def bad_start(session: "CampaignSession") -> Action:
         session.start("controller")
 
 
-def bad_live(session: "CampaignSession") -> Action:
+def bad_live(session: Session) -> Action:
     """Set invalid parameters while the nodes run, each of which they have to refuse."""
     for node, name, value in _WRONG_LIVE:
         (result,) = session.set_parameters(node, **{name: value})
@@ -306,7 +303,7 @@ def bad_live(session: "CampaignSession") -> Action:
     yield
 
 
-def push(session: "CampaignSession", impulse: float) -> Action:
+def push(session: Session, impulse: float) -> Action:
     """Push the sphere in a random direction with an impulse [N s]; the momentum stays."""
     pushed = impulse * _direction(session.rng.uniform(-math.pi, math.pi))
     session.push(pushed)
@@ -315,7 +312,7 @@ def push(session: "CampaignSession", impulse: float) -> Action:
     yield
 
 
-def tilt(session: "CampaignSession", slope: float) -> Action:
+def tilt(session: Session, slope: float) -> Action:
     """Tilt the floor by `slope` [rad] in a random direction; the momentum stays."""
     angle = session.rng.uniform(-math.pi, math.pi)
     session.require_parameters("simulator", slope=slope, slope_direction=angle)

@@ -11,6 +11,7 @@ from typing import Any
 
 import actions
 import numpy as np
+import tries
 from relay import (
     Disturbance,
     ahead,
@@ -163,6 +164,14 @@ _ALL = (
     Fault("tilt", "disturbance", actions.tilt, {"slope": math.radians(0.2)}, upright=True),
 )
 
+HOSTILE = tuple(
+    Fault(action.__name__, "hostile", action, goal_again=True, continuous=False)
+    for action in (
+        tries.malformed, tries.extremes, tries.parameters, tries.services, tries.clock_jump,
+        tries.clock_forged, tries.ended,
+    )
+)
+"""Faults of the fuzzing, which need a session with everything."""
 FAULTS = {fault.name: fault for fault in _ALL}
 """All faults by name, in the order in which they are tried."""
 
@@ -193,6 +202,14 @@ def combined(
     ]
     order = np.random.default_rng([seed, size]).permutation(len(possible))
     return [possible[i] for i in order[:number]]
+
+
+def fuzzed(seed: int, number: int) -> tuple[Fault, ...]:
+    """Return the hostile fault of a number, sometimes with one that leaves the nodes running."""
+    rng = np.random.default_rng([seed, number])
+    faults = (HOSTILE[rng.integers(len(HOSTILE))],)
+    others = [fault for fault in _ALL if fault.group in ("pose", "goal", "burst", "clock")]
+    return (*faults, others[rng.integers(len(others))]) if rng.random() < 0.3 else faults
 
 
 def _can_coincide(one: Fault, other: Fault) -> bool:

@@ -5,31 +5,31 @@
     make faults ARGS="--quick --json out/faults.json"
     make faults ARGS="--json out/contact.json --plant rigid_body --triples 50"
     make faults ARGS="--fuzz --seed 12 --minutes 10"
-    make faults ARGS="--fuzz --seed 12 --only 17"            # try 17 again
+    make faults ARGS="--fuzz --seed 12 --only 17"            # trial 17 again
 
 Runs simulator, controller and recorder as separate ROS 2 nodes, causes a fault during a run to a
 goal, and evaluates the recovery. Exits 0 when every trial was survived.
 """
 
 import argparse
+import itertools
 import json
 import math
 import statistics
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from catalogue import FAULTS, Fault, chosen, combined, name_of
-from fuzz import fuzz
-from trial import RATE, Outcome, Settings, run_trials
-from tries import TRIES
+from catalogue import FAULTS, HOSTILE, Fault, chosen, combined, fuzzed, name_of
+from node_session import RATE, Settings
+from trial import Outcome, run_trials
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.arguments import number, whole
@@ -50,28 +50,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ) as temporary:
         folder = given.out.expanduser().absolute() if given.out else Path(temporary)
         with own_domain():
-            survived = fuzz(given, folder) if given.fuzz else _campaign(given, folder)
-    return 0 if survived else 1
+            return 0 if _campaign(given, folder) else 1
 
 
 def _campaign(given: argparse.Namespace, folder: Path) -> bool:
-    """Run all trials that the file lacks; return whether each was survived."""
+    """Run all trials; return whether each was survived."""
     settings = Settings(given.seed, given.rtf, given.strategy, given.plant, given.rate)
-    in_common = asdict(settings)
-    outcomes = read_outcomes(given.json, in_common) if given.resume else []
-    done = {(outcome.fault, outcome.repetition) for outcome in outcomes}
-    plans = [plan for plan in _plans(given) if (name_of(plan[0]), plan[1]) not in done]
-    trials = len(outcomes) + len(plans)
-    for outcome in run_trials(plans, settings, folder):
+    outcomes: list[Outcome] = []
+    plans = _fuzzing(given) if given.fuzz else _plans(given)
+    for outcome in run_trials(plans, settings, folder, given.fuzz):
         outcomes.append(outcome)
-        write_json(given.json, outcomes, in_common)
-        print(f"{len(outcomes)} of {trials}: {outcome}", flush=True)
+        if given.json is not None:
+            write_json(given.json, outcomes, asdict(settings))
+        print(f"{outcome.repetition if given.fuzz else len(outcomes)}: {outcome}", flush=True)
     robot = RobotParameters()
     print(f"\nlimits: {robot.max_rotor_speed:g} rad/s, {robot.max_rotor_acceleration:g} rad/s^2\n")
     print("\n".join(_table(outcomes)))
     survived = sum(outcome.survived for outcome in outcomes)
     print(f"\n{survived} of {len(outcomes)} trials survived")
     return survived == len(outcomes)
+
+
+def _fuzzing(given: argparse.Namespace) -> Iterator[tuple[tuple[Fault, ...], int]]:
+    """Yield trials of hostile faults by their numbers, for a time, or those of some numbers."""
+    end = time.monotonic() + 60.0 * given.minutes
+    for one in given.only or itertools.count(1):
+        if time.monotonic() > end:
+            return
+        yield fuzzed(given.seed, one), one
 
 
 def _plans(given: argparse.Namespace) -> list[tuple[tuple[Fault, ...], int]]:
@@ -136,30 +142,13 @@ def write_json(path: Path, outcomes: Sequence[Outcome], campaign: Mapping[str, A
     write_atomically(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
-def read_outcomes(path: Path, campaign: Mapping[str, Any]) -> list[Outcome]:
-    """Return the trials in a file of the same campaign; none if there is no file."""
-    if not path.exists():
-        return []
-    content = json.loads(path.read_text(encoding="utf-8"))
-    if content["campaign"] != dict(campaign):
-        raise SphereNmpcError(f"{path}: given trials of the campaign "
-                              f"{shown(content['campaign'])}, expected {dict(campaign)}")
-    return [
-        Outcome(**trial | {
-            "complaints": tuple(trial["complaints"]),
-            "recovery": math.nan if trial["recovery"] is None else trial["recovery"],
-        })
-        for trial in content["trials"]
-    ]
-
-
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     groups = list(dict.fromkeys(fault.group for fault in FAULTS.values()))
     common = Settings()
     parser = argparse.ArgumentParser(
         prog="make faults", description=__doc__.splitlines()[0],
         epilog="groups: " + ", ".join(groups) + "; faults: " + ", ".join(FAULTS)
-        + "; kinds of tries: " + ", ".join(TRIES),
+        + "; hostile faults of the fuzzing: " + ", ".join(fault.name for fault in HOSTILE),
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the table to this file")
     parser.add_argument("--seed", type=whole(0), default=common.seed,
@@ -186,14 +175,10 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     campaign.add_argument("--rate", type=number(RATE, 500.0), default=RATE, metavar="HZ",
                           help="rate of poses, commands and, above the default, solves (default: "
                           "%(default)g Hz, and a solve at each sampling instant)")
-    campaign.add_argument("--resume", action="store_true",
-                          help="keep the trials in --json and run those that it lacks")
     fuzzing = parser.add_argument_group("fuzzing")
-    fuzzing.add_argument("--fuzz", action="store_true", help="fuzz all nodes instead")
+    fuzzing.add_argument("--fuzz", action="store_true", help="hostile faults on all nodes instead")
     fuzzing.add_argument("--minutes", type=float, default=10.0, help="wall time")
-    fuzzing.add_argument("--only", type=whole(1), nargs="+", metavar="K", help="numbers of tries")
-    fuzzing.add_argument("--kinds", nargs="+", choices=TRIES, default=list(TRIES), metavar="KIND",
-                         help="kinds to draw from; they are part of what --only repeats")
+    fuzzing.add_argument("--only", type=whole(1), nargs="+", metavar="K", help="numbers of trials")
     given = parser.parse_args(arguments)
     if given.json is None and not given.fuzz:
         parser.error("expected --json FILE or --fuzz")
@@ -206,4 +191,4 @@ if __name__ == "__main__":
     except SphereNmpcError as error:
         sys.exit(f"faults: {error}")
     except KeyboardInterrupt:
-        sys.exit("faults: interrupted; --resume continues a campaign from its file")
+        sys.exit("faults: interrupted")

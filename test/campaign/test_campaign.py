@@ -2,15 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The hardest faults on running nodes over DDS, several at once; the command around the trials."""
 
+import json
+
 import pytest
 
 pytest.importorskip("rclpy")
 
 from catalogue import FAULTS, chosen, combined
-from faults import main, read_outcomes, write_json
-from trial import Outcome, Settings, run_trials
+from faults import write_json
+from judge import TOO_EARLY
+from node_session import Settings
+from trial import Outcome, run_trials
 
-from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 
 ROBOT = RobotParameters()
@@ -18,12 +21,8 @@ TOGETHER = (
     ("pose_dropped_100", "clock_back", "worker_killed"),
     ("solver_raises", "controller_killed", "disk_full"),
 )
-OF_A_BUSY_MACHINE = ("rotors turned for", "rotor_trajectory starts")
+OF_A_BUSY_MACHINE = ("rotors turned for", "rotor_trajectory starts", TOO_EARLY)
 """Complaints that a busy machine alone can cause: the controller was not run for a while."""
-IN_COMMON = {
-    "seed": 0, "rtf": 2.0, "strategy": "time_optimal", "plant": "rolling", "rate": 20.0,
-}
-
 
 @pytest.mark.slow
 def test_faults_at_once_are_named_and_the_goal_is_reached_within_the_limits(tmp_path) -> None:
@@ -38,17 +37,16 @@ def test_faults_at_once_are_named_and_the_goal_is_reached_within_the_limits(tmp_
         assert 0.0 < outcome.worst_slew <= ROBOT.max_rotor_acceleration * 1.01
 
 
-def test_campaign_that_is_complete_runs_nothing_when_it_is_resumed(tmp_path, capsys) -> None:
+def test_json_of_a_campaign_has_a_row_for_each_fault(tmp_path) -> None:
     path = tmp_path / "f.json"
-    outcomes = [Outcome("pose_nan", 1.0), Outcome("pose_nan", 3.0, repetition=1)]
-    write_json(path, outcomes, IN_COMMON)
-    assert read_outcomes(path, IN_COMMON) == outcomes
-    given = ["--json", str(path), "--fault", "pose_nan", "--repeat", "2", "--resume"]
-    assert main(given) == 0
-    printed = capsys.readouterr().out
-    assert "| pose_nan | 2 of 2 | 2.0 | 3.0 |" in printed and "2 of 2 trials survived" in printed
-    with pytest.raises(SphereNmpcError, match="'seed': 0"):
-        main([*given, "--seed", "1"])
+    outcomes = [Outcome("pose_nan", 1.0), Outcome("pose_nan", 3.0, repetition=1), Outcome("tilt")]
+    write_json(path, outcomes, {"seed": 0})
+    written = json.loads(path.read_text())
+    assert written.keys() == {"campaign", "faults", "trials"} and len(written["trials"]) == 3
+    first, second = written["faults"]
+    assert first["tried"] == first["survived"] == 2
+    assert (first["recover_median_s"], first["recover_s"]) == (2.0, 3.0)
+    assert second["recover_s"] is None
 
 
 def test_quick_campaign_has_each_group_and_less_than_half_of_the_faults() -> None:

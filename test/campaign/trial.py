@@ -4,29 +4,21 @@
 
 import contextlib
 import math
-import os
 import time
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from catalogue import Fault, name_of
-from judge import Judge, Reports
-from node_session import Session, random_goal
+from hostile import FORGED, random_goal
+from node_session import Session, Settings
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.ros.session.child_process import verb_command
 from sphere_sim.ros.session.goal_run import wait_until_settled
 
-RATE = 20.0
-"""Rate of poses, clock and commands [Hz], low enough for the relay on a busy machine."""
 _UNDER_WAY = 1.5
 """Simulated time from the confirmation of the goal to the beginning of the fault [s]."""
 _DEADLINE = 90.0
@@ -39,30 +31,10 @@ _REST = 0.2
 They should rest a good second after the last pose: the pose becomes too old, the next sampling
 instant detects that, the ramp follows. On a busy machine this takes longer.
 """
+_LONGEST_LINE = 500
+"""Characters of a line of a log."""
 _CATCH_UP = 0.5
 """Wall time between two trials [s]."""
-_PRIORITY = 1
-"""Real-time priority of controller, simulator and relay, where the system allows it."""
-_SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
-"""By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis
-accelerates by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by
-10 rad/s^2 about their axes, in either direction: 2 * 10 / 300."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What all trials of a campaign have in common."""
-
-    seed: int = 0
-    """Seed of the goals and of random faults."""
-    rtf: float = 2.0
-    """Simulated over wall time."""
-    strategy: str = "time_optimal"
-    plant: str = "rolling"
-    rate: float = RATE
-    """Rate of poses, clock and commands, and if it is not the default one, of solves [Hz]."""
-
-
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of one trial."""
@@ -91,72 +63,11 @@ class Outcome:
         return f"{self.fault}: survived, at the goal {self.recovery:.2f} s after it"
 
 
-class CampaignSession(Session):
-    """Simulator, controller with a solver that can fail, and recorder."""
-
-    def __init__(self, folder: Path, settings: Settings) -> None:
-        self.settings = settings
-        self.solver_file = folder.absolute() / "solver"
-        controller = module_command("bad_strategy", str(os.getpid()), str(self.solver_file))
-        given: dict[str, dict[str, object]] = {
-            "simulator": {
-                "plant": settings.plant, "real_time_factor": settings.rtf,
-                "pose_rate": settings.rate, "thread_priority": _PRIORITY,
-            },
-            "controller": {
-                "use_sim_time": True, "strategy": settings.strategy, "thread_priority": _PRIORITY,
-                "command_rate": settings.rate,
-                "control_rate": 0.0 if settings.rate == RATE else settings.rate,
-            },
-            "recorder": {"use_sim_time": True},
-        }
-        commands = {name: verb_command(name) for name in given} | {"controller": controller}
-        judge = Judge(_SERVO_ERROR[settings.plant])
-        super().__init__(folder, commands, given, judge)
-        self.reports = Reports(self.node)
-        self.cleanups: list[Callable[[], None]] = []
-        """What the faults leave to be done after the recovery."""
-
-    def __enter__(self) -> "CampaignSession":
-        """Start all nodes and wait until they work."""
-        self.start(*self.nodes)
-        self.wait(lambda: self.judge.time > 0.0, "simulated time")
-        self.wait_for(*self.nodes)
-        # Each trial records a bag of its own.
-        self.call("recorder/stop", Trigger.Request())
-        _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, _PRIORITY)
-        return self
-
-    def draw(self, name: str, repetition: int) -> None:
-        """Begin the random numbers of a trial, so that they do not depend on others."""
-        identity = zlib.crc32(name.encode())
-        self.rng = np.random.default_rng([self.settings.seed, identity, repetition])
-        self.relay.poses.rng = self.rng
-
-    def send_goal(self, goal: Vector) -> None:
-        """Bring a goal, shape (6,), into force."""
-        self.wait(self.try_goal(goal), "the confirmation of a goal")
-
-    def __exit__(self, *exception: object) -> None:
-        _schedule(os.SCHED_OTHER, 0)
-        super().__exit__(*exception)
-
-
-def _schedule(policy: int, priority: int) -> None:
-    """Schedule the threads of this process, which is between the nodes, as the nodes.
-
-    Where the system does not allow it, nothing changes, as for the nodes.
-    """
-    with contextlib.suppress(PermissionError):
-        for task in Path("/proc/self/task").iterdir():
-            os.sched_setscheduler(int(task.name), policy, os.sched_param(priority))
-
-
 class Trial:
     """A trial of one fault, or of several together."""
 
     def __init__(
-        self, session: CampaignSession, faults: Sequence[Fault], repetition: int = 0
+        self, session: Session, faults: Sequence[Fault], repetition: int = 0
     ) -> None:
         self._session, self._judge = session, session.judge
         self._faults, self._repetition = faults, repetition
@@ -170,7 +81,8 @@ class Trial:
         goal = random_goal(session.rng, upright=any(fault.upright for fault in self._faults))
         run = self._judge.begin(goal)
         session.reports.messages.clear()
-        tracebacks, recorded, recovery = self._tracebacks(), set(self._bags()), math.nan
+        recorded, recovery = set(self._bags()), math.nan
+        logged = {process.name: len(process.output) for process in session.processes}
         try:
             session.call("recorder/start", Trigger.Request())
             session.send_goal(goal)
@@ -186,7 +98,7 @@ class Trial:
                 session.cleanups.pop()()
         except (SphereNmpcError, OSError) as error:
             self._complaints.append(str(error))
-        self._judge_reports(tracebacks)
+        self._judge_reports(logged)
         self._judge_recording(recorded)
         limits.continuous = True
         return Outcome(
@@ -241,7 +153,7 @@ class Trial:
         )
         return math.nan
 
-    def _judge_reports(self, tracebacks: int) -> None:
+    def _judge_reports(self, logged: Mapping[str, int]) -> None:
         session = self._session
         self._complaints.extend(self._judge.limits.broken[:3])
         harmful = [fault for fault in self._faults if fault.named_by]
@@ -250,8 +162,9 @@ class Trial:
             words = "' or '".join(word for fault in harmful for word in fault.named_by)
             self._complaints.append(f"no message named {name_of(harmful)}: no '{words}'")
         self._complaints += [p.ending for p in session.processes if p.code is not None]
-        if self._tracebacks() > tracebacks:
-            self._complaints.append("an uncaught exception, see the logs")
+        for process in session.processes:
+            for line in process.output[logged.get(process.name, 0):].split("\n"):
+                self._complaints += [f"{what} of {process.name}" for what in faults_of_line(line)]
 
     def _judge_recording(self, earlier: set[Path]) -> None:
         """End the recording; complain if there is no bag of this trial, or it cannot be read."""
@@ -269,25 +182,38 @@ class Trial:
     def _bags(self) -> list[Path]:
         return sorted(self._session.folder.glob("bag_*"))
 
-    def _tracebacks(self) -> int:
-        return sum(process.tracebacks for process in self._session.processes)
+
+def faults_of_line(line: str) -> Iterator[str]:
+    """Yield what is wrong with a line of a log."""
+    if line.startswith("Traceback (most recent call last)"):
+        yield "an uncaught exception in the log"
+    if "RuntimeWarning:" in line and "rclpy" not in line:  # rclpy's are about lost clients
+        yield "a warning of a library in the log"
+    if len(line) > _LONGEST_LINE:
+        yield "a long line in the log"
+    if line.startswith(FORGED):
+        yield "a forged line in the log"
+    if any(not character.isprintable() and character != "\t" for character in line):
+        yield "control characters in the log"
 
 
 def run_trials(
-    plans: Sequence[tuple[tuple[Fault, ...], int]], settings: Settings, folder: Path
+    plans: Iterable[tuple[tuple[Fault, ...], int]], settings: Settings, folder: Path,
+    everything: bool = False,
 ) -> Iterator[Outcome]:
     """Yield the outcome of each trial, of faults that are caused together and a repetition.
 
     After a trial that was not survived the nodes are started again.
     """
-    remaining, number = list(plans), 0
-    while remaining:
+    number, remaining = 0, iter(plans)
+    plan = next(remaining, None)
+    while plan:
         number += 1
-        with CampaignSession(folder / f"session_{number}", settings) as session:
-            while remaining:
-                outcome = Trial(session, *remaining.pop(0)).run()
+        with Session(folder / f"session_{number}", settings, everything) as session:
+            survived = True
+            while plan and survived:
+                outcome = Trial(session, *plan).run()
                 yield outcome
-                if not outcome.survived:
-                    break
+                plan, survived = next(remaining, None), outcome.survived
                 # Pass on what came while the bag was read.
                 session.until(lambda: False, _CATCH_UP)

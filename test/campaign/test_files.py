@@ -17,25 +17,23 @@ pytest.importorskip("rclpy")
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from patience import PATIENCE
+from recorded_bags import rolling_messages, write_own
 
 from sphere_nmpc.child import python_command
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import make_state
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import pose_message
 from sphere_nmpc.ros.settings import ControllerNodeSettings
-from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_scenarios
 
 HEADER = ",".join((*STATE_COLUMNS, "seed")).encode()
 ROW = b"2,-3,1,0,0,0,0,0,0,1,0,0,7"
-SAME_FILE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-def read_or_refuse(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, len(HEADER) + len(ROW)), st.binary(min_size=1, max_size=4))
+def test_any_damage_to_scenarios_is_read_or_refused(tmp_path, place, damage) -> None:
+    whole, path = HEADER + b"\n" + ROW, tmp_path / "damaged.csv"
+    path.write_bytes(whole[:place] + damage + whole[place + 1 :])
     try:
         scenarios = read_scenarios(path)
     except ScenarioFileError as error:
@@ -46,25 +44,9 @@ def read_or_refuse(path: Path, data: bytes) -> None:
         assert np.linalg.norm(scenario.goal[2:]) == pytest.approx(1.0)
 
 
-@SAME_FILE
-@given(st.integers(0, len(HEADER) + len(ROW)), st.binary(min_size=1, max_size=4))
-def test_any_damage_to_scenarios_is_read_or_refused(tmp_path, place, damage) -> None:
-    whole = HEADER + b"\n" + ROW
-    read_or_refuse(tmp_path / "damaged.csv", whole[:place] + damage + whole[place + 1 :])
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("fuzz") / "bag"
-    writer = BagWriter(folder)
-    writer.add_topic("/pose", "geometry_msgs/msg/PoseStamped")
-    for i in range(50):
-        stamp = i * 10**9 + 5
-        writer.write("/pose", stamp, pose_message(make_state((i, 0), (1, 0, 0, 0)), stamp, 0.3))
-        if i % 10 == 0:
-            writer.commit()
-    writer.close()
-    return folder
+    return write_own(tmp_path_factory.mktemp("fuzz") / "bag", rolling_messages())
 
 
 @pytest.mark.parametrize("name", ["metadata.yaml", "bag_0.mcap"])

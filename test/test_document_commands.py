@@ -268,13 +268,14 @@ def check(command: Command) -> None:
 
 
 def test_commands_in_documents_are_understood() -> None:
-    wrong = []
-    for command in all_commands():
+    wrong, found = [], all_commands()
+    for command in found:
         try:
             check(command)
         except WrongCommandError as error:
             wrong.append(f"{command}\n    {error}")
     assert not wrong, "\n".join(wrong)
+    assert len({command.words[0] for command in found}) > 5
 
 
 @pytest.mark.parametrize(
@@ -297,20 +298,3 @@ def test_wrong_command_is_refused(line, wrong) -> None:
     with pytest.raises(WrongCommandError) as caught:
         check(command)
     assert wrong in str(caught.value)
-
-
-def test_commands_are_found_in_blocks_and_in_text() -> None:
-    text = (
-        "Type `ros2 topic\necho /pose` or `pose`:\n\n"
-        "    make demo && . a/b   # here\n\n"
-        "```\n# no command\nFOO=1 sudo ros2 run \\\n    a 'b c' $(ros2 pkg prefix a)/d\n```\n"
-        "```python\nx = 1\n```\n    y = (x)\n"
-    )
-    found = {command.words: command.inline for command in commands("a.md", text)}
-    assert found == {
-        ("ros2", "pkg", "prefix", "a"): False,
-        ("ros2", "run", "a", "b c", "OUTPUT/d"): False,
-        ("make", "demo"): False,
-        (".", "a/b"): False,
-        ("ros2", "topic", "echo", "/pose"): True,
-    }

@@ -78,23 +78,6 @@ def test_no_circle_and_roots_that_import_nothing() -> None:
     assert not any(modules[tree] for tree in TREES)
 
 
-def test_imports_of_resolves_relative_and_nested_imports(monkeypatch, tmp_path) -> None:
-    monkeypatch.setattr(import_graph, "ROOT", tmp_path)
-    module = tmp_path / "sphere_nmpc" / "model" / "sphere.py"
-    module.parent.mkdir(parents=True)
-    module.write_text("from ..solver import solve\nfrom . import state\ndef f(): import rclpy\n")
-    assert sorted(import_graph.imports_of(module)) == [
-        "rclpy",
-        "sphere_nmpc.model.state",
-        "sphere_nmpc.solver.solve",
-    ]
-
-
-def test_circle_is_found() -> None:
-    graph = {"a": {"b"}, "b": {"c", "d"}, "c": set(), "d": {"b"}}
-    assert import_graph.circle(graph) == {"b", "d"}
-
-
 def test_core_loads_nothing_beyond_its_needs(tmp_path) -> None:
     modules = [
         module

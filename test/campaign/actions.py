@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What causes the faults of the catalogue: generators that begin a fault, yield, and end it.
 
-What has to be done repeatedly while the fault lasts is a function that they yield. What stays
-after the end, such as momentum, is undone by ``session.cleanups`` after the recovery.
+What has to be done repeatedly while the fault lasts is a function that they yield.
 """
 
 import contextlib
@@ -20,17 +19,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Vector3
 from hostile import RADIUS, goal_message, random_goal
 from node_session import Session, SessionError
-from relay import Disturbance, restamped, stamp_of
+from relay import Disturbance, stamp_of
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.drift import GRAVITY
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
 
@@ -131,8 +126,8 @@ def two_poses(session: Session, offset: float = 0.0) -> Action:
             if offset:
                 state = pose_of_message(seen)
                 state[0] += offset
-            second = pose_message(state, stamp_of(seen) + round(NANOSECONDS * after), RADIUS)
-            publisher.publish(restamped(second, relay.shift))
+            stamp = stamp_of(seen) + round(NANOSECONDS * after) + relay.shift
+            publisher.publish(pose_message(state, stamp, RADIUS))
 
     with session.publisher(PoseStamped, "pose") as publisher:
         yield send
@@ -305,25 +300,15 @@ def bad_live(session: Session) -> Action:
 
 def push(session: Session, impulse: float) -> Action:
     """Push the sphere in a random direction with an impulse [N s]; the momentum stays."""
-    pushed = impulse * _direction(session.rng.uniform(-math.pi, math.pi))
-    session.push(pushed)
-    # Back, so that the next trial begins without momentum.
-    session.cleanups.append(lambda: session.push(-pushed))
-    yield
+    angle = session.rng.uniform(-math.pi, math.pi)
+    with session.publisher(Vector3, "simulator/push") as publisher:
+        publisher.publish(Vector3(x=impulse * math.cos(angle), y=impulse * math.sin(angle)))
+        yield
 
 
 def tilt(session: Session, slope: float) -> Action:
     """Tilt the floor by `slope` [rad] in a random direction; the momentum stays."""
     angle = session.rng.uniform(-math.pi, math.pi)
     session.require_parameters("simulator", slope=slope, slope_direction=angle)
-    began = session.judge.time
     yield
     session.require_parameters("simulator", slope=0.0, slope_direction=0.0)
-    # As much as gravity has given it, uphill.
-    force = RobotParameters().total_mass * GRAVITY * math.sin(slope)
-    given = force * (session.judge.time - began) * _direction(angle)
-    session.cleanups.append(lambda: session.push(-given))
-
-
-def _direction(angle: float) -> Vector:
-    return np.array([math.cos(angle), math.sin(angle)])

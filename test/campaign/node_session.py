@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, Vector3
+from geometry_msgs.msg import PoseStamped
 from hostile import RADIUS, example
 from judge import Judge, Reports
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -133,8 +133,6 @@ class Session:
         self.nodes = tuple(commands)
         self.rng = np.random.default_rng(0)
         """Source of randomness of goals and faults; each trial begins its own."""
-        self.cleanups: list[Callable[[], None]] = []
-        """What the faults leave to be done after the recovery."""
         self.topics: dict[str, type] = {}
         """With `everything`: topics to which a node subscribes, with their types."""
         self.parameters: dict[str, dict[str, ParameterValue]] = {}
@@ -156,7 +154,6 @@ class Session:
         self._clients: dict[str, Any] = {}
         self._pending: dict[str, list[Any]] = {}
         self._goals = self.node.create_publisher(PoseStamped, "goal_pose", 1)
-        self._pushes = self.node.create_publisher(Vector3, "simulator/push", 10)
         self.reports = Reports(self.node)
 
     def __enter__(self) -> "Session":
@@ -301,13 +298,6 @@ class Session:
 
         self.wait(is_confirmed, "the confirmation of a goal")
 
-    def push(self, impulse: Vector) -> None:
-        """Push the sphere with an impulse, shape (2,) [N s; world frame], once."""
-        subscribers = self._pushes.get_subscription_count
-        self.wait(lambda: subscribers() > 0, "a subscriber of simulator/push")
-        x, y = map(float, impulse)
-        self._pushes.publish(Vector3(x=x, y=y))
-
     def _learn(self) -> None:
         """Find parameters, services and topics of the nodes, and an example of each message."""
         for name in self.nodes:
@@ -340,30 +330,40 @@ class Session:
         return list(self.call(f"{node}/get_parameters", request).values)
 
     @contextmanager
-    def restored(self) -> Iterator[None]:
-        """Allow resets, pushes and other clocks; afterwards undo them, and what was changed."""
-        judge = self.judge
-        judge.lenient_until = math.inf
+    def lenient(self) -> Iterator[None]:
+        """Allow resets, pushes and other clocks."""
+        self.judge.lenient_until = math.inf
         try:
             yield
         finally:
+            self.judge.lenient_until = time.monotonic() + _NOTICED
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """Allow resets, pushes and other clocks; afterwards undo what was changed."""
+        with self.lenient():
+            yield
             for node, wanted in self.parameters.items():
                 found = zip(wanted, self._values(node, list(wanted)), strict=True)
-                changed = [name for name, value in found if value != wanted[name]]
                 request = SetParameters.Request(parameters=[
-                    ParameterMessage(name=name, value=wanted[name]) for name in changed
+                    ParameterMessage(name=name, value=wanted[name])
+                    for name, value in found if value != wanted[name]
                 ])
                 results = self.call(f"{node}/set_parameters", request).results
                 if refused := [result.reason for result in results if not result.successful]:
                     raise SessionError(f"parameters of {node} not restored: {refused}")
             self.call("simulator/pause", SetBool.Request(data=False))
             self.call("controller/enable", SetBool.Request(data=True))
-            self.call("simulator/reset", Trigger.Request())
-            done = judge.now + _LATER
-            self.wait(
-                lambda: judge.pose_stamp > done and judge.state is not None, "a pose of the start"
-            )
-            judge.lenient_until = time.monotonic() + _NOTICED
+            self.reset()
+
+    def reset(self) -> None:
+        """Put the sphere at rest at its start."""
+        judge = self.judge
+        self.call("simulator/reset", Trigger.Request())
+        done = judge.now + _LATER
+        self.wait(
+            lambda: judge.pose_stamp > done and judge.state is not None, "a pose of the start"
+        )
 
     @contextmanager
     def publisher(self, kind: type, topic: str, qos: Any = 10) -> Iterator[Any]:

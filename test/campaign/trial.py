@@ -94,8 +94,9 @@ class Trial:
             if any(fault.goal_again for fault in self._faults):
                 session.send_goal(goal)
             recovery = self._recover(run, ended)
-            while session.cleanups:
-                session.cleanups.pop()()
+            if any(fault.upright for fault in self._faults):
+                with session.lenient():
+                    session.reset()
         except (SphereNmpcError, OSError) as error:
             self._complaints.append(str(error))
         self._judge_reports(logged)

@@ -168,7 +168,7 @@ HOSTILE = tuple(
     Fault(action.__name__, "hostile", action, goal_again=True, continuous=False)
     for action in (
         tries.malformed, tries.extremes, tries.parameters, tries.services, tries.clock_jump,
-        tries.clock_forged, tries.ended,
+        tries.ended,
     )
 )
 """Faults of the fuzzing, which need a session with everything."""

@@ -20,14 +20,7 @@ from hostile import RADIUS, example
 from judge import Judge, Reports
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    GetParameterTypes,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from relay import REMAPPED, Relay, stamped, taken
@@ -51,6 +44,8 @@ _SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
 """By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis
 accelerates by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by
 10 rad/s^2 about their axes, in either direction: 2 * 10 / 300."""
+_PRIORITY = 1
+"""Real-time priority of controller, simulator and relay, where the system allows it."""
 _SPIN = 4e-3
 """Wall time between two looks at what has arrived [s]."""
 _REPEAT = 1.0
@@ -68,12 +63,6 @@ _SAME = 1e-9
 """Largest difference between the goal sent and the goal confirmed [mixed units]."""
 _MOST_PENDING = 10
 """Requests without an answer yet, beyond which a service is not asked again."""
-OF_PARAMETERS = {
-    "get_parameters": GetParameters, "set_parameters": SetParameters,
-    "set_parameters_atomically": SetParametersAtomically, "list_parameters": ListParameters,
-    "describe_parameters": DescribeParameters, "get_parameter_types": GetParameterTypes,
-}
-"""Services that each node has for its parameters."""
 
 
 class SessionError(SphereNmpcError):
@@ -119,10 +108,10 @@ class Session:
         self._given: dict[str, dict[str, object]] = {
             "simulator": {
                 "plant": settings.plant, "real_time_factor": settings.rtf,
-                "pose_rate": settings.rate,
+                "pose_rate": settings.rate, "thread_priority": _PRIORITY,
             },
             "controller": {
-                "use_sim_time": True, "strategy": settings.strategy,
+                "use_sim_time": True, "strategy": settings.strategy, "thread_priority": _PRIORITY,
                 "command_rate": settings.rate,
                 "control_rate": 0.0 if settings.rate == RATE else settings.rate,
             },
@@ -141,8 +130,11 @@ class Session:
         self.services: dict[str, Any] = {
             "simulator/pause": SetBool, "simulator/reset": Trigger, "controller/enable": SetBool,
             "recorder/start": Trigger, "recorder/stop": Trigger,
+            **{f"{node}/get_parameters": GetParameters for node in self.nodes},
+            **{f"{node}/set_parameters": SetParameters for node in self.nodes},
+            **{f"{node}/list_parameters": ListParameters for node in self.nodes},
         }
-        """Services of the nodes other than those of parameters."""
+        """Services of the nodes; all of them with `everything`."""
         self.processes = ProcessSet(folder)
         for name, command in commands.items():
             self.processes.add(name, command)
@@ -160,14 +152,17 @@ class Session:
         """Start all nodes and wait until they work."""
         self.start(*self.nodes)
         self.wait(lambda: self.judge.time > 0.0, "simulated time")
-        self.wait_for(*self.nodes)
+        for name in self.nodes:
+            self.call(f"{name}/list_parameters", ListParameters.Request())
         if self.everything:
             self._learn()
         # Each trial records a bag of its own.
         self.call("recorder/stop", Trigger.Request())
+        _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, _PRIORITY)
         return self
 
     def __exit__(self, *exception: object) -> None:
+        _schedule(os.SCHED_OTHER, 0)
         with self.processes:  # which ends them
             pass
         self._executor.shutdown()
@@ -194,11 +189,6 @@ class Session:
                 self.judge.restarted()
                 self.relay.shift = max(0, self.relay.shift)  # its time begins at zero
             self.processes[name].start(self.arguments(name))
-
-    def wait_for(self, *names: str) -> None:
-        """Wait until nodes answer."""
-        for name in names:
-            self.call(f"{name}/list_parameters", ListParameters.Request())
 
     def spin(self) -> None:
         """Relay messages and serve this process's own node.
@@ -227,8 +217,8 @@ class Session:
         """Send a request without waiting; return its future, None if too many are pending."""
         client = self._clients.get(service)
         if client is None:
-            kind = OF_PARAMETERS.get(service.partition("/")[2]) or self.services[service]
-            client = self._clients[service] = self.node.create_client(kind, service)
+            client = self.node.create_client(self.services[service], service)
+            self._clients[service] = client
         pending = self._pending[service] = [
             future for future in self._pending.get(service, []) if not future.done()
         ]
@@ -374,6 +364,13 @@ class Session:
             yield publisher
         finally:
             self.node.destroy_publisher(publisher)
+
+
+def _schedule(policy: int, priority: int) -> None:
+    """Schedule the threads of this process, which is between the nodes, where that is allowed."""
+    with suppress(PermissionError):
+        for task in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(task.name), policy, os.sched_param(priority))
 
 
 def class_of(name: str) -> Any:

@@ -35,6 +35,8 @@ _LONGEST_LINE = 500
 """Characters of a line of a log."""
 _CATCH_UP = 0.5
 """Wall time between two trials [s]."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of one trial."""

@@ -14,16 +14,13 @@ from typing import Any
 
 from actions import Action
 from hostile import TEXTS, damaged, extreme, parameter_value
-from node_session import OF_PARAMETERS, Session, SessionError
+from node_session import Session, SessionError
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from relay import stamped
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.messages import clock_message
 
 _JUMPS = (1.0, 10.0, 60.0, 600.0, 3600.0, 1e9)
 """Jumps of the clock [s]."""
@@ -86,20 +83,22 @@ def parameters(session: Session) -> Action:
     node = rng.choice(sorted(session.parameters))
     own = session.parameters[node]
     known = rng.choice((list(own), ["use_sim_time"]))
+    asked = ("list_parameters", "get_parameters", "get_parameter_types", "describe_parameters",
+             "set_parameters", "set_parameters_atomically")
 
     def ask() -> None:
-        service = rng.choice(sorted(OF_PARAMETERS))
+        service = f"{node}/{rng.choice(asked)}"
         names = [rng.choice([*known, *TEXTS[:3]]) for _ in range(rng.choice((1, 1, 5)))]
         given: dict[str, Any] = {"names": names + rng.sample(TEXTS, 3)}
-        if service == "list_parameters":
+        if service.endswith("/list_parameters"):
             given = {"prefixes": names, "depth": rng.choice((0, 1, 2**64 - 1))}
-        elif service.startswith("set"):
+        elif "/set_" in service:
             values = [parameter_value(rng, own.get(name, ParameterValue())) for name in names]
             given = {"parameters": [
                 ParameterMessage(name=name, value=value)
                 for name, value in zip(names, values, strict=True)
             ]}
-        session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(**given))
+        session.ask(service, session.services[service].Request(**given))
 
     with session.restored():
         yield ask
@@ -139,24 +138,6 @@ def clock_jump(session: Session) -> Action:
     if relay.shift > _LARGEST_SHIFT:
         relay.shift = 0
         session.judge.limits.restart()
-
-
-def clock_forged(session: Session) -> Action:
-    """A second publisher of the clock, with another time or without a sensible one."""
-    rng, due = source(session), 0.0
-    offset = rng.choice((*_JUMPS, -1.0, -60.0)) * NANOSECONDS
-    fixed = rng.choice((None, None, None, 0, -NANOSECONDS, -(2**31) * NANOSECONDS, 2**61))
-    period = rng.choice((0.005, 0.02, 0.5))
-
-    def publish() -> None:
-        nonlocal due
-        if time.monotonic() >= due:
-            due = time.monotonic() + period
-            now = round(session.judge.now + session.relay.shift + offset)
-            publisher.publish(stamped(clock_message(0), now if fixed is None else fixed))
-
-    with session.publisher(Clock, "/clock") as publisher:
-        yield publish
 
 
 def ended(session: Session) -> Action:

@@ -112,12 +112,6 @@ def started(
         return function["function"](context)
 
 
-def declared_arguments() -> list[str]:
-    """Return the names of the launch file's arguments."""
-    with patch.dict(sys.modules, _modules(())):
-        return [argument.name for argument in _loaded().generate_launch_description()[:-1]]
-
-
 def _loaded() -> ModuleType:
     spec = spec_from_file_location("sphere_launch", LAUNCH)
     module = module_from_spec(spec)

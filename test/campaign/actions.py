@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 from geometry_msgs.msg import PoseStamped, Vector3
 from hostile import RADIUS, goal_message, random_goal
 from node_session import Session, SessionError
@@ -38,7 +39,7 @@ _LEFT_ON_DISK = 1000
 """Space that is left before the disk is full [bytes]."""
 _SOME_MESSAGES = 4000
 """Size of a bag that is not empty [bytes]."""
-_WORKER = b"sphere_nmpc.worker.serve"
+_WORKER = "sphere_nmpc.worker.serve"
 _WRONG_AT_START = (
     "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
     "time_budget:=fast",
@@ -204,15 +205,10 @@ def send(pid: int, number: signal.Signals) -> None:
 
 def worker_of(controller: int) -> int:
     """Return the process id of the worker that a process has started; 0 if there is none."""
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        # A process may end while it is looked at.
-        with contextlib.suppress(OSError):
-            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-            if int(parent) == controller and state != "Z" and \
-                    _WORKER in (entry / "cmdline").read_bytes():
-                return int(entry.name)
+    with contextlib.suppress(psutil.NoSuchProcess):  # a process may end while it is looked at
+        for child in psutil.Process(controller).children():
+            if child.status() != psutil.STATUS_ZOMBIE and _WORKER in " ".join(child.cmdline()):
+                return child.pid
     return 0
 
 

@@ -65,7 +65,7 @@ def _campaign(given: argparse.Namespace, folder: Path) -> bool:
         print(f"{outcome.repetition if given.fuzz else len(outcomes)}: {outcome}", flush=True)
     robot = RobotParameters()
     print(f"\nlimits: {robot.max_rotor_speed:g} rad/s, {robot.max_rotor_acceleration:g} rad/s^2\n")
-    print("\n".join(_table(outcomes)))
+    print(*_table(outcomes), sep="\n")
     survived = sum(outcome.survived for outcome in outcomes)
     print(f"\n{survived} of {len(outcomes)} trials survived")
     return survived == len(outcomes)
@@ -104,8 +104,8 @@ def _row(fault: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "survived": sum(outcome.survived for outcome in outcomes),
         "recover_s": round(max(recoveries), 3) if recoveries else None,
         "recover_median_s": round(statistics.median(recoveries), 3) if recoveries else None,
-        "worst_speed": max(outcome.worst_speed for outcome in outcomes),
-        "worst_slew": max(outcome.worst_slew for outcome in outcomes),
+        "worst_speed": max((outcome.worst_speed for outcome in outcomes), default=0.0),
+        "worst_slew": max((outcome.worst_slew for outcome in outcomes), default=0.0),
     }
 
 
@@ -116,15 +116,11 @@ def _rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def _table(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Yield the lines of a table in Markdown: the faults, then all by their number at once."""
-    at_once = [
-        _row(f"all, {size} at once", several) for size in (1, 2, 3)
-        if (several := [o for o in outcomes if o.fault.count(" + ") == size - 1])
-    ]
+    """Yield the lines of a table in Markdown."""
     yield ("| fault | survived | recovery, median [s] | longest [s] | speed [rad/s] "
            "| slew [rad/s²] |")
     yield "|---" * 6 + "|"
-    for one in _rows(outcomes) + at_once:
+    for one in [*_rows(outcomes), _row("all", outcomes)]:
         median, longest = (
             "-" if seconds is None else f"{seconds:.1f}"
             for seconds in (one["recover_median_s"], one["recover_s"])

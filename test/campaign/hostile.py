@@ -98,14 +98,12 @@ def extreme_value(rng: random.Random, name: str) -> Any:
     return getattr(import_module(f"{package}.msg"), own)()
 
 
-def random_goal(
-    rng: np.random.Generator, reach: float = 2.0, upright: bool = False
-) -> Vector:
-    """Return a goal, shape (6,), with |x|, |y| <= `reach` [m] and any heading or orientation."""
+def random_goal(rng: np.random.Generator, upright: bool = False) -> Vector:
+    """Return a goal, shape (6,), with |x|, |y| <= 2 m and any heading or orientation."""
     turn = random_quaternion(rng)
     if upright:
         turn = upright_state(0.0, 0.0, rng.uniform(-math.pi, math.pi))[QUATERNION]
-    return np.concatenate((rng.uniform(-reach, reach, 2), turn))
+    return np.concatenate((rng.uniform(-2.0, 2.0, 2), turn))
 
 
 def goal_message(rng: random.Random, kind: str) -> PoseStamped:

@@ -167,15 +167,12 @@ class Judge:
         """Stamp of that state [ns]."""
         self.speeds: Vector = np.zeros(2)
         """Measured rotor speeds [rad/s]."""
-        self.joint_stamp = 0
-        """Stamp of these speeds [ns]."""
         self.moving_until = 0.0
         """Time at which a rotor last turned, as `time` [s]."""
         self.goal: Vector | None = None
         """Goal that the controller confirmed last, shape (6,)."""
         self.lenient_until = 0.0
-        """Wall time until which the rotors may be set to rest at once, as by a reset, the sphere
-        may be anywhere, and the controller may follow the system clock [s; steady]."""
+        """Wall time until which `is_lenient` holds [s; steady]."""
         self._before = self._spacing = 0
         self._true_times: deque[tuple[int, int]] = deque(maxlen=500)
         self._back_until = 0
@@ -192,7 +189,8 @@ class Judge:
 
     @property
     def is_lenient(self) -> bool:
-        """Whether reset, push and system clock are allowed now."""
+        """Whether the rotors may be set to rest at once, as by a reset, the sphere may be
+        anywhere, and the controller may follow the system clock."""
         return time.monotonic() < self.lenient_until
 
     def begin(self, goal: Vector) -> GoalRun:
@@ -232,16 +230,16 @@ class Judge:
 
     def joints(self, raw: bytes, wall: int, shift: int) -> None:
         """Take joint states of the simulator."""
-        speeds, self.joint_stamp = rotor_speeds_and_stamp(raw)
+        speeds, stamp = rotor_speeds_and_stamp(raw)
         if speeds is None:
             self.limits.broken.append("joint_states without finite speeds")
             return
         self.speeds = speeds
         if self.is_lenient:
             self.limits.restart()
-        self.limits.joints(self.joint_stamp, speeds)
+        self.limits.joints(stamp, speeds)
         if self.turning > _AT_REST:
-            self.moving_until = (self._before + self.joint_stamp) / NANOSECONDS
+            self.moving_until = (self._before + stamp) / NANOSECONDS
 
     def command(self, raw: bytes, wall: int, shift: int) -> None:
         """Take rotor speeds of a controller."""

@@ -206,12 +206,10 @@ class Session:
         """Serve until a condition holds; return False after `timeout` [s, wall]."""
         return serve_until(self.spin, condition, timeout)
 
-    def wait(
-        self, condition: Callable[[], object], what: str, timeout: float = READY
-    ) -> None:
-        """Serve until a condition holds; raise a `SessionError` after `timeout` [s, wall]."""
-        if not self.until(condition, timeout):
-            raise SessionError(f"timed out after {timeout:g} s while waiting for {what}")
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Serve until a condition holds; raise a `SessionError` after a long time."""
+        if not self.until(condition, READY):
+            raise SessionError(f"timed out after {READY:g} s while waiting for {what}")
 
     def ask(self, service: str, request: Any) -> Any:
         """Send a request without waiting; return its future, None if too many are pending."""
@@ -245,10 +243,8 @@ class Session:
             for future in futures:
                 if future.done() and future.result() is not None:
                     return future.result()
-        raise SessionError(
-            f"no response of {service}: "
-            + (f"none within {READY:g} s" if process.code is None else process.ending)
-        )
+        why = f"none within {READY:g} s" if process.code is None else process.ending
+        raise SessionError(f"no response of {service}: {why}")
 
     def set_parameters(self, node: str, **values: Any) -> list[Any]:
         """Set parameters of a node, a dot in a name given as __; return the result for each."""

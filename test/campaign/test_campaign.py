@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from catalogue import FAULTS, chosen, combined
+from catalogue import FAULTS, chosen
 from faults import write_json
 from judge import TOO_EARLY
 from node_session import Settings
@@ -53,11 +53,3 @@ def test_quick_campaign_has_each_group_and_less_than_half_of_the_faults() -> Non
     quick = chosen(quick=True)
     assert {fault.group for fault in quick} == {fault.group for fault in FAULTS.values()}
     assert len(quick) < len(FAULTS) / 2
-
-
-def test_combined_faults_have_different_actions_and_do_not_undo_each_other() -> None:
-    pairs = combined(FAULTS.values(), 2, 100_000, seed=0)
-    assert len(pairs) > 500 and combined(FAULTS.values(), 2, 20, seed=0) == pairs[:20]
-    for one, other in pairs:
-        assert one.group == "pose" or one.action is not other.action
-        assert {one.name, other.name} != {"recorder_killed", "disk_full"}

@@ -10,22 +10,13 @@ pytest.importorskip("rclpy")
 from hostile import FORGED
 from judge import TOO_EARLY, Judge, LimitCheck
 from rclpy.serialization import serialize_message
-from relay import PoseStream, ahead, delayed, duplicated, not_finite, shuffled, stamp_of
 from trajectory_msgs.msg import JointTrajectory
 from trial import faults_of_line
 
-from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import make_state
-from sphere_nmpc.ros.messages import (
-    clock_message,
-    pose_message,
-    pose_of_message,
-    trajectory_message,
-)
+from sphere_nmpc.ros.messages import clock_message, trajectory_message
 
 SECOND = 10**9
-PERIOD = SECOND // 20
 
 
 def hold(*knots: tuple[float, float]) -> FirstOrderHold:
@@ -69,7 +60,7 @@ def test_measured_speeds_may_change_by_the_error_of_a_servo_more(
 ) -> None:
     check = LimitCheck(servo_error)
     check.joints(0, np.zeros(2))
-    check.joints(PERIOD, np.array([0.0, 20.0 + extra]))  # 400 rad/s^2 and a little
+    check.joints(SECOND // 20, np.array([0.0, 20.0 + extra]))  # 400 rad/s^2 and a little
     assert len(check.broken) == violations
 
 
@@ -110,27 +101,3 @@ def test_each_bad_command_has_one_complaint(given, complaint) -> None:
 )
 def test_each_fault_of_a_log_has_one_complaint(line, complaint) -> None:
     assert list(faults_of_line(line)) == complaint
-
-
-def passed(*disturbances) -> list[bytes]:
-    """Return the poses of 220 periods, in the last 20 of which none enters."""
-    stream = PoseStream(np.random.default_rng(1))
-    stream.disturbances.extend(disturbances)
-    at_rest, out = make_state((0.0, 0.0), (0.6, 0.0, 0.8, 0.0)), []
-    for now in range(0, 220 * PERIOD, PERIOD):
-        out += stream.pass_on(now, pose_message(at_rest, now, 0.3), is_lost=now >= 200 * PERIOD)
-    return out
-
-
-def test_disturbances_change_when_poses_arrive_and_what_they_say() -> None:
-    def stamps(*disturbances) -> list[int]:
-        return [stamp_of(pose) // PERIOD for pose in passed(*disturbances)]
-
-    everything = list(range(200))
-    assert stamps() == everything == stamps(delayed(0.2))
-    assert stamps(shuffled(0.15)) != sorted(stamps(shuffled(0.15))) == everything
-    assert stamps(duplicated(2), duplicated(2)) == sorted(4 * everything)
-    assert stamps(ahead(0.5)) == [n + 10 for n in everything]
-    for pose in passed(not_finite()):
-        with pytest.raises(InvalidStateError):
-            pose_of_message(pose)

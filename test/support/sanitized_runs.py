@@ -77,13 +77,9 @@ def edge_cases(n: int) -> None:
     start = random_start(n)
     for weights in WEIGHTS:
         problem = make_problem(n, **weights)
-        fixed = replace(problem, lower=np.zeros((n, 2)), upper=np.zeros((n, 2)))
-        solver.solve(fixed, start)
-        part = replace(problem, lower=problem.lower.copy(), upper=problem.upper.copy())
-        part.lower[-1] = part.upper[-1] = 0.0
-        solver.solve(part, start)
-        unbounded = np.full((n, 2), np.inf)
-        solver.solve(replace(problem, lower=-unbounded, upper=unbounded), start)
+        part = np.where(np.arange(n)[:, None] == n - 1, 0.0, problem.upper)
+        for upper in (np.zeros((n, 2)), part, np.full((n, 2), np.inf)):
+            solver.solve(replace(problem, lower=-upper, upper=upper), start)
         for name in (
             "state", "goal", "input_in_force", "durations", "constants", "lower", "drift",
         ):

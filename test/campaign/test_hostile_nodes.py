@@ -44,8 +44,8 @@ def drawn_for(name: str) -> random.Random:
 def disturb_topic(session: Session, topic: str) -> None:
     """Send extreme values and damaged bytes on a topic."""
     rng, valid = drawn_for(topic), session.current_example(topic)
-    given = [extreme(rng, session.topics[topic], valid) for _ in range(12)]
-    given += [damaged(rng, valid) for _ in range(12)]
+    given = [extreme(rng, session.topics[topic], valid) for _ in range(8)]
+    given += [damaged(rng, valid) for _ in range(8)]
     with session.publisher(session.topics[topic], topic, ACCEPTING) as publisher:
         for message in given:
             with suppress(RuntimeError):  # longer than the middleware can send

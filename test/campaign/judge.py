@@ -189,8 +189,7 @@ class Judge:
 
     @property
     def is_lenient(self) -> bool:
-        """Whether the rotors may be set to rest at once, as by a reset, the sphere may be
-        anywhere, and the controller may follow the system clock."""
+        """Whether resets, pushes to anywhere and the system clock are allowed now."""
         return time.monotonic() < self.lenient_until
 
     def begin(self, goal: Vector) -> GoalRun:

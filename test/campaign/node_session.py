@@ -344,12 +344,9 @@ class Session:
 
     def reset(self) -> None:
         """Put the sphere at rest at its start."""
-        judge = self.judge
         self.call("simulator/reset", Trigger.Request())
-        done = judge.now + _LATER
-        self.wait(
-            lambda: judge.pose_stamp > done and judge.state is not None, "a pose of the start"
-        )
+        judge, done = self.judge, self.judge.now + _LATER
+        self.wait(lambda: judge.pose_stamp > done and judge.state is not None, "a pose")
 
     @contextmanager
     def publisher(self, kind: type, topic: str, qos: Any = 10) -> Iterator[Any]:

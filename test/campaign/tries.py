@@ -107,7 +107,9 @@ def parameters(session: Session) -> Action:
 def services(session: Session) -> Action:
     """Services of the nodes at random moments."""
     rng, due = source(session), 0.0
-    names = [name for name, kind in session.services.items() if "std_srvs" in kind.__module__]
+    # Not of the recorder: a bag of an instant has no pose.
+    names = [name for name, kind in session.services.items()
+             if "std_srvs" in kind.__module__ and not name.startswith("recorder/")]
 
     def ask() -> None:
         nonlocal due

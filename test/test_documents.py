@@ -1,22 +1,313 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""References in the documents: files, headings, make targets and scripts exist."""
+"""Documents: links have targets, and the package accepts each command.
 
+Nothing is run: arguments go through the parsers of the package, parameters through its settings,
+payloads into the messages, and launch arguments into the launch file.
+"""
+
+import contextlib
+import dataclasses
+import io
 import re
+import shlex
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
-ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "msg_docs").glob("*.md"),
-     *(ROOT / "bench").glob("*.md")]
-)
+pytest.importorskip("rclpy")
+
+import faults
+from document_commands import DOCUMENTS, Command, all_commands, commands
+from documented_topics import types_of
+from launch_stand_in import LAUNCH, ROOT, started
+from parameter_tables import NODES, PARTS
+
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantities
+from sphere_nmpc.ros.settings import FrameSettings
+from sphere_sim.cli import benchmark, demo, report, study, viewer
+from sphere_sim.cli.main import VERBS
+from sphere_sim.recording.recorder_settings import RecorderSettings
+from sphere_sim.ros.session import goal_command
+
+PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
+    "demo": demo.parse,
+    "goal": goal_command.parse,
+    "viewer": viewer._parse,
+    "study": lambda words: study._parser().parse_args(words),
+    "benchmark": benchmark._parse,
+    "report": report._parse,
+    "faults": faults._parse,
+}
+"""Parser of each verb, and of `make faults`; the other verbs take the arguments of ROS only."""
+SETTINGS: dict[str, list[tuple[str, Any]]] = {
+    node: [("", settings), ("robot", RobotParameters()),
+           *((prefix, more) for prefix, _, more in PARTS[node])]
+    for node, settings in NODES.items()
+} | {
+    "recorder": [("", RecorderSettings())],
+    "viewer": [("", FrameSettings())], "markers": [("", FrameSettings())], "goal": [],
+}
+"""Settings of each node with the prefixes of their names."""
+WITH_VALUE = {
+    "-r", "--rate", "-t", "--times", "-w", "--wait", "--field", "--window", "-s", "--storage",
+    "-o", "--output", "--qos-reliability", "--qos-durability", "--qos-profile",
+}
+FLAGS = {
+    "-1", "--once", "--no-arr", "--csv", "-v", "--verbose", "-a", "--all", "--use-sim-time",
+    "--topics",
+}
+"""Options of ros2 topic, service, param and bag."""
+ASSIGNING = ("-p", "--param", "-r", "--remap")
+OF_ROS = ("--params-file", "--enclave", "--log-level")
+"""Arguments of ROS with name:=value, and others."""
+NOT_CHECKED = ("security", "pkg prefix", "topic list", "node list")
+"""Commands of ros2 whose arguments do not depend on the package."""
 LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
+TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+OF_ROSBAG2 = ("/tf", "/tf_static", "/rosout", "/parameter_events")
 
 
-def named(path: Path) -> str:
-    return str(path.relative_to(ROOT))
+class WrongCommandError(AssertionError):
+    """A documented command that would be refused or have no effect."""
+
+
+class UnknownParameterError(WrongCommandError):
+    """A parameter that the node does not declare."""
+
+
+def check_parameter(nodes: Sequence[str], name: str, text: str = "", live: bool = False) -> None:
+    """Check that one of some nodes has a parameter, and a value for it as YAML 1.1 reads it."""
+    prefix, _, field = name.rpartition(".")
+    for node in nodes:
+        if name == "use_sim_time" or (node, name) == ("recorder", "topics"):
+            return
+        for of, settings in SETTINGS[node]:
+            if of == prefix and field in (known := quantities(settings)):
+                if live and not known[field].live:
+                    raise WrongCommandError(f"{name} of {node} cannot be changed while it runs")
+                if text:
+                    check_value(settings, field, yaml.safe_load(text))
+                return
+    raise UnknownParameterError(f"{' or '.join(nodes)} has no parameter {name}")
+
+
+def check_value(settings: Any, field: str, value: Any) -> None:
+    try:
+        dataclasses.replace(settings, **{field: tuple(value) if type(value) is list else value})
+    except SphereNmpcError as error:
+        raise WrongCommandError(str(error)) from None
+
+
+def check_own(verb: str, words: Sequence[str], inline: bool) -> None:
+    """Check the arguments of a verb by its own parser."""
+    if verb not in PARSERS:
+        if words and words[0] not in ("-h", "--help"):
+            raise WrongCommandError(f"{verb} takes ROS arguments only, given {' '.join(words)}")
+        return
+    # In running text a capital letter is a number; 0.5 0.5 0.5 0.5 is an orientation.
+    for number in ("0.5", "1"):
+        output = io.StringIO()
+        given = [number if re.fullmatch("[A-Z]", word) else word for word in words]
+        try:
+            with contextlib.redirect_stderr(output), contextlib.redirect_stdout(io.StringIO()):
+                PARSERS[verb](given)
+        except SystemExit as end:
+            lacking = re.search("are required|is required|expected .*argument", output.getvalue())
+            if not end.code or (inline and lacking):
+                return
+        else:
+            return
+    raise WrongCommandError(output.getvalue().strip().splitlines()[-1])
+
+
+def check_ros(nodes: Sequence[str], words: Sequence[str]) -> None:
+    """Check arguments after --ros-args of one of some nodes."""
+    rest = iter(word for word in words if word != "--")
+    for option, value in zip(rest, rest, strict=True):
+        name, assigns, given = value.partition(":=")
+        if option not in (ASSIGNING if assigns else OF_ROS):
+            raise WrongCommandError(f"{option} {value}: no argument of ROS")
+        if option in ("-p", "--param"):
+            check_parameter(nodes, name, given)
+
+
+def check_verb(words: Sequence[str], inline: bool) -> None:
+    verb, *rest = words or ["--help"]
+    if verb in ("-h", "--help", "--version"):
+        return
+    if verb == "sphere_nmpc":
+        return check_verb(rest, inline)
+    if verb not in VERBS:
+        raise WrongCommandError(f"{verb}: no executable of the package")
+    at = rest.index("--ros-args") if "--ros-args" in rest else len(rest)
+    check_own(verb, rest[:at], inline)
+    check_ros([verb], rest[at + 1:])
+
+
+def check_launch(words: Sequence[str]) -> None:
+    file, *arguments = words or [""]
+    if file != LAUNCH.name:
+        raise WrongCommandError(f"{file}: no launch file of the package")
+    # A parameter file of the user need not exist.
+    config = f"params_file:={ROOT}/config/sphere.yaml"
+    words = [config if word.startswith("params_file:=") else word for word in arguments]
+    try:
+        started(*(word for word in words if not word.startswith("-")), installed=["rviz2"])
+    except (RuntimeError, ValueError) as error:
+        raise WrongCommandError(str(error)) from None
+
+
+def check_assignment(word: str) -> None:
+    """Check name:=value in running text, which is an argument of launch or a parameter."""
+    try:
+        check_launch([LAUNCH.name, word])
+    except WrongCommandError as error:
+        if "not an argument" not in str(error):
+            raise
+        name, _, value = word.partition(":=")
+        if not name.startswith("__"):
+            check_parameter(list(SETTINGS), name, value)
+
+
+def operands(words: Sequence[str]) -> Iterator[str]:
+    """Yield the words of a ros2 command that are neither options nor their values."""
+    rest = iter(words)
+    for word in rest:
+        if word in WITH_VALUE:
+            next(rest)
+        elif not word.startswith("-"):
+            yield word
+        elif word not in FLAGS:
+            raise WrongCommandError(f"{word}: not an option")
+
+
+def type_of(name: str, given: str = "") -> str:
+    """Return the documented type of a topic or service."""
+    kinds = types_of(name)
+    if not kinds:
+        raise WrongCommandError(f"{name}: not in msg_docs/topics.md")
+    for kind in sorted(kinds):
+        if given in ("", kind, re.sub("/(msg|srv)/", "/", kind)):
+            return kind
+    raise WrongCommandError(f"{name}: given the type {given}, expected {' or '.join(kinds)}")
+
+
+def check_content(name: str, given: str = "", values: str = "{}", *rest: str) -> None:
+    """Check type and content of a message on a topic, or of the request of a service."""
+    package, group, kind = type_of(name, given).split("/")
+    found = getattr(import_module(f"{package}.{group}"), kind)
+    fill(getattr(found, "Request", found)(check_fields=True), yaml.safe_load(values))
+
+
+def fill(message: Any, values: Any) -> None:
+    """Set the fields of a message as `ros2 topic pub` does."""
+    fields = message.get_fields_and_field_types()
+    for name, value in values.items():
+        if name not in fields:
+            raise WrongCommandError(f"{type(message).__name__} has no field {name}")
+        if value in ("auto", "now"):  # a header or time
+            continue
+        current = getattr(message, name)
+        try:
+            if isinstance(value, dict):
+                fill(current, value)
+            elif isinstance(current, array):
+                setattr(message, name, array(current.typecode, value))
+            else:
+                setattr(message, name, float(value) if isinstance(current, float) else value)
+        except (AssertionError, TypeError, ValueError) as error:
+            raise WrongCommandError(f"{name}: given {value!r}: {error}") from None
+
+
+def check_ros2(words: Sequence[str], inline: bool) -> None:
+    """Check a ros2 command of a topic, service, parameter, bag, executable or launch file."""
+    group, verb, *rest = [*words, "", ""][:max(2, len(words))]
+    command = f"{group} {verb}".strip()
+    # Such as `ros2 bag record -a` in a sentence about it.
+    if command.startswith(NOT_CHECKED) or (inline and all(w.startswith("-") for w in rest)):
+        return
+    if command in ("run sphere_nmpc", "launch sphere_nmpc"):
+        return check_verb(rest, inline) if group == "run" else check_launch(rest)
+    given = list(operands(rest))
+    if command in ("topic pub", "service call"):
+        check_content(*given)
+        if given[0].endswith("goal_pose") and {"-1", "--once"} & {*rest}:
+            raise WrongCommandError("--once: perhaps before the controller is matched, give -t 3")
+    elif command in ("topic echo", "topic hz", "topic info"):
+        type_of(*given)
+    elif command in ("param set", "param get"):
+        check_parameter([given[0].split("/")[-1]], *given[1:], live=verb == "set")
+    elif command == "bag record":
+        for topic in {*given} - {*OF_ROSBAG2}:
+            type_of(topic)
+    else:
+        raise WrongCommandError("a new kind of command: add a check, or name it in NOT_CHECKED")
+
+
+def check(command: Command) -> None:
+    """Check a command of this package or of ros2; others are not checked."""
+    first, *rest = command.words
+    if first == "sphere_nmpc":
+        check_verb(rest, command.inline)
+    elif first == "ros2":
+        check_ros2(rest, command.inline)
+    elif first == "make":
+        if rest[:1] and rest[0] not in TARGETS:
+            raise WrongCommandError(f"{rest[0]}: no target of make")
+        for word in rest:
+            name, _, value = word.partition("=")
+            if name == "ARGS" and rest[0] in ("demo", "faults"):
+                check_own(rest[0], shlex.split(value), False)
+    elif first in ("python", "python3") and rest[0].endswith(".py"):
+        if not rest[0].startswith("/") and not (ROOT / rest[0]).exists():
+            raise WrongCommandError(f"{rest[0]}: no script of the package")
+    elif first in ("--ros-args", "-p", "-r"):
+        check_ros(list(SETTINGS), [word for word in command.words if word != "--ros-args"])
+    elif ":=" in first:
+        check_assignment(first)
+
+
+def test_commands_in_documents_are_understood() -> None:
+    wrong, found = [], all_commands()
+    for command in found:
+        try:
+            check(command)
+        except WrongCommandError as error:
+            wrong.append(f"{command}\n    {error}")
+    assert not wrong, "\n".join(wrong)
+    assert len({command.words[0] for command in found}) > 5
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("ros2 run sphere_nmpc fly", "fly: no executable"),
+        ("sphere_nmpc report bag", "required: --out"),
+        ("make demo ARGS='--case 9'", "invalid choice: 9"),
+        ("sphere_nmpc controller --ros-args -p strateggy:=paper", "no parameter strateggy"),
+        ("sphere_nmpc simulator --ros-args -p robot.shell_mass:=0.0", "shell_mass: given 0.0"),
+        ("ros2 launch sphere_nmpc sphere.launch.py rvis:=true", "rvis: not an argument"),
+        ("ros2 topic pub -t 3 /goal geometry_msgs/msg/PoseStamped", "/goal: not in"),
+        ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{data: a}'", "data: given"),
+        ("ros2 param set /controller horizon 5", "cannot be changed while it runs"),
+        ("ros2 action list", "a new kind of command"),
+        ("make tea", "no target of make"),
+        ("python bench/none.py", "no script"),
+    ],
+)
+def test_wrong_command_is_refused(line, wrong) -> None:
+    (command,) = commands("a.md", f"```\n{line}\n```\n")
+    with pytest.raises(WrongCommandError) as caught:
+        check(command)
+    assert wrong in str(caught.value)
 
 
 def anchors(document: Path) -> set[str]:
@@ -25,11 +316,10 @@ def anchors(document: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
-def test_targets_of_links_exist(document: Path) -> None:
-    links = [first or second for first, second in LINK.findall(document.read_text("utf-8"))]
+def test_targets_of_links_exist() -> None:
     broken = [
-        link for link in links
+        f"{document.name}: {link}" for document in DOCUMENTS
+        for link in map("".join, LINK.findall(document.read_text("utf-8")))
         if not re.match(r"[a-z]+:", link) and not target_exists(document, link)
     ]
     assert not broken
@@ -39,30 +329,3 @@ def target_exists(document: Path, link: str) -> bool:
     file, _, heading = link.partition("#")
     target = (document.parent / file).resolve() if file else document
     return target.exists() and (not heading or heading in anchors(target))
-
-
-@pytest.mark.parametrize("link", ["none.md", "CONTRIBUTING.md#none", "#none"])
-def test_link_without_target_is_found(link: str) -> None:
-    assert not target_exists(ROOT / "README.md", link)
-
-
-def mentioned(pattern: str) -> dict[str, set[str]]:
-    """Return what a pattern finds in all documents, with the documents in which it is."""
-    found: dict[str, set[str]] = {}
-    for document in DOCUMENTS:
-        for name in re.findall(pattern, document.read_text(encoding="utf-8"), re.MULTILINE):
-            found.setdefault(name, set()).add(document.name)
-    return found
-
-
-def test_make_targets_in_documents_exist() -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    used = mentioned(r"(?:`|^)make ([a-z-]+)")
-    assert {"demo", "test"} <= used.keys()
-    assert not {target: used[target] for target in used.keys() - targets}
-
-
-def test_scripts_in_documents_exist() -> None:
-    used = mentioned(r"python (\w+/[\w/]+\.py)")
-    assert "bench/control_rate.py" in used
-    assert not {script: used[script] for script in used if not (ROOT / script).exists()}

@@ -8,36 +8,22 @@ import signal
 import subprocess
 import sys
 import venv
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
 import yaml
-from launch_stand_in import LAUNCH, ROOT, Made, declared_arguments, started
+from documented_topics import table
+from launch_stand_in import LAUNCH, ROOT, Made, started
 from parameter_tables import NODES, PARTS
-from ros2_checks import table
 
 from sphere_nmpc.quantity import quantities
-from sphere_sim.cli.main import VERBS
 from sphere_sim.output.error_text import EXTRAS
 
-ARGUMENTS = {
-    "strategy", "plant", "real_time_factor", "clock", "use_sim_time", "initial_state",
-    "world_frame", "namespace", "params_file", "record", "rviz", "viewer", "respawn",
-}
 OTHERS = ("robot_state_publisher", "rviz2", "ros2bag", "rosbag2_storage_mcap")
 ALL = ("record:=true", "rviz:=true", "viewer:=true")
 FRAME = {"world_frame": "world"}
-
-
-def kinds(actions: list[Made]) -> list[str]:
-    return [type(action).__name__ for action in actions]
-
-
-def known_parameters(node: str) -> set[str]:
-    return {name for it in (NODES[node], *(p[2] for p in PARTS[node])) for name in quantities(it)}
 
 
 def nodes(actions: list[Made]) -> dict[str, Made]:
@@ -54,11 +40,19 @@ def parameters(node: Made) -> dict[str, object]:
     return merged
 
 
-def test_own_executables_are_installed_and_no_package_that_no_argument_asks_for() -> None:
-    own = nodes(started("record:=true", "viewer:=true"))
+def recorders(actions: list[Made]) -> list[Made]:
+    """Return the processes of rosbag2."""
+    return [action for action in actions if type(action).__name__ == "ExecuteProcess"]
+
+
+def test_other_packages_are_used_where_they_are_installed_and_asked_for() -> None:
+    own = nodes(started("record:=true", "viewer:=1"))
     assert {node["package"] for node in own.values()} == {"sphere_nmpc"}
     assert own.keys() == {"simulator", "controller", "recorder", "viewer"}
-    assert own.keys() <= VERBS.keys()
+    assert nodes(started("viewer:=False")).keys() == {"simulator", "controller"}
+    actions = started(*ALL, installed=OTHERS)
+    assert {"robot_state_publisher", "rviz2"} <= nodes(actions).keys()
+    assert recorders(actions)[0]["cmd"][:3] == ["ros2", "bag", "record"]
 
 
 @pytest.fixture(scope="module")
@@ -70,60 +64,44 @@ def bare_python(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("word", "told"),
     [
-        (["rviz:=true"], r"rviz:=true: 'rviz2' is not installed; apt install ros-jazzy-rviz2"),
-        (["viewer:=true"], r"viewer:=true: 'viser' is not .*sphere_nmpc\[viewer\]' \(for {}\)"),
-        (["plant:=rigid_body"], r"rigid_body: 'mujoco' is not .*sphere_nmpc\[rigid\]' \(for {}\)"),
+        ("rviz:=true", r"rviz:=true: 'rviz2' is not installed; apt install ros-jazzy-rviz2"),
+        ("plant:=rigid_body", r"rigid_body: 'mujoco' is not .*sphere_nmpc\[rigid\]' \(for {}\)"),
     ],
-    ids=["rviz2", "viser", "mujoco"],
 )
-def test_missing_package_is_named_before_anything_starts(bare_python, words, told) -> None:
+def test_missing_package_is_named_before_anything_starts(bare_python, word, told) -> None:
     with pytest.raises(RuntimeError, match=told.format(bare_python)):
-        started(*words, looks=True, python=bare_python)
-    started(*words, installed=["rviz2"])
+        started(word, looks=True, python=bare_python)
 
 
-def test_optional_packages_are_used_where_they_are_installed() -> None:
-    actions = started(*ALL, installed=OTHERS)
-    assert {"robot_state_publisher", "rviz2"} <= nodes(actions).keys()
-    (record,) = (action for action in actions if type(action).__name__ == "ExecuteProcess")
-    assert record["cmd"][:3] == ["ros2", "bag", "record"]
-
-
-def test_booleans_have_several_spellings() -> None:
-    for value in ("true", "True", "1"):
-        assert "viewer" in nodes(started(f"viewer:={value}"))
-    for value in ("false", "False", "0"):
-        assert nodes(started(f"viewer:={value}")).keys() == {"simulator", "controller"}
-
-
-def test_arguments_become_parameters_of_the_nodes_behind_those_of_the_file() -> None:
-    for words, of_simulator, of_controller in (
+@pytest.mark.parametrize(
+    ("words", "of_simulator", "of_controller"),
+    [
         ((), {}, {}),
         (("strategy:=paper", "plant:=rigid_body", "real_time_factor:=2"),
          {"plant": "rigid_body", "real_time_factor": 2.0}, {"strategy": "paper"}),
-    ):
-        found = nodes(started(*words))
-        simulator, controller = (parameters(found[name]) for name in ("simulator", "controller"))
-        assert simulator == {"clock": "simulated", **FRAME, **of_simulator}
-        assert controller == {"use_sim_time": True, **FRAME, **of_controller}
-        assert simulator.keys() <= known_parameters("simulator")
-        assert controller.keys() - {"use_sim_time"} <= known_parameters("controller")
-        for node in found.values():
-            assert node["parameters"][0] == str(ROOT / "config" / "sphere.yaml")
-            # The last value is used, so the arguments must follow the file.
-            assert isinstance(node["parameters"][-1], dict)
-
-
-def test_start_is_given_with_a_heading_or_a_quaternion() -> None:
-    half = math.sqrt(0.5)
-    for text, state in (
-        ("1,-1,1.5707963267948966", [1.0, -1.0, half, 0.0, 0.0, half]),
-        ("[2, 0, 0, 1, 0, 0]", [2.0, 0.0, 0.0, 1.0, 0.0, 0.0]),
-    ):
-        simulator = parameters(nodes(started(f"initial_state:={text}"))["simulator"])
-        assert simulator["initial_state"] == pytest.approx(state)
+        (("initial_state:=1,-1,1.5707963267948966",),
+         {"initial_state": pytest.approx([1.0, -1.0, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])},
+         {}),
+        (("initial_state:=[2, 0, 0, 1, 0, 0]",),
+         {"initial_state": [2.0, 0.0, 0.0, 1.0, 0.0, 0.0]}, {}),
+    ],
+)
+def test_arguments_become_parameters_of_the_nodes_behind_those_of_the_file(
+    words, of_simulator, of_controller
+) -> None:
+    expected = {
+        "simulator": {"clock": "simulated", **FRAME, **of_simulator},
+        "controller": {"use_sim_time": True, **FRAME, **of_controller},
+    }
+    for name, node in nodes(started(*words)).items():
+        own = (NODES[name], *(part[2] for part in PARTS[name]))
+        known = {name for settings in own for name in quantities(settings)}
+        assert parameters(node) == expected[name]
+        assert parameters(node).keys() - {"use_sim_time"} <= known
+        # The last value is used, so the arguments must follow the file.
+        assert node["parameters"] == [str(ROOT / "config" / "sphere.yaml"), expected[name]]
 
 
 def test_world_frame_is_that_of_all_nodes_and_of_rviz() -> None:
@@ -136,10 +114,8 @@ def test_world_frame_is_that_of_all_nodes_and_of_rviz() -> None:
 
 
 def test_nodes_are_restarted_if_wanted_and_then_none_ends_the_launch() -> None:
-    actions = started(*ALL, "respawn:=true", installed=OTHERS)
-    for node in nodes(actions).values():
-        assert node.named.get("respawn", False) is (node["package"] == "sphere_nmpc")
-    assert "RegisterEventHandler" not in kinds(actions)
+    actions = started("respawn:=true")
+    assert [action["respawn"] for action in actions] == [True, True]
 
 
 class Run:
@@ -157,12 +133,7 @@ class Run:
         """End a process; return whether this shuts the launch down."""
         event = {"process_name": f"{name}-1", "action": self.nodes[name], "returncode": code}
         self._hear(SimpleNamespace(**event, text=said))
-        answer = self._end(
-            SimpleNamespace(**event), SimpleNamespace(is_shutdown=self.is_shutdown)
-        )
-        assert answer is None or type(answer).__name__ == "Shutdown"
-        self.is_shutdown |= answer is not None
-        return answer is not None
+        return self._end(SimpleNamespace(**event), SimpleNamespace(is_shutdown=self.is_shutdown))
 
 
 @pytest.mark.parametrize(
@@ -170,17 +141,13 @@ class Run:
     [
         ("simulator", 2, "with exit code 2, and the launch with it: [FATAL] plant: given 'cube'"),
         ("controller", -signal.SIGKILL, "by signal 9, and the launch with it"),
-        ("controller", 0, "with exit code 0, and the launch with it"),
         ("recorder", 1, "with exit code 1, and the launch with it: [FATAL] plant: given 'cube'"),
     ],
 )
 def test_process_that_ends_ends_the_launch_with_the_reason_last(first, code, how) -> None:
     run = Run("record:=true")
-    run.nodes["camera"] = Made.__new__(Made)
-    assert not run.ends("camera", 1), "of a file that includes this one"
     assert run.ends(first, code, b"[INFO] hello\n[FATAL] plant: given 'cube'\n")
-    run.is_shutdown = False  # launch has not yet processed what was returned
-    *others, last = [name for name in run.nodes if name not in (first, "camera")]
+    *others, last = [name for name in run.nodes if name != first]
     for name in others:
         assert not run.ends(name, 3)
     with pytest.raises(RuntimeError) as caught:
@@ -196,15 +163,15 @@ def test_display_that_is_closed_and_an_interrupt_are_no_faults() -> None:
         assert not run.ends(name, 0)
 
 
-def test_all_but_the_simulator_follow_its_clock_if_there_is_one() -> None:
-    for words, follows in (
-        ([], True), (["clock:=system"], False), (["use_sim_time:=false"], False),
-        (["clock:=simulated", "use_sim_time:=True"], True),
-    ):
-        for executable, node in nodes(started(*ALL, *words, installed=OTHERS[:2])).items():
-            # Viewer and markers use wall time, so that they also show a stopped clock.
-            expected = None if executable in ("simulator", "viewer", "markers") else follows
-            assert parameters(node).get("use_sim_time") is expected
+@pytest.mark.parametrize(
+    ("words", "follows"),
+    [([], True), (["clock:=system"], False), (["use_sim_time:=false"], False)],
+)
+def test_all_but_the_simulator_follow_its_clock_if_there_is_one(words, follows) -> None:
+    for executable, node in nodes(started(*ALL, *words, installed=OTHERS[:2])).items():
+        # Viewer and markers use wall time, so that they also show a stopped clock.
+        expected = None if executable in ("simulator", "viewer", "markers") else follows
+        assert parameters(node).get("use_sim_time") is expected
 
 
 @pytest.mark.parametrize(
@@ -225,50 +192,37 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
         remapped = [("/clock", "clock")] if node["package"] != "sphere_nmpc" else None
         assert node.named.get("remappings") == remapped
     # rosbag2 would wait for /clock.
-    assert ("ExecuteProcess" in kinds(actions)) is not bool(place)
+    assert bool(recorders(actions)) is not bool(place)
     assert ("recorder" in found) is bool(place)
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["rviz:=yes"], "rviz"),
-        (["plant:=cube"], "plant"),
-        (["real_time_factor:=fast"], "real_time_factor: given fast, expected a number"),
-        (["real_time_factor:=-1"], "real_time_factor: given -1.0, expected 0 to 1000"),
-        (["real_time_factor:=nan"], "real_time_factor: given nan, expected a finite number"),
-        (["clock:=system", "use_sim_time:=true"], "use_sim_time: given true, expected false"),
-        (["clock:=system", "real_time_factor:=2"], "real_time_factor: given 2.0, expected 1.0"),
-        (["initial_state:=1,2"], "initial_state: given 1,2: state: given"),
-        (["initial_state:=1,north,0"], "initial_state: given 1,north,0, expected numbers"),
-        (["initial_state:=1e9,0,0"], "initial_state: given 1e9,0,0: position: given"),
-        (["world_frame:=/map"], "world_frame: given '/map', expected a name"),
-        (["namespace:=2nd"], "namespace: given 2nd, expected letters"),
-        (["namespace:=a//b"], "namespace: given a//b, expected letters"),
-        (["params_file:=none.yaml"], "params_file: given none.yaml, expected a file"),
-        (["rvis:=true"], "rvis: not an argument; known are strategy, plant"),
-        (["rvis:=1", "stratgy:=paper"], "rvis, stratgy: not an argument"),
+        ("plant:=cube", "plant"),
+        ("real_time_factor:=fast", "real_time_factor: given fast, expected a number"),
+        ("real_time_factor:=-1", "real_time_factor: given -1.0, expected 0 to 1000"),
+        ("clock:=system real_time_factor:=2", "real_time_factor: given 2.0, expected 1.0"),
+        ("clock:=system use_sim_time:=true", "use_sim_time: given true, expected false"),
+        ("initial_state:=1,2", "initial_state: given 1,2: state: given"),
+        ("initial_state:=1e9,0,0", "initial_state: given 1e9,0,0: position: given"),
+        ("world_frame:=/map", "world_frame: given '/map', expected a name"),
+        ("namespace:=a//b", "namespace: given a//b, expected letters"),
+        ("params_file:=none.yaml", "params_file: given none.yaml, expected a file"),
+        ("rvis:=true", "rvis: not an argument; known are strategy, plant"),
     ],
-    ids=" ".join,
 )
 def test_wrong_argument_is_refused_in_one_line(words, expected) -> None:
     with pytest.raises(RuntimeError, match=re.escape(expected)) as caught:
-        started(*words)
+        started(*words.split())
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_argument_is_refused_however_the_file_is_named(monkeypatch) -> None:
-    monkeypatch.chdir(ROOT)
-    for words in ([str(LAUNCH)], [str(LAUNCH.relative_to(ROOT))],
-                  ["-n", "sphere_nmpc", LAUNCH.name]):
-        with pytest.raises(RuntimeError, match="rvis: not an argument"):
-            started("rvis:=true", command=["ros2", "launch", *words])
-
-
-def test_arguments_of_an_including_file_and_of_launch_itself_are_accepted() -> None:
-    for command in (["ros2", "launch", "my_robot", "all.launch.py"],
-                    ["ros2", "launch", "my_robot", LAUNCH.name]):
-        assert nodes(started("colour:=red", command=command))
+def test_unknown_arguments_are_only_those_of_this_file() -> None:
+    with pytest.raises(RuntimeError, match="rvis: not an argument"):
+        started("rvis:=true", command=["ros2", "launch", str(LAUNCH)])
+    including = ["ros2", "launch", "my_robot", LAUNCH.name]
+    assert nodes(started("colour:=red", command=including))
     assert nodes(started("launch-prefix:=gdb", "sigterm_timeout:=20"))
 
 
@@ -286,9 +240,6 @@ def test_it_is_refused_while_nodes_of_the_same_topics_run(capfd) -> None:
             for _ in range(20):  # discovery may take longer on a busy machine
                 started("namespace:=left", looks=True)
         assert nodes(started("namespace:=right", looks=True))
-        # With the system clock for all nodes another /clock does not matter.
-        assert nodes(started("clock:=system", looks=True))
-    assert nodes(started("namespace:=left", looks=True))
     assert not capfd.readouterr().err
 
 
@@ -324,47 +275,19 @@ def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path) -> None:
     assert float(next(model.iter("sphere")).get("radius")) == radius
     assert next(model.iter("mass")).get("value") == "0.05"
     config = yaml.safe_load(Path(found["rviz2"]["arguments"][1]).read_text())
-    view = config["Visualization Manager"]
-    assert view["Views"]["Current"]["Distance"] == pytest.approx(6.5 * radius / 0.3)
-    floor, plan = (
-        next(it for it in view["Displays"] if it["Name"] == name) for name in ("Floor", "Plan")
-    )
-    assert floor["Cell Size"] == pytest.approx(0.05)
-    assert plan["Offset"]["Z"] == pytest.approx(-0.29 * radius / 0.3), "on the floor"
-
-
-def test_file_with_an_impossible_robot_is_refused_in_one_line(tmp_path) -> None:
-    file = tmp_path / "wrong.yaml"
+    distance = config["Visualization Manager"]["Views"]["Current"]["Distance"]
+    assert distance == pytest.approx(6.5 * radius / 0.3)
     file.write_text("/**:\n  ros__parameters: {robot.shell_radius: -1.0}\n")
-    with pytest.raises(RuntimeError, match=r"robot.shell_radius: given -1") as found:
+    with pytest.raises(RuntimeError, match=r"robot.shell_radius: given -1") as caught:
         started(f"params_file:={file}", installed=OTHERS, looks=True)
-    assert "\n" not in str(found.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_recording_has_every_documented_topic_except_requested_goals() -> None:
-    (record,) = (a for a in started("record:=1", installed=OTHERS) if "cmd" in a.named)
+    (record,) = recorders(started("record:=1", installed=OTHERS))
     recorded = set(record["cmd"][record["cmd"].index("--topics") + 1:])
-    assert "--use-sim-time" in record["cmd"]
     documented = {topic for _, topic, _, verb, _ in table() if verb != "service"}
     # `ros2 topic pub --once` ends after the first matched subscription.
     requested = {"/goal_pose", "/simulator/push"}
-    assert requested < documented
+    assert "--use-sim-time" in record["cmd"]
     assert documented - requested <= recorded and not requested & recorded
-
-
-def test_description_is_generated_where_launch_is_installed() -> None:
-    pytest.importorskip("launch_ros")
-    ament = pytest.importorskip("ament_index_python.packages")
-    try:
-        ament.get_package_share_directory("sphere_nmpc")
-    except ament.PackageNotFoundError:
-        pytest.skip("the package itself is not installed in a colcon home")
-    spec = spec_from_file_location("sphere_launch", LAUNCH)
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    arguments = [entity.name for entity in module.generate_launch_description().entities[:-1]]
-    assert set(arguments) == ARGUMENTS
-
-
-def test_arguments_of_the_file_are_those_tested_here() -> None:
-    assert set(declared_arguments()) == ARGUMENTS

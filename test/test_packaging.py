@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Installations by pip and by colcon are complete."""
 
-import ast
 import os
 import re
 import shutil
@@ -29,10 +28,13 @@ HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: 
 
 
 @pytest.fixture(scope="module")
-def quick_compiler(tmp_path_factory) -> Path:
-    """C compiler that does not optimise."""
+def compiler(tmp_path_factory) -> Path:
+    """Return a stand-in for a C compiler, which only creates its output."""
     script = tmp_path_factory.mktemp("compiler") / "cc"
-    script.write_text('#!/bin/sh\nexec cc "$@" -O0\n')
+    script.write_text(f"""#!{sys.executable} -IS
+import sys
+open(sys.argv[sys.argv.index("-o") + 1], "w").close()
+""")
     script.chmod(0o755)
     return script
 
@@ -62,29 +64,29 @@ def shared_files(tree: Path) -> set[str]:
     }
 
 
-def clean_environment() -> dict[str, str]:
-    """Return the environment without the variables that the ROS wheels set.
+def environment(compiler: Path | str) -> dict[str, str]:
+    """Return the environment with a compiler and without the variables that the ROS wheels set.
 
-    With them a child that runs another interpreter would load libraries of this one.
+    With these a child that runs another interpreter would load libraries of this one.
     """
     leftovers = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
-    return {name: value for name, value in os.environ.items() if name not in leftovers}
+    kept = {name: value for name, value in os.environ.items() if name not in leftovers}
+    return kept | {"CC": str(compiler)}
 
 
 def run(*command: str | Path, compiler: Path | str = "cc", **options) -> str:
     """Return the output of a command that compiles with a given compiler."""
     done = subprocess.run(
-        command, env=clean_environment() | {"CC": str(compiler)}, capture_output=True, text=True,
-        check=False, **options,
+        command, env=environment(compiler), capture_output=True, text=True, check=False, **options
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 @pytest.mark.slow
-def test_wheel_is_complete(tree, tmp_path, quick_compiler) -> None:
+def test_wheel_is_complete(tree, tmp_path, compiler) -> None:
     options = ("--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path)
-    run(sys.executable, "-m", "pip", "wheel", *options, tree, compiler=quick_compiler)
+    run(sys.executable, "-m", "pip", "wheel", *options, tree, compiler=compiler)
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
         names = set(wheel.namelist())
         entry_points = wheel.read("sphere_nmpc-0.1.0.dist-info/entry_points.txt").decode()
@@ -106,13 +108,13 @@ def test_wheel_is_complete(tree, tmp_path, quick_compiler) -> None:
 @pytest.mark.skipif(not COLCON.exists(), reason="make test provides colcon")
 @pytest.mark.parametrize("option", [[], ["--symlink-install"]], ids=["copy", "symlink"])
 def test_colcon_installs_executables_and_shared_files(
-    tree, tmp_path, option, quick_compiler
+    tree, tmp_path, option, compiler
 ) -> None:
     bases = ("--build-base", tmp_path / "build", "--install-base", tmp_path / "install")
     logs = ("--log-base", tmp_path / "log")
     for built in tree.rglob("solver*.so"):
         built.unlink()
-    run(COLCON, *logs, "build", *bases, *option, cwd=tree, compiler=quick_compiler)
+    run(COLCON, *logs, "build", *bases, *option, cwd=tree, compiler=compiler)
     # A linked installation has it in the source tree.
     built = tree if option else tmp_path / "install"
     assert list(built.rglob("solver.so"))
@@ -130,16 +132,16 @@ def test_colcon_installs_executables_and_shared_files(
 
 @pytest.mark.slow
 def test_installations_from_one_tree_at_once_and_one_without_a_compiler(
-    tree, tmp_path, quick_compiler
+    tree, tmp_path, compiler
 ) -> None:
     """The one without a compiler says so in one line, and is complete."""
     build = [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"]
     builds = [
         subprocess.Popen(
-            build, cwd=tree, env=clean_environment() | {"CC": str(compiler)}, text=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            build, cwd=tree, env=environment(one), text=True, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
         )
-        for compiler in (quick_compiler, quick_compiler, "/bin/false")
+        for one in (compiler, compiler, "/bin/false")
     ]
     errors = [build.communicate()[1] for build in builds]
     assert not any(build.returncode for build in builds), errors
@@ -149,32 +151,14 @@ def test_installations_from_one_tree_at_once_and_one_without_a_compiler(
     assert len(errors[2].splitlines()) == 1
 
 
-def test_setup_lists_the_verbs_of_the_command() -> None:
-    tree = ast.parse((ROOT / "setup.py").read_text())
-    (verbs,) = (
-        ast.literal_eval(node.value) for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "VERBS"
-    )
-    assert sorted(verbs) == sorted(cli.VERBS)
-
-
-@pytest.mark.parametrize("verb", ["simulator", "study", "report"])
 @pytest.mark.parametrize("suffix", ["", ".exe"])
-def test_executable_named_like_a_verb_runs_it(verb, suffix, monkeypatch) -> None:
+def test_executable_named_like_a_verb_runs_it(suffix, monkeypatch) -> None:
     given = []
     module = SimpleNamespace(main=lambda arguments: given.append(arguments) or 7)
-    monkeypatch.setattr(cli, "import_module", {cli.VERBS[verb][0]: module}.__getitem__)
-    monkeypatch.setattr(sys, "argv", [f"/lib/sphere_nmpc/{verb}{suffix}", "--out", "x"])
+    monkeypatch.setattr(cli, "import_module", {cli.VERBS["study"][0]: module}.__getitem__)
+    monkeypatch.setattr(sys, "argv", [f"/lib/sphere_nmpc/study{suffix}", "--out", "x"])
     assert cli.main(cli.of_process()) == 7
     assert given == [["--out", "x"]]
-
-
-def test_executable_of_a_verb_names_the_missing_extra(monkeypatch, capsys) -> None:
-    monkeypatch.setitem(sys.modules, "rosbags", None)
-    monkeypatch.setattr(cli, "import_module", lambda name: __import__("rosbags"))
-    monkeypatch.setattr(sys, "argv", ["/lib/sphere_nmpc/report", "bag"])
-    assert cli.main(cli.of_process()) == 1
-    assert "pip install 'sphere_nmpc[record]'" in capsys.readouterr().err
 
 
 def test_package_xml_agrees_with_setup() -> None:

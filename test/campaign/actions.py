@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What causes the faults of the catalogue: generators that begin a fault, yield, and end it.
 
-What has to be done repeatedly while the fault lasts is a function that they yield. What stays
-after the end, such as momentum, is undone by ``session.cleanups`` after the recovery.
+What has to be done repeatedly while the fault lasts is a function that they yield.
 """
 
 import contextlib
@@ -18,24 +17,18 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-from geometry_msgs.msg import PoseStamped
-from hostile import goal_message
-from node_session import RADIUS, Session, SessionError, random_goal
-from relay import Disturbance, restamped, stamp_of
+import psutil
+from geometry_msgs.msg import PoseStamped, Vector3
+from hostile import RADIUS, goal_message, random_goal
+from node_session import Session, SessionError
+from relay import Disturbance, stamp_of
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.drift import GRAVITY
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
-
-if TYPE_CHECKING:
-    from trial import CampaignSession
 
 Action = Iterator[Any]
 _SLICE = 0.1
@@ -46,7 +39,7 @@ _LEFT_ON_DISK = 1000
 """Space that is left before the disk is full [bytes]."""
 _SOME_MESSAGES = 4000
 """Size of a bag that is not empty [bytes]."""
-_WORKER = b"sphere_nmpc.worker.serve"
+_WORKER = "sphere_nmpc.worker.serve"
 _WRONG_AT_START = (
     "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
     "time_budget:=fast",
@@ -92,7 +85,7 @@ def clock_back(session: Session, by: float) -> Action:
     yield
 
 
-def pace(session: "CampaignSession", factor: float) -> Action:
+def pace(session: Session, factor: float) -> Action:
     """Set another real-time factor."""
     session.require_parameters("simulator", real_time_factor=factor)
     yield
@@ -114,7 +107,7 @@ def bad_goals(session: Session, kinds: tuple[str, ...], period: float = 0.2) -> 
         yield send
 
 
-def two_poses(session: "CampaignSession", offset: float = 0.0) -> Action:
+def two_poses(session: Session, offset: float = 0.0) -> Action:
     """Publish further poses, each at a random time between one of the sphere and the next.
 
     They are displaced by `offset` along x [m]; with 0 they are those of another sphere, within 2 m
@@ -134,14 +127,14 @@ def two_poses(session: "CampaignSession", offset: float = 0.0) -> Action:
             if offset:
                 state = pose_of_message(seen)
                 state[0] += offset
-            second = pose_message(state, stamp_of(seen) + round(NANOSECONDS * after), RADIUS)
-            publisher.publish(restamped(second, relay.shift))
+            stamp = stamp_of(seen) + round(NANOSECONDS * after) + relay.shift
+            publisher.publish(pose_message(state, stamp, RADIUS))
 
     with session.publisher(PoseStamped, "pose") as publisher:
         yield send
 
 
-def kill(session: "CampaignSession", node: str) -> Action:
+def kill(session: Session, node: str) -> Action:
     """Send SIGKILL to a node and start it again.
 
     To a recorder once it has written, as it may lose its last second.
@@ -212,19 +205,14 @@ def send(pid: int, number: signal.Signals) -> None:
 
 def worker_of(controller: int) -> int:
     """Return the process id of the worker that a process has started; 0 if there is none."""
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        # A process may end while it is looked at.
-        with contextlib.suppress(OSError):
-            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-            if int(parent) == controller and state != "Z" and \
-                    _WORKER in (entry / "cmdline").read_bytes():
-                return int(entry.name)
+    with contextlib.suppress(psutil.NoSuchProcess):  # a process may end while it is looked at
+        for child in psutil.Process(controller).children():
+            if child.status() != psutil.STATUS_ZOMBIE and _WORKER in " ".join(child.cmdline()):
+                return child.pid
     return 0
 
 
-def bad_solver(session: "CampaignSession", mode: str) -> Action:
+def bad_solver(session: Session, mode: str) -> Action:
     """Let the solver fail in a mode of `bad_strategy`."""
     session.solver_file.write_text(mode)
     yield
@@ -277,7 +265,7 @@ def second_controller(session: Session) -> Action:
         session.processes.stop("rival")  # with SIGINT first: it commands its rotors to rest
 
 
-def bad_start(session: "CampaignSession") -> Action:
+def bad_start(session: Session) -> Action:
     """Start the controller with invalid parameters, each of which it has to name, then again."""
     controller = session.processes["controller"]
     controller.stop()
@@ -296,7 +284,7 @@ def bad_start(session: "CampaignSession") -> Action:
         session.start("controller")
 
 
-def bad_live(session: "CampaignSession") -> Action:
+def bad_live(session: Session) -> Action:
     """Set invalid parameters while the nodes run, each of which they have to refuse."""
     for node, name, value in _WRONG_LIVE:
         (result,) = session.set_parameters(node, **{name: value})
@@ -306,27 +294,17 @@ def bad_live(session: "CampaignSession") -> Action:
     yield
 
 
-def push(session: "CampaignSession", impulse: float) -> Action:
+def push(session: Session, impulse: float) -> Action:
     """Push the sphere in a random direction with an impulse [N s]; the momentum stays."""
-    pushed = impulse * _direction(session.rng.uniform(-math.pi, math.pi))
-    session.push(pushed)
-    # Back, so that the next trial begins without momentum.
-    session.cleanups.append(lambda: session.push(-pushed))
-    yield
+    angle = session.rng.uniform(-math.pi, math.pi)
+    with session.publisher(Vector3, "simulator/push") as publisher:
+        publisher.publish(Vector3(x=impulse * math.cos(angle), y=impulse * math.sin(angle)))
+        yield
 
 
-def tilt(session: "CampaignSession", slope: float) -> Action:
+def tilt(session: Session, slope: float) -> Action:
     """Tilt the floor by `slope` [rad] in a random direction; the momentum stays."""
     angle = session.rng.uniform(-math.pi, math.pi)
     session.require_parameters("simulator", slope=slope, slope_direction=angle)
-    began = session.judge.time
     yield
     session.require_parameters("simulator", slope=0.0, slope_direction=0.0)
-    # As much as gravity has given it, uphill.
-    force = RobotParameters().total_mass * GRAVITY * math.sin(slope)
-    given = force * (session.judge.time - began) * _direction(angle)
-    session.cleanups.append(lambda: session.push(-given))
-
-
-def _direction(angle: float) -> Vector:
-    return np.array([math.cos(angle), math.sin(angle)])

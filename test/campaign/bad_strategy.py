@@ -1,10 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Strategies that fail in the ways in which a solver can, on demand; the controller with them.
-
-`main` runs the controller node with strategies of the same names, which are registered in the
-table of strategies as any other strategy is.
-"""
+"""The controller node with strategies that fail on demand in the ways in which a solver can."""
 
 import time
 from collections.abc import Sequence
@@ -52,14 +48,6 @@ def failing(kind: type, mode_file: Path) -> type:
     return FailingStrategy
 
 
-def register(mode_file: Path) -> None:
-    """Replace each strategy in the table by one that fails on demand."""
-    for name, entry in STRATEGIES.items():
-        module, _, own = entry.path.partition(":")
-        globals()[name] = failing(getattr(import_module(module), own), mode_file)
-        STRATEGIES[name] = replace(entry, path=f"{__name__}:{name}")
-
-
 def main(arguments: Sequence[str]) -> int:
     """Run the controller node, given the id of the parent, the file of the mode, and its own."""
     from sphere_nmpc.child import end_with_parent
@@ -67,5 +55,9 @@ def main(arguments: Sequence[str]) -> int:
 
     parent, mode_file, *rest = arguments
     end_with_parent(int(parent))
-    register(Path(mode_file))
+    # In the table of strategies, as any other strategy is.
+    for name, entry in STRATEGIES.items():
+        module, _, own = entry.path.partition(":")
+        globals()[name] = failing(getattr(import_module(module), own), Path(mode_file))
+        STRATEGIES[name] = replace(entry, path=f"{__name__}:{name}")
     return run_controller(rest)

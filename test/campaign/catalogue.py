@@ -11,6 +11,7 @@ from typing import Any
 
 import actions
 import numpy as np
+import tries
 from relay import (
     Disturbance,
     ahead,
@@ -163,36 +164,38 @@ _ALL = (
     Fault("tilt", "disturbance", actions.tilt, {"slope": math.radians(0.2)}, upright=True),
 )
 
+HOSTILE = tuple(
+    Fault(action.__name__, "hostile", action, goal_again=True, continuous=False)
+    for action in (
+        tries.malformed, tries.extremes, tries.parameters, tries.services, tries.clock_jump,
+        tries.ended,
+    )
+)
+"""Faults of the fuzzing, which need a session with everything."""
 FAULTS = {fault.name: fault for fault in _ALL}
 """All faults by name, in the order in which they are tried."""
 
-_IMPOSSIBLE = (
+_EXCLUSIVE = (
+    {"controller_killed", "controller_stopped", "worker_killed", "worker_stopped", "cpu_starved",
+     "parameters_at_start", "parameters_live"},
+    {"simulator_killed", "simulator_stopped", "push", "tilt", "parameters_live"},
     {"recorder_killed", "disk_full"},
-    {"controller_stopped", "cpu_starved"},
-    {"controller_stopped", "parameters_at_start"},
 )
-"""Pairs of which one undoes the other: a recorder that has been killed writes nothing to a full
-disk, and a controller that is throttled or started again does not remain stopped."""
-_OF_WHOLE_CONTROLLER = {
-    "controller_killed", "controller_stopped", "cpu_starved", "parameters_at_start",
-}
-"""Faults that concern the controller's worker too."""
+"""Faults of one process, of which one would undo or hide the other."""
 
 
-def chosen(
-    known: Iterable[Fault], names: Iterable[str] = (), quick: bool = False
-) -> list[Fault]:
+def chosen(names: Iterable[str] = (), quick: bool = False) -> list[Fault]:
     """Return those of some names or groups; without names all, or those of the quick campaign."""
     names = set(names)
     if names:
-        return [fault for fault in known if {fault.name, fault.group} & names]
-    return [fault for fault in known if fault.quick or not quick]
+        return [fault for fault in _ALL if {fault.name, fault.group} & names]
+    return [fault for fault in _ALL if fault.quick or not quick]
 
 
 def combined(
     faults: Iterable[Fault], size: int, number: int, seed: int
 ) -> list[tuple[Fault, ...]]:
-    """Return some combinations of faults of different actions, drawn without repetition."""
+    """Return some combinations of faults that can coincide, drawn without repetition."""
     possible = [
         several for several in itertools.combinations(faults, size)
         if all(_can_coincide(one, other) for one, other in itertools.combinations(several, 2))
@@ -201,24 +204,19 @@ def combined(
     return [possible[i] for i in order[:number]]
 
 
+def fuzzed(seed: int, number: int) -> tuple[Fault, ...]:
+    """Return the hostile fault of a number, sometimes with one that leaves the nodes running."""
+    rng = np.random.default_rng([seed, number])
+    faults = (HOSTILE[rng.integers(len(HOSTILE))],)
+    others = [fault for fault in _ALL if fault.group in ("pose", "goal", "burst", "clock")]
+    return (*faults, others[rng.integers(len(others))]) if rng.random() < 0.3 else faults
+
+
 def _can_coincide(one: Fault, other: Fault) -> bool:
-    """Return whether two faults, in the order of the catalogue, are possible together."""
-    causes, names = {one.action, other.action}, {one.name, other.name}
     # Two disturbances of poses can be combined; two paces or two solver failures cannot.
     if one.action is other.action and one.group != "pose":
         return False
-    # Parameters of a node that has been killed or stopped cannot be set.
-    if actions.bad_live in causes and {actions.kill, actions.stop, actions.bad_start} & causes:
-        return False
-    # A simulator that has been killed or stopped neither is pushed nor keeps the momentum.
-    if other.group == "disturbance" and one.options.get("node") == "simulator":
-        return False
-    # One of them would continue or end what the other has stopped.
-    if actions.stop in causes and one.options.get("node", "") == other.options.get("node", "-"):
-        return False
-    if actions.signal_worker in causes and names & _OF_WHOLE_CONTROLLER:
-        return False
-    return names not in _IMPOSSIBLE
+    return not any({one.name, other.name} <= several for several in _EXCLUSIVE)
 
 
 def name_of(faults: Iterable[Fault]) -> str:

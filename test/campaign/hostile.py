@@ -1,7 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile values: malformed serialised messages, and messages with extreme values."""
+"""Values that faults send: goals, malformed messages, and ones with extreme values."""
 
+import math
 import random
 import re
 from collections.abc import Iterator
@@ -11,11 +12,13 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from node_session import RADIUS, random_goal
 from rcl_interfaces.msg import ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import QUATERNION, Vector, upright_state
 from sphere_nmpc.ros.messages import pose_to_ros
 
 NUMBERS = (
@@ -32,6 +35,7 @@ TEXTS = (
 _BITS = {"int8": 8, "int16": 16, "int32": 32, "int64": 64}
 _SEQUENCE = re.compile(r"sequence<(.+?)(?:, \d+)?>$")
 _ARRAY = re.compile(r"(.+)\[\d+\]$")
+RADIUS = RobotParameters().shell_radius
 _SHARE_UNKNOWN = 0.01
 """Share of parameter values of an unknown type."""
 
@@ -92,6 +96,14 @@ def extreme_value(rng: random.Random, name: str) -> Any:
         raise NotImplementedError(name)
     package, _, own = name.partition("/")
     return getattr(import_module(f"{package}.msg"), own)()
+
+
+def random_goal(rng: np.random.Generator, upright: bool = False) -> Vector:
+    """Return a goal, shape (6,), with |x|, |y| <= 2 m and any heading or orientation."""
+    turn = random_quaternion(rng)
+    if upright:
+        turn = upright_state(0.0, 0.0, rng.uniform(-math.pi, math.pi))[QUATERNION]
+    return np.concatenate((rng.uniform(-2.0, 2.0, 2), turn))
 
 
 def goal_message(rng: random.Random, kind: str) -> PoseStamped:

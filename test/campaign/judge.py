@@ -3,6 +3,8 @@
 """Judge of commands and rotors by the limits, of the run to a goal; the reports of the nodes."""
 
 import math
+import time
+from collections import deque
 from contextlib import suppress
 from typing import Any
 
@@ -26,6 +28,7 @@ from sphere_nmpc.ros.messages import (
 )
 from sphere_sim.evaluation.metrics import GoalRun
 
+TOO_EARLY = "a command was sent too early"
 _TOLERANCE = 1e-3
 """Relative excess up to which a limit does not count as violated."""
 _CONTINUITY = 1e-3
@@ -34,6 +37,12 @@ _RESOLUTION = 2e-9
 """Largest error of a duration between two stamps that were rounded to nanoseconds [s]."""
 _KEPT = 20
 """Number of violations that are kept as text."""
+_MOST_AHEAD = 0.5
+"""Largest time from the true clock to the start of a command [s]."""
+_LONGEST = 10.0
+"""Longest duration of a command [s]: for so long the rotors turn after a controller was killed."""
+_GRACE = 1.0
+"""Wall time that a controller has to notice that the true clock went back [s]."""
 _LATE = 0.01
 """Delay of a command beyond which the drives have to catch up with it [s]."""
 _AT_REST = 1e-3
@@ -72,11 +81,6 @@ class LimitCheck:
         self._hold: FirstOrderHold | None = None
         self._left: FirstOrderHold | None = None
         self._measured: tuple[int, Vector] | None = None
-
-    def trajectory(self, hold: FirstOrderHold) -> None:
-        """Check a commanded hold by itself and against the one that it replaces."""
-        self.sent(hold)
-        self.delivered(hold)
 
     def sent(self, hold: FirstOrderHold) -> None:
         """Check a commanded hold by itself."""
@@ -163,15 +167,15 @@ class Judge:
         """Stamp of that state [ns]."""
         self.speeds: Vector = np.zeros(2)
         """Measured rotor speeds [rad/s]."""
-        self.joint_stamp = 0
-        """Stamp of these speeds [ns]."""
         self.moving_until = 0.0
         """Time at which a rotor last turned, as `time` [s]."""
         self.goal: Vector | None = None
         """Goal that the controller confirmed last, shape (6,)."""
-        self.count = 0
-        """Number of commands that were judged."""
+        self.lenient_until = 0.0
+        """Wall time until which `is_lenient` holds [s; steady]."""
         self._before = self._spacing = 0
+        self._true_times: deque[tuple[int, int]] = deque(maxlen=500)
+        self._back_until = 0
 
     @property
     def time(self) -> float:
@@ -182,6 +186,11 @@ class Judge:
     def turning(self) -> float:
         """Speed of the faster rotor [rad/s]."""
         return float(np.max(np.abs(self.speeds)))
+
+    @property
+    def is_lenient(self) -> bool:
+        """Whether resets, pushes to anywhere and the system clock are allowed now."""
+        return time.monotonic() < self.lenient_until
 
     def begin(self, goal: Vector) -> GoalRun:
         """Begin a trial and return its run to a goal, shape (6,)."""
@@ -198,6 +207,10 @@ class Judge:
     def clock(self, raw: bytes, wall: int, shift: int) -> None:
         """Take the time of the simulator."""
         self.now = clock_stamp(raw)
+        shifted = self.now + shift
+        if self._true_times and shifted < self._true_times[-1][1]:
+            self._back_until = wall + round(_GRACE * NANOSECONDS)
+        self._true_times.append((wall, shifted))
 
     def pose(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a pose of the simulator, unless it comes late, from a slow sensor."""
@@ -208,7 +221,7 @@ class Judge:
         try:
             self.state = pose_of_message(raw)
         except InvalidStateError as error:
-            if self.run is not None:  # otherwise it may have been pushed away too far
+            if not self.is_lenient:  # otherwise it may have been pushed away too far
                 self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
             return
         if self.run is not None:
@@ -216,23 +229,23 @@ class Judge:
 
     def joints(self, raw: bytes, wall: int, shift: int) -> None:
         """Take joint states of the simulator."""
-        speeds, self.joint_stamp = rotor_speeds_and_stamp(raw)
+        speeds, stamp = rotor_speeds_and_stamp(raw)
         if speeds is None:
             self.limits.broken.append("joint_states without finite speeds")
             return
         self.speeds = speeds
-        self.limits.joints(self.joint_stamp, speeds)
+        if self.is_lenient:
+            self.limits.restart()
+        self.limits.joints(stamp, speeds)
         if self.turning > _AT_REST:
-            self.moving_until = (self._before + self.joint_stamp) / NANOSECONDS
+            self.moving_until = (self._before + stamp) / NANOSECONDS
 
     def command(self, raw: bytes, wall: int, shift: int) -> None:
         """Take rotor speeds of a controller."""
-        self.count += 1
         self.limits.command(speeds_of_message(raw))
 
     def trajectory(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a trajectory of a controller, of times on its shifted clock."""
-        self.count += 1
         try:
             stamp = header_stamp(raw)
             hold, _ = hold_and_stamp(raw, 0, stamp)  # relative to its stamp, hence exact
@@ -240,10 +253,18 @@ class Judge:
             self.limits.broken.append(f"rotor_trajectory is wrong: {error}")
             return
         self.limits.sent(hold)
-        self.take_hold(hold, stamp, wall, shift)
-
-    def take_hold(self, hold: FirstOrderHold, stamp: int, wall: int, shift: int) -> None:
-        """Take the hold of a trajectory, relative to its stamp; for further checks."""
+        if np.any(hold.speeds[-1] != 0.0):
+            self.limits.broken.append(f"a command ends at {hold.speeds[-1].tolist()} rad/s")
+        if hold.end > _LONGEST:
+            self.limits.broken.append(f"a command lasts {hold.end:.3f} s")
+        true = next((then for at, then in reversed(self._true_times) if at <= wall), None)
+        if true is None or wall < self._back_until:
+            return
+        ahead = (stamp - true) / NANOSECONDS
+        if self.is_lenient:
+            ahead = min(ahead, (stamp - wall) / NANOSECONDS)
+        if ahead > _MOST_AHEAD:
+            self.limits.broken.append(f"{TOO_EARLY}: {ahead:.3f} s before its time")
 
     def delivered(self, raw: bytes) -> None:
         """Take a trajectory that reaches the drives, of times on the simulator's clock."""

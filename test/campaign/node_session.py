@@ -3,104 +3,166 @@
 """The nodes under test as processes, the relay between them, and all that a fault can use."""
 
 import math
+import os
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, Vector3
-from judge import Judge
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    GetParameterTypes,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
+from geometry_msgs.msg import PoseStamped
+from hostile import RADIUS, example
+from judge import Judge, Reports
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from relay import REMAPPED, Relay
+from relay import REMAPPED, Relay, stamped, taken
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import QUATERNION, Vector, upright_state
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.startup import start_ros
-from sphere_sim.ros.session.child_process import parameter_options
+from sphere_sim.ros.session.child_process import parameter_options, verb_command
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
 
 READY = 300.0
 """Longest wait for an answer of a node [s, wall]; an idle machine needs two to start it."""
-RADIUS = RobotParameters().shell_radius
+RATE = 20.0
+"""Rate of poses, clock and commands [Hz], low enough for the relay on a busy machine."""
+_SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
+"""By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis
+accelerates by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by
+10 rad/s^2 about their axes, in either direction: 2 * 10 / 300."""
+_PRIORITY = 1
+"""Real-time priority of controller, simulator and relay, where the system allows it."""
 _SPIN = 4e-3
 """Wall time between two looks at what has arrived [s]."""
 _REPEAT = 1.0
 """Wall time after which a goal or request that is not confirmed is sent again [s]: it may be lost,
 as a node that was killed stays matched for some time."""
+_MATCHED = 30.0
+"""Longest wait for a subscriber [s, wall]."""
+_EXAMPLES = 3.0
+"""Wall time in which examples of messages are collected [s]."""
+_LATER = NANOSECONDS // 20
+"""Time from the newest known one to a pose after a reset; earlier ones may still come [ns]."""
+_NOTICED = 1.0
+"""Wall time until a controller and the judge have noticed what was restored [s]."""
 _SAME = 1e-9
 """Largest difference between the goal sent and the goal confirmed [mixed units]."""
 _MOST_PENDING = 10
 """Requests without an answer yet, beyond which a service is not asked again."""
-OF_PARAMETERS = {
-    "get_parameters": GetParameters, "set_parameters": SetParameters,
-    "set_parameters_atomically": SetParametersAtomically, "list_parameters": ListParameters,
-    "describe_parameters": DescribeParameters, "get_parameter_types": GetParameterTypes,
-}
-"""Services that each node has for its parameters."""
 
 
 class SessionError(SphereNmpcError):
     """A node does not respond as it should, so that the campaign cannot continue."""
 
 
+@dataclass(frozen=True)
+class Settings:
+    """What all trials of a campaign have in common."""
+
+    seed: int = 0
+    """Seed of the goals and of random faults."""
+    rtf: float = 2.0
+    """Simulated over wall time."""
+    strategy: str = "time_optimal"
+    plant: str = "rolling"
+    rate: float = RATE
+    """Rate of poses, clock and commands, and if it is not the default one, of solves [Hz]."""
+
+
 class Session:
     """The nodes under test, which end with its context, and all that a fault changes.
 
-    Commands and parameters are those of the nodes by name, logs and bags are in `folder`, and the
-    recorder records into a new bag at each start.
+    These are simulator, controller with a solver that can fail, and recorder, with `everything`
+    also viewer and markers. Logs and bags are in `folder`; the recorder records into a new bag at
+    each start.
     """
 
-    def __init__(
-        self, folder: Path, commands: Mapping[str, list[str]],
-        parameters: Mapping[str, Mapping[str, object]], judge: Judge,
-    ) -> None:
+    def __init__(self, folder: Path, settings: Settings, everything: bool = False) -> None:
         start_ros([], quiet=True)
-        self.folder, self.judge, self.nodes = folder, judge, tuple(commands)
-        self._parameters = parameters
+        self.folder, self.settings, self.everything = folder, settings, everything
         folder.mkdir(parents=True, exist_ok=True)
+        self.judge = Judge(_SERVO_ERROR[settings.plant])
+        self.solver_file = folder.absolute() / "solver"
+        commands = {
+            "simulator": verb_command("simulator"),
+            "controller": module_command("bad_strategy", str(os.getpid()), str(self.solver_file)),
+            "recorder": verb_command("recorder"),
+        }
+        if everything:
+            commands |= {"viewer": verb_command("viewer", "--port", "0"),
+                         "markers": verb_command("markers")}
+        self._given: dict[str, dict[str, object]] = {
+            "simulator": {
+                "plant": settings.plant, "real_time_factor": settings.rtf,
+                "pose_rate": settings.rate, "thread_priority": _PRIORITY,
+            },
+            "controller": {
+                "use_sim_time": True, "strategy": settings.strategy, "thread_priority": _PRIORITY,
+                "command_rate": settings.rate,
+                "control_rate": 0.0 if settings.rate == RATE else settings.rate,
+            },
+            "recorder": {"use_sim_time": True},
+            "viewer": {},
+            "markers": {"use_sim_time": True},
+        }
+        self.nodes = tuple(commands)
         self.rng = np.random.default_rng(0)
         """Source of randomness of goals and faults; each trial begins its own."""
+        self.topics: dict[str, type] = {}
+        """With `everything`: topics to which a node subscribes, with their types."""
+        self.parameters: dict[str, dict[str, ParameterValue]] = {}
+        """With `everything`: parameters of each node, as they were at the beginning."""
+        self._examples: dict[str, bytes] = {}
         self.services: dict[str, Any] = {
             "simulator/pause": SetBool, "simulator/reset": Trigger, "controller/enable": SetBool,
             "recorder/start": Trigger, "recorder/stop": Trigger,
+            **{f"{node}/get_parameters": GetParameters for node in self.nodes},
+            **{f"{node}/set_parameters": SetParameters for node in self.nodes},
+            **{f"{node}/list_parameters": ListParameters for node in self.nodes},
         }
-        """Services of the nodes other than those of parameters."""
+        """Services of the nodes; all of them with `everything`."""
         self.processes = ProcessSet(folder)
         for name, command in commands.items():
             self.processes.add(name, command)
         self.node, self._reader = rclpy.create_node("faults"), rclpy.create_node("fault_reader")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self.relay = Relay(self.node, self._reader, judge, self.rng)
+        self.relay = Relay(self.node, self._reader, self.judge, self.rng)
         self._bags = 0
         self._clients: dict[str, Any] = {}
         self._pending: dict[str, list[Any]] = {}
         self._goals = self.node.create_publisher(PoseStamped, "goal_pose", 1)
-        self._pushes = self.node.create_publisher(Vector3, "simulator/push", 10)
+        self.reports = Reports(self.node)
 
     def __enter__(self) -> "Session":
+        """Start all nodes and wait until they work."""
+        self.start(*self.nodes)
+        self.wait(lambda: self.judge.time > 0.0, "simulated time")
+        for name in self.nodes:
+            self.call(f"{name}/list_parameters", ListParameters.Request())
+        if self.everything:
+            self._learn()
+        # Each trial records a bag of its own.
+        self.call("recorder/stop", Trigger.Request())
+        _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, _PRIORITY)
         return self
 
     def __exit__(self, *exception: object) -> None:
+        _schedule(os.SCHED_OTHER, 0)
         with self.processes:  # which ends them
             pass
         self._executor.shutdown()
@@ -110,7 +172,7 @@ class Session:
 
     def arguments(self, name: str) -> list[str]:
         """Return the ROS arguments of a node."""
-        values = dict(self._parameters[name])
+        values = dict(self._given[name])
         if name == "recorder":
             self._bags += 1
             values["output"] = str(self.folder / f"bag_{self._bags}")
@@ -128,11 +190,6 @@ class Session:
                 self.relay.shift = max(0, self.relay.shift)  # its time begins at zero
             self.processes[name].start(self.arguments(name))
 
-    def wait_for(self, *names: str) -> None:
-        """Wait until nodes answer."""
-        for name in names:
-            self.call(f"{name}/list_parameters", ListParameters.Request())
-
     def spin(self) -> None:
         """Relay messages and serve this process's own node.
 
@@ -140,34 +197,26 @@ class Session:
         subscription again, and as long as that has messages no other one is served.
         """
         self.relay.forward()
-        self.serve_own()
+        # A hostile fault asks this node, too.
+        with suppress(*([Exception] if self.everything else [])):
+            self._executor.spin_once(timeout_sec=0.0)
         time.sleep(_SPIN)
-
-    def serve_own(self) -> None:
-        """Serve this process's own node once."""
-        self._executor.spin_once(timeout_sec=0.0)
-
-    def serve(self, node: Node, wanted: bool = True) -> None:
-        """Serve another node of this process, or no longer."""
-        (self._executor.add_node if wanted else self._executor.remove_node)(node)
 
     def until(self, condition: Callable[[], object], timeout: float) -> bool:
         """Serve until a condition holds; return False after `timeout` [s, wall]."""
         return serve_until(self.spin, condition, timeout)
 
-    def wait(
-        self, condition: Callable[[], object], what: str, timeout: float = READY
-    ) -> None:
-        """Serve until a condition holds; raise a `SessionError` after `timeout` [s, wall]."""
-        if not self.until(condition, timeout):
-            raise SessionError(f"timed out after {timeout:g} s while waiting for {what}")
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Serve until a condition holds; raise a `SessionError` after a long time."""
+        if not self.until(condition, READY):
+            raise SessionError(f"timed out after {READY:g} s while waiting for {what}")
 
     def ask(self, service: str, request: Any) -> Any:
         """Send a request without waiting; return its future, None if too many are pending."""
         client = self._clients.get(service)
         if client is None:
-            kind = OF_PARAMETERS.get(service.partition("/")[2]) or self.services[service]
-            client = self._clients[service] = self.node.create_client(kind, service)
+            client = self.node.create_client(self.services[service], service)
+            self._clients[service] = client
         pending = self._pending[service] = [
             future for future in self._pending.get(service, []) if not future.done()
         ]
@@ -194,10 +243,8 @@ class Session:
             for future in futures:
                 if future.done() and future.result() is not None:
                     return future.result()
-        raise SessionError(
-            f"no response of {service}: "
-            + (f"none within {READY:g} s" if process.code is None else process.ending)
-        )
+        why = f"none within {READY:g} s" if process.code is None else process.ending
+        raise SessionError(f"no response of {service}: {why}")
 
     def set_parameters(self, node: str, **values: Any) -> list[Any]:
         """Set parameters of a node, a dot in a name given as __; return the result for each."""
@@ -213,11 +260,14 @@ class Session:
         if refused:
             raise SessionError(f"{node} refused {values}: {refused}")
 
-    def try_goal(self, goal: Vector) -> Callable[[], bool]:
-        """Return a function that brings a goal, shape (6,), into force, and returns whether it is.
+    def draw(self, name: str, repetition: int) -> None:
+        """Begin the random numbers of a trial, so that they do not depend on others."""
+        identity = zlib.crc32(name.encode())
+        self.rng = np.random.default_rng([self.settings.seed, identity, repetition])
+        self.relay.poses.rng = self.rng
 
-        It has to be called repeatedly.
-        """
+    def send_goal(self, goal: Vector) -> None:
+        """Bring a goal, shape (6,), into force."""
         due = 0.0
         self.judge.goal = None
 
@@ -232,37 +282,88 @@ class Session:
                 self._goals.publish(pose_to_ros(goal, 0, RADIUS, frame=""))
             return False
 
-        return is_confirmed
+        self.wait(is_confirmed, "the confirmation of a goal")
 
-    def push(self, impulse: Vector) -> None:
-        """Push the sphere with an impulse, shape (2,) [N s; world frame], once."""
-        subscribers = self._pushes.get_subscription_count
-        self.wait(lambda: subscribers() > 0, "a subscriber of simulator/push")
-        x, y = map(float, impulse)
-        self._pushes.publish(Vector3(x=x, y=y))
+    def _learn(self) -> None:
+        """Find parameters, services and topics of the nodes, and an example of each message."""
+        for name in self.nodes:
+            names = self.call(f"{name}/list_parameters", ListParameters.Request()).result.names
+            self.parameters[name] = dict(zip(names, self._values(name, names), strict=True))
+            self.parameters[name].pop("output", None)  # a folder of its own at each start
+            for topic, types in self.node.get_subscriber_names_and_types_by_node(name, "/"):
+                self.topics[topic] = class_of(types[0])
+            for service, types in self.node.get_service_names_and_types_by_node(name, "/"):
+                self.services[service.strip("/")] = class_of(types[0])
+        subscriptions = {
+            topic: self._reader.create_subscription(kind, topic, lambda _: None, 10, raw=True)
+            for topic, kind in self.topics.items()
+        }
+        self.until(lambda: False, _EXAMPLES)
+        for topic, subscription in subscriptions.items():
+            found = taken(subscription)
+            self._examples[topic] = found[-1][0] if found else example(self.topics[topic])
+            self._reader.destroy_subscription(subscription)
+
+    def current_example(self, topic: str) -> bytes:
+        """Return a valid message for a topic; stamped with now, if it begins with a stamp."""
+        data = self._examples[topic]
+        if topic not in ("/clock", "/pose", "/joint_states", "/rotor_trajectory"):
+            return data
+        return stamped(data, self.judge.now + self.relay.shift)
+
+    def _values(self, node: str, names: Sequence[str]) -> list[ParameterValue]:
+        request = GetParameters.Request(names=list(names))
+        return list(self.call(f"{node}/get_parameters", request).values)
 
     @contextmanager
-    def publisher(self, kind: type, topic: str, qos: Any = 10, timeout: float = READY) -> (
-        Iterator[Any]
-    ):
+    def lenient(self) -> Iterator[None]:
+        """Allow resets, pushes and other clocks."""
+        self.judge.lenient_until = math.inf
+        try:
+            yield
+        finally:
+            self.judge.lenient_until = time.monotonic() + _NOTICED
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """Allow resets, pushes and other clocks; afterwards undo what was changed."""
+        with self.lenient():
+            yield
+            for node, wanted in self.parameters.items():
+                found = zip(wanted, self._values(node, list(wanted)), strict=True)
+                request = SetParameters.Request(parameters=[
+                    ParameterMessage(name=name, value=wanted[name])
+                    for name, value in found if value != wanted[name]
+                ])
+                results = self.call(f"{node}/set_parameters", request).results
+                if refused := [result.reason for result in results if not result.successful]:
+                    raise SessionError(f"parameters of {node} not restored: {refused}")
+            self.call("simulator/pause", SetBool.Request(data=False))
+            self.call("controller/enable", SetBool.Request(data=True))
+            self.reset()
+
+    def reset(self) -> None:
+        """Put the sphere at rest at its start."""
+        self.call("simulator/reset", Trigger.Request())
+        judge, done = self.judge, self.judge.now + _LATER
+        self.wait(lambda: judge.pose_stamp > done and judge.state is not None, "a pose")
+
+    @contextmanager
+    def publisher(self, kind: type, topic: str, qos: Any = 10) -> Iterator[Any]:
         """Yield a further publisher, which a subscriber is matched with unless that takes long."""
         publisher = self.node.create_publisher(kind, topic, qos)
         try:
-            self.until(lambda: publisher.get_subscription_count() > 0, timeout)
+            self.until(lambda: publisher.get_subscription_count() > 0, _MATCHED)
             yield publisher
         finally:
             self.node.destroy_publisher(publisher)
 
 
-
-def random_goal(
-    rng: np.random.Generator, reach: float = 2.0, upright: bool = False
-) -> Vector:
-    """Return a goal, shape (6,), with |x|, |y| <= `reach` [m] and any heading or orientation."""
-    turn = random_quaternion(rng)
-    if upright:
-        turn = upright_state(0.0, 0.0, rng.uniform(-math.pi, math.pi))[QUATERNION]
-    return np.concatenate((rng.uniform(-reach, reach, 2), turn))
+def _schedule(policy: int, priority: int) -> None:
+    """Schedule the threads of this process, which is between the nodes, where that is allowed."""
+    with suppress(PermissionError):
+        for task in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(task.name), policy, os.sched_param(priority))
 
 
 def class_of(name: str) -> Any:

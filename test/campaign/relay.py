@@ -44,10 +44,7 @@ Disturbance = Callable[[Arrival, np.random.Generator], list[Arrival]]
 
 
 class Relay:
-    """Relay of all messages between simulator and controller.
-
-    `node` owns the publishers; `reader` owns the subscriptions, and no executor may serve it.
-    """
+    """`node` owns the publishers; `reader` the subscriptions, and no executor may serve it."""
 
     def __init__(
         self, node: Node, reader: Node, judge: Judge, rng: np.random.Generator
@@ -176,12 +173,18 @@ def not_finite(share: float = 1.0) -> Disturbance:
 
 def sign_flipped() -> Disturbance:
     """Flip the sign of every other quaternion, at random: the same rotation."""
-    return _changed(lambda message, rng: _scale(message, -1.0 if rng.random() < 0.5 else 1.0))
+    flip = scaled(-1.0)
+    return lambda arrival, rng: flip(arrival, rng) if rng.random() < 0.5 else [arrival]
 
 
 def scaled(by: float) -> Disturbance:
     """Scale the quaternion by a factor."""
-    return _changed(lambda message, rng: _scale(message, by))
+
+    def scale(message: Any, rng: np.random.Generator) -> None:
+        turn = message.pose.orientation
+        turn.w, turn.x, turn.y, turn.z = (by * v for v in (turn.w, turn.x, turn.y, turn.z))
+
+    return _changed(scale)
 
 
 def framed(frame: str) -> Disturbance:
@@ -196,11 +199,6 @@ def _changed(change: Callable[[Any, np.random.Generator], None]) -> Disturbance:
         return [(arrival[0], bytes(serialize_message(message)))]
 
     return disturb
-
-
-def _scale(message: Any, factor: float) -> None:
-    turn = message.pose.orientation
-    turn.w, turn.x, turn.y, turn.z = (factor * v for v in (turn.w, turn.x, turn.y, turn.z))
 
 
 def taken(subscription: Any) -> list[tuple[bytes, dict[str, int]]]:

@@ -1,342 +1,165 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tries of the fuzzing: each is a generator that causes a fault until it is closed.
+"""Hostile faults of the fuzzing: what anybody on the network can send to the nodes.
 
-What a try has changed beyond its own publishers it names in ``session.changed``: the session then
-restores parameters, services or the plant.
+They are generators as those of `actions`, drawn by the random numbers of a trial.
 """
 
-import math
 import random
 import signal
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import actions
-import rclpy
-from geometry_msgs.msg import PoseStamped, Vector3
-from hostile import NUMBERS, TEXTS, damaged, extreme, goal_message, parameter_value
-from node_session import OF_PARAMETERS, RADIUS
+from actions import Action
+from hostile import TEXTS, damaged, extreme, parameter_value
+from node_session import Session, SessionError
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from relay import stamped
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from sphere_nmpc.model.state import make_state
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.messages import clock_message, pose_to_ros
-from sphere_sim.ros.session.child_process import verb_command
 
-if TYPE_CHECKING:
-    from fuzz import FuzzSession as Session
-
-Try = Generator[None, None, None]
-_PUSH = "/simulator/push"
 _JUMPS = (1.0, 10.0, 60.0, 600.0, 3600.0, 1e9)
 """Jumps of the clock [s]."""
 _LARGEST_SHIFT = 10**9 * NANOSECONDS - 1
-"""Offset of the robot's clock that remains after a try [ns]; stamps end at twice that."""
+"""Offset of the robot's clock that remains after a fault [ns]; stamps end at twice that."""
 _AT_REST = 1e-2
 """Speed below which a rotor rests [rad/s]."""
-_FAST = 20.0
-"""Rotor speed that a controller shall have reached before its end [rad/s]."""
 _ENDS_WITHIN = 15.0
 """Wall time within which a signal has to end a node [s]."""
 _RESTS_WITHIN = {signal.SIGKILL: 12.0}
 """Simulated time after the end of a controller within which the rotors have to rest [s]."""
 _RESTS_SOON = 0.5
 """The same after a signal that can be handled [s]."""
-_ACCEPTING = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+ACCEPTING = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Fits every subscription."""
 
 
-def lasting(seconds: float = math.inf) -> Try:
-    """Last for a wall time [s], at least for a moment."""
-    end = time.monotonic() + seconds
-    yield
-    while time.monotonic() < end:
-        yield
+def source(session: Session) -> random.Random:
+    """Return a source of randomness of Python."""
+    return random.Random(int(session.rng.integers(2**32)))
 
 
-def malformed(session: "Session", rng: random.Random) -> Try:
+def malformed(session: Session) -> Action:
     """Malformed serialised messages on topics that a node subscribes to."""
+    rng = source(session)
     return messages(session, rng.sample(sorted(session.topics), 3), lambda topic: (
         damaged(rng, session.current_example(topic))
     ))
 
 
-def extremes(session: "Session", rng: random.Random) -> Try:
+def extremes(session: Session) -> Action:
     """Messages with extreme values on topics that a node subscribes to."""
+    rng = source(session)
     return messages(session, rng.sample(sorted(session.topics), 3), lambda topic: (
         extreme(rng, session.topics[topic], session.current_example(topic))
     ))
 
 
 def messages(
-    session: "Session", topics: Sequence[str], next_message: Callable[[str], bytes]
-) -> Try:
+    session: Session, topics: Sequence[str], next_message: Callable[[str], bytes]
+) -> Action:
     """Serialised messages on some topics, one after the other."""
-    if _PUSH in topics:  # some are valid: with that momentum no goal can be promised
-        session.changed.add("plant")
-    with ExitStack() as made:
-        publishers = [
-            made.enter_context(session.publisher(session.topics[topic], topic, _ACCEPTING, 3.0))
+    with session.restored(), ExitStack() as made:
+        publishers = {
+            topic: made.enter_context(session.publisher(session.topics[topic], topic, ACCEPTING))
             for topic in topics
-        ]
-        while True:
-            for topic, publisher in zip(topics, publishers, strict=True):
+        }
+
+        def publish() -> None:
+            for topic, publisher in publishers.items():
                 with suppress(RuntimeError):  # longer than the middleware can send
                     publisher.publish(next_message(topic))
-            yield
+
+        yield publish
 
 
-def parameters(session: "Session", rng: random.Random) -> Try:
-    """Requests to set parameters to values of any type."""
-    session.changed |= {"parameters", "plant"}
-    session.judge.on_system_clock_until = math.inf  # use_sim_time is one of them
+def parameters(session: Session) -> Action:
+    """Requests to set parameters to values of any type, and questions by hostile names."""
+    rng = source(session)
     node = rng.choice(sorted(session.parameters))
     own = session.parameters[node]
-    while True:
-        names = [rng.choice([*own, *TEXTS[:3]]) for _ in range(rng.choice((1, 1, 5)))]
-        values = [parameter_value(rng, own.get(name, ParameterValue())) for name in names]
-        given = [ParameterMessage(name=n, value=v) for n, v in zip(names, values, strict=True)]
-        service = rng.choice(("set_parameters", "set_parameters_atomically"))
-        session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(parameters=given))
-        yield
+    known = rng.choice((list(own), ["use_sim_time"]))
+    asked = ("list_parameters", "get_parameters", "get_parameter_types", "describe_parameters",
+             "set_parameters", "set_parameters_atomically")
 
-
-def questions(session: "Session", rng: random.Random) -> Try:
-    """Questions for parameters by hostile names."""
-    node = rng.choice(sorted(session.parameters))
-    while True:
-        names = [rng.choice([*session.parameters[node], *TEXTS]) for _ in range(rng.randrange(20))]
-        given: dict[str, Any] = {"names": names}
-        service = rng.choice([name for name in OF_PARAMETERS if not name.startswith("set")])
-        if service == "list_parameters":
+    def ask() -> None:
+        service = f"{node}/{rng.choice(asked)}"
+        names = [rng.choice([*known, *TEXTS[:3]]) for _ in range(rng.choice((1, 1, 5)))]
+        given: dict[str, Any] = {"names": names + rng.sample(TEXTS, 3)}
+        if service.endswith("/list_parameters"):
             given = {"prefixes": names, "depth": rng.choice((0, 1, 2**64 - 1))}
-        session.ask(f"{node}/{service}", OF_PARAMETERS[service].Request(**given))
-        yield
+        elif "/set_" in service:
+            values = [parameter_value(rng, own.get(name, ParameterValue())) for name in names]
+            given = {"parameters": [
+                ParameterMessage(name=name, value=value)
+                for name, value in zip(names, values, strict=True)
+            ]}
+        session.ask(service, session.services[service].Request(**given))
+
+    with session.restored():
+        yield ask
 
 
-def services(session: "Session", rng: random.Random) -> Try:
+def services(session: Session) -> Action:
     """Services of the nodes at random moments."""
-    session.changed |= {"services", "plant"}
-    session.judge.reset_until = math.inf
-    while True:
-        name = rng.choice(sorted(session.services))
+    rng, due = source(session), 0.0
+    # Not of the recorder: a bag of an instant has no pose.
+    names = [name for name, kind in session.services.items()
+             if "std_srvs" in kind.__module__ and not name.startswith("recorder/")]
+
+    def ask() -> None:
+        nonlocal due
+        if time.monotonic() < due:
+            return
+        due = time.monotonic() + rng.choice((0.0, 0.1, 0.5))
+        name = rng.choice(names)
         request = session.services[name].Request()
         if isinstance(request, SetBool.Request):
             request.data = rng.random() < 0.5
         session.ask(name, request)
-        yield from lasting(rng.choice((0.0, 0.1, 0.5)))
+
+    with session.restored():
+        yield ask
 
 
-def clock_jump(session: "Session", rng: random.Random) -> Try:
-    """Jumps of the robot's clock, or wrong stamps of the clock or the poses alone."""
-    relay = session.relay
-    alone = rng.choice(("", "", "/clock", "pose"))
-    by = round(rng.choice(_JUMPS) * NANOSECONDS)
-    try:
-        for _ in range(rng.choice((1, 3))):
-            if alone:
-                relay.forged[alone] += by if rng.random() < 0.7 else -by
-            else:  # not to before zero
-                back = min(by, session.judge.now + relay.shift)
-                relay.shift += by if rng.random() < 0.7 else -back
-            yield from lasting(rng.choice((0.3, 1.0, 2.0)))
-        yield from lasting()
-    finally:
-        relay.forged.update(dict.fromkeys(relay.forged, 0))
-        if relay.shift > _LARGEST_SHIFT:  # otherwise the clock stays as it is
-            relay.shift = 0
-
-
-def clock_forged(session: "Session", rng: random.Random) -> Try:
-    """A second publisher of the clock, with another time or without a sensible one."""
-    offset = rng.choice((*_JUMPS, -1.0, -60.0)) * NANOSECONDS
-    fixed = rng.choice((None, None, None, 0, -NANOSECONDS, -(2**31) * NANOSECONDS, 2**61))
-    period = rng.choice((0.0, 0.0005, 0.02, 0.5))
-    due = 0.0
-    with session.publisher(Clock, "/clock", timeout=3.0) as publisher:
-        while True:
-            for _ in range(1 if period else 20):
-                if time.monotonic() < due:
-                    break
-                due = max(due, time.monotonic() - 0.01) + period
-                now = session.judge.now + session.relay.shift + offset
-                forged = stamped(clock_message(0), round(now) if fixed is None else fixed)
-                publisher.publish(forged)
-            yield
-
-
-def clock_still(session: "Session", rng: random.Random) -> Try:
-    """A clock that stands still, lost or paused, or poses or commands that are lost."""
-    if rng.random() < 0.3:
-        session.changed.add("services")
-        session.ask("simulator/pause", SetBool.Request(data=True))
+def clock_jump(session: Session) -> Action:
+    """Jump of the robot's clock, which stays, or wrong stamps of the clock or the poses alone."""
+    relay, rng = session.relay, source(session)
+    alone, by = rng.choice(("", "/clock", "pose")), round(rng.choice(_JUMPS) * NANOSECONDS)
+    if alone:
+        relay.forged[alone] = rng.choice((by, -by))
     else:
-        session.relay.lost.update(rng.sample(("/clock", "pose", "rotor_trajectory"), 1))
-    try:
-        yield from lasting()
-    finally:
-        session.relay.lost.clear()
+        relay.shift += by
+        session.judge.limits.restart()
+    yield
+    relay.forged.update(dict.fromkeys(relay.forged, 0))
+    if relay.shift > _LARGEST_SHIFT:
+        relay.shift = 0
+        session.judge.limits.restart()
 
 
-def clock_changed(session: "Session", rng: random.Random) -> Try:
-    """Changes of use_sim_time while the nodes run."""
-    session.changed.add("parameters")
-    session.judge.on_system_clock_until = math.inf
-    node = rng.choice(sorted(session.parameters))
-    while True:
-        value = Parameter("use_sim_time", value=rng.random() < 0.5).to_parameter_msg()
-        session.ask(f"{node}/set_parameters", SetParameters.Request(parameters=[value]))
-        yield from lasting(rng.choice((0.05, 0.5, 2.0)))
-
-
-def second_simulator(session: "Session", rng: random.Random) -> Try:
-    """A second simulator on the same topics."""
-    name = "second"
-    again = name in session.processes.pids
-    process = session.processes.add(name, verb_command("simulator"), append=again)
-    session.expected.discard(name)
-    process.start(["--ros-args", "-r", "__node:=simulator_2"])
-    session.until(lambda: session.node.count_publishers("pose") > 1, 30.0)
-    try:
-        yield from lasting()
-    finally:
-        session.expected.add(name)
-        process.kill()
-        session.until(lambda: session.node.count_publishers("pose") < 2, 30.0)
-
-
-def goals(session: "Session", rng: random.Random) -> Try:
-    """Goals that are absurd, malformed, repeated or too frequent."""
-    kind = rng.choice(("far", "number", "norm", "frame", "flood", "same"))
-    same = goal_message(rng, "valid")
-    with session.publisher(PoseStamped, "/goal_pose", timeout=3.0) as publisher:
-        while True:
-            for _ in range(10 if kind == "flood" else 1):
-                publisher.publish(same if kind == "same" else goal_message(rng, kind))
-            yield
-
-
-def pushes(session: "Session", rng: random.Random) -> Try:
-    """Pushes, some of them absurd."""
-    session.changed.add("plant")
-    with session.publisher(Vector3, _PUSH, timeout=3.0) as publisher:
-        while True:
-            push = Vector3(x=rng.uniform(-2.0, 2.0), y=rng.uniform(-2.0, 2.0))
-            if rng.random() < 0.3:
-                push.x = rng.choice(NUMBERS)
-            publisher.publish(push)
-            yield from lasting(rng.choice((0.05, 1.0)))
-
-
-def foreign_node(session: "Session", rng: random.Random) -> Try:
-    """Another node with unusual parameters that publishes a recorded topic."""
-    name = rng.choice(("foreign", "simulator", "controller"))
-    if name != "foreign" and rng.random() < 0.5:  # in place of that node
-        session.expected.add(name)
-        session.processes[name].kill()
-    node = rclpy.create_node(name, use_global_arguments=False)
-    node.declare_parameter("bytes", [b"\x00", b"\xff"])
-    node.declare_parameter("number", rng.choice(NUMBERS))
-    node.declare_parameter("real_time_factor", rng.choice(("fast", float("nan"), [1.0], True)))
-    node.declare_parameter("strategy", rng.choice((1, "none", "paper")))
-    topic = rng.choice(("/joint_states", "/pose", "/diagnostics"))
-    publisher = node.create_publisher(session.topics[topic], topic, 10)
-    session.serve(node)
-    try:
-        while True:
-            publisher.publish(session.current_example(topic))
-            yield
-    finally:
-        session.serve(node, False)
-        node.destroy_node()
-
-
-def stopped(session: "Session", rng: random.Random) -> Try:
-    """A node that is stopped and continued."""
-    process = session.processes[rng.choice(sorted(session.parameters))]
-    try:
-        while True:
-            process.send(signal.SIGSTOP)
-            yield
-    finally:
-        process.send(signal.SIGCONT)
-
-
-def ended(session: "Session", rng: random.Random) -> Try:
+def ended(session: Session) -> Action:
     """A signal that ends a node; after that of a controller the rotors have to come to rest."""
-    name = rng.choice(("controller", *sorted(session.parameters)))
+    rng = source(session)
+    name = rng.choice(("controller", *session.nodes))
     number = signal.Signals(rng.choice((
         signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL)))
-    with session.publisher(PoseStamped, "/goal_pose", timeout=3.0) as publisher:
-        if name == "controller":
-            _set_in_motion(session, publisher, rng)
-    session.expected.add(name)
-    process = session.processes[name]
-    process.send(number)
-    if not session.until(lambda: process.code is not None, _ENDS_WITHIN):
-        if session.alone:  # another fault may have stopped it
-            session.fail("nodes that do not end", f"{name} {_ENDS_WITHIN:g} s after {number.name}")
-        process.kill()
-    if name == "controller" and session.alone:
-        _judge_rest(session, number)
-    yield
-
-
-def _set_in_motion(session: "Session", publisher: Any, rng: random.Random) -> None:
-    x = rng.choice((30.0, 1e6))
-    goal = pose_to_ros(make_state((x, 0.0), (1.0, 0.0, 0.0, 0.0)), 0, RADIUS)
-    publisher.publish(goal)
-    session.until(lambda: session.judge.turning > _FAST, 15.0)
-    session.until(lambda: False, rng.uniform(0.0, 6.0))  # by then a whole plan may be in force
-
-
-def _judge_rest(session: "Session", number: signal.Signals) -> None:
-    """Complain if the rotors turn for too long after the controller has ended."""
-    judge, ended_at = session.judge, session.judge.now
-    allowed = _RESTS_WITHIN.get(number, _RESTS_SOON)
-    before = judge.turning
-    session.until(lambda: judge.now > ended_at + allowed * NANOSECONDS, 3.0 * allowed)
-    if judge.now > ended_at + allowed * NANOSECONDS and judge.turning > _AT_REST:
-        session.fail("rolling on after the end", f"{judge.turning:.3f} rad/s {allowed:g} s after "
-                     f"{number.name} of the controller, {before:.3f} rad/s at its end")
-
-
-def worker(session: "Session", rng: random.Random) -> Try:
-    """Signals that end or stop the process beside the controller, and its replacements."""
-    number = rng.choice((signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM))
-    signalled: set[int] = set()
+    process, judge = session.processes[name], session.judge
     try:
-        while True:
-            signalled.add(pid := actions.worker_of(session.processes["controller"].pid))
-            actions.send(pid, number)
-            yield from lasting(0.5)
+        process.send(number)
+        if not session.until(lambda: process.code is not None, _ENDS_WITHIN):
+            process.kill()
+            raise SessionError(f"{name} does not end {_ENDS_WITHIN:g} s after {number.name}")
+        if name == "controller":
+            allowed = _RESTS_WITHIN.get(number, _RESTS_SOON)
+            due = judge.now + allowed * NANOSECONDS
+            if session.until(lambda: judge.now > due, 3.0 * allowed) and judge.turning > _AT_REST:
+                raise SessionError(f"rotors turn at {judge.turning:.3f} rad/s {allowed:g} s after "
+                                   f"{number.name} of the controller")
+        yield
     finally:
-        for pid in signalled:
-            actions.send(pid, signal.SIGCONT)
-
-
-def nothing(session: "Session", rng: random.Random) -> Try:
-    """No fault, for comparison."""
-    return lasting()
-
-
-TRIES: dict[str, Callable[["Session", random.Random], Try]] = {
-    function.__name__: function for function in (
-        malformed, extremes, parameters, questions, services, clock_jump, clock_forged,
-        clock_still, clock_changed, second_simulator, goals, pushes, foreign_node, stopped,
-        ended, worker, nothing,
-    )
-}
-"""Tries by kind."""
-WEIGHTS = {"malformed": 3, "extremes": 3, "parameters": 3, "clock_jump": 3, "ended": 2}
-"""Weights of the kinds that are drawn more often than the others."""
+        session.start(name)

@@ -10,14 +10,9 @@ from sphere_nmpc.worker.contract import Reply, Result, Store, Task
 
 
 class DelayedWorker:
-    """`Worker` that does each task when it is submitted and delivers the result later.
+    """`Worker` that does each task when it is submitted, and delivers the result after `delay`.
 
-    Parameters
-    ----------
-    clock : callable
-        Returns the time [s].
-    delay : float
-        Time from a task to its result [s].
+    `clock` returns the time; both are in seconds.
     """
 
     def __init__(self, clock: Callable[[], float], delay: float) -> None:

@@ -15,7 +15,9 @@ DOCUMENTS = sorted(
 FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:(?<=\n\n)|\A)(?:(?: {4}.*)?\n)+", re.MULTILINE)
 SPAN = re.compile(r"`([^`]+)`")
-BEGINS_A_COMMAND = re.compile(r"(?:ros2|sphere_nmpc|make)\s+[\w-]|--ros-args\s|-[pr]\s|[\w.]+:=\S")
+BEGINS_A_COMMAND = re.compile(
+    r"(?:ros2|sphere_nmpc|make|python)\s+[\w-]|--ros-args\s|-[pr]\s|[\w.]+:=\S"
+)
 """Beginning of a command as inline code, which mostly is not a command."""
 SUBSTITUTION = re.compile(r"\$\(([^()]*)\)")
 SHELLS = ("", "sh", "bash", "console")

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Imports between the packages, read from the source code and from CONTRIBUTING.md.
+"""Imports between the packages, read from the source code.
 
 ``python test/support/import_graph.py`` brings the tables and the drawing in CONTRIBUTING.md up to
 date with the code; the difference then shows what a change adds to the imports, or takes away.
@@ -10,7 +10,6 @@ first level: its units are those inside ``sphere_nmpc`` and ``sphere_sim``.
 """
 
 import ast
-import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -104,43 +103,6 @@ def units_graph(scope: str) -> Graph:
     return {here: targets - {"", here} for here, targets in graph.items()}
 
 
-def circle(graph: Graph) -> list[str]:
-    """Return the units along a circle of imports, empty if there is none."""
-    done: set[str] = set()
-
-    def search(here: str, way: list[str]) -> list[str]:
-        if here in way:
-            return [*way[way.index(here):], here]
-        if here not in done:
-            for target in sorted(graph.get(here, ())):
-                found = search(target, [*way, here])
-                if found:
-                    return found
-            done.add(here)
-        return []
-
-    return next(filter(None, (search(here, []) for here in sorted(graph))), [])
-
-
-def documented(scope: str) -> Graph:
-    """Return the imports that the tables in CONTRIBUTING.md allow between the units of a scope."""
-    allowed: Graph = {}
-    prefixes: list[str] = []
-    for line in DOCUMENT.read_text(encoding="utf-8").splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| package | holds |"):
-            prefixes = re.findall(r"`([\w.]+)`", line)
-        elif not line.startswith("| `sphere_"):
-            continue
-        elif unit(cells[0].strip("`"), scope) == cells[0].strip("`"):
-            allowed[cells[0].strip("`")] = {
-                f"{prefix}.{name}"
-                for prefix, cell in zip(prefixes, cells[2:], strict=True)
-                for name in filter(None, cell.split(", "))
-            }
-    return allowed
-
-
 def tables() -> str:
     """Return the tables of imports between the units of each scope, in Markdown."""
     parts = []
@@ -180,12 +142,12 @@ def drawing() -> str:
             lines.append("    end")
         lines.append("  end")
     for here in sorted(graph):
-        indirect = set().union(*(_reachable(graph, target) for target in graph[here]))
+        indirect = {name for target in graph[here] for name in reachable(graph, target)}
         lines += [f"  {here} --> {target}" for target in sorted(graph[here] - indirect)]
     return "\n".join([*lines, "```"])
 
 
-def _reachable(graph: Graph, start: str) -> set[str]:
+def reachable(graph: Graph, start: str) -> set[str]:
     """Return all units that `start` imports, itself or through others."""
     found: set[str] = set()
     ahead = set(graph[start])
@@ -195,15 +157,19 @@ def _reachable(graph: Graph, start: str) -> set[str]:
     return found
 
 
-def main() -> None:
-    """Write tables and drawing into CONTRIBUTING.md, each between its two marks."""
-    text = DOCUMENT.read_text(encoding="utf-8")
+def circle(graph: Graph) -> set[str]:
+    """Return the units that import themselves through others."""
+    return {here for here in graph if here in reachable(graph, here)}
+
+
+def updated(text: str) -> str:
+    """Return the text of CONTRIBUTING.md with the tables and the drawing of now, between marks."""
     for name, content in (("tables", tables()), ("drawing", drawing())):
         begin, end = f"<!-- imports: {name} -->\n", f"<!-- end of {name} -->"
         before, rest = text.split(begin)
         text = f"{before}{begin}{content}\n{end}{rest.split(end)[1]}"
-    DOCUMENT.write_text(text, encoding="utf-8")
+    return text
 
 
 if __name__ == "__main__":
-    main()
+    DOCUMENT.write_text(updated(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")

@@ -49,30 +49,26 @@ class Made:
         return self.values[0]
 
 
-class _NotFoundError(LookupError):
-    pass
-
-
 def _modules(installed: Iterable[str], prefix: str = "") -> dict[str, ModuleType]:
     def find(package: str) -> str:
         if package not in (*installed, "sphere_nmpc"):
-            raise _NotFoundError(package)
+            raise LookupError(package)
         return prefix
 
     made = {name: type(name, (Made,), {}) for name in KNOWN}
     contents = {
         "launch": {"LaunchContext": object, "LaunchDescription": list},
-        "launch.actions": made,
-        "launch.event_handlers": made,
-        "launch_ros": {},
-        "launch_ros.actions": made,
-        "launch_ros.parameter_descriptions": made,
-        "ament_index_python": {},
         "ament_index_python.packages": {
-            "PackageNotFoundError": _NotFoundError,
+            "PackageNotFoundError": LookupError,
             "get_package_prefix": find,
             "get_package_share_directory": lambda package: str(ROOT),
         },
+        "launch_ros": {},
+        "ament_index_python": {},
+        **dict.fromkeys(
+            ("launch.actions", "launch.event_handlers", "launch_ros.actions",
+             "launch_ros.parameter_descriptions"), made,
+        ),
     }
     modules = {name: ModuleType(name) for name in contents}
     for name, content in contents.items():
@@ -85,28 +81,12 @@ def started(
     command: Sequence[str] = ON_COMMAND_LINE, looks: bool = False,
     python: str | Path = sys.executable,
 ) -> list[Made]:
-    """Return what the launch file starts.
+    """Return what the launch file starts, given launch arguments as ``name:=value``.
 
-    Parameters
-    ----------
-    words : str
-        The launch arguments, as ``name:=value``.
-    installed : iterable of str
-        ROS packages that are installed besides this one.
-    pushed : str
-        Namespace that an including file has pushed.
-    command : sequence of str
-        Words before the arguments on the command line.
-    looks : bool
-        Whether the file looks for other nodes, Python packages and the parameters of the robot,
-        each by a process that takes a second.
-    python : str or Path
-        Interpreter of the nodes.
-
-    Raises
-    ------
-    RuntimeError
-        If the file, or launch in its place, refuses an argument.
+    `installed` are ROS packages besides this one, `pushed` is the namespace of an including file,
+    `command` are the words before the arguments, and `python` is the interpreter of the nodes.
+    With `looks` the file looks for other nodes, Python packages and the parameters of the robot,
+    each by a process that takes a second. A refused argument is a `RuntimeError`.
     """
     with tempfile.TemporaryDirectory() as prefix, patch.dict(
         sys.modules, _modules(installed, prefix)
@@ -130,12 +110,6 @@ def started(
         configurations = {**given, **value, **({"ros_namespace": pushed} if pushed else {})}
         context = SimpleNamespace(argv=list(words), launch_configurations=configurations)
         return function["function"](context)
-
-
-def declared_arguments() -> list[str]:
-    """Return the names of the launch file's arguments."""
-    with patch.dict(sys.modules, _modules(())):
-        return [argument.name for argument in _loaded().generate_launch_description()[:-1]]
 
 
 def _loaded() -> ModuleType:

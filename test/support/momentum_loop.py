@@ -31,13 +31,15 @@ class MomentumLoop:
     world: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     name: str = "time_optimal"
     planning_effort: int = 20_000
+    robot: RobotParameters = ROBOT
 
     def __post_init__(self) -> None:
         settings = ControllerSettings(strategy=self.name, planning_effort=self.planning_effort)
+        settings = settings.of(self.robot)
         self.period = settings.period
-        self.strategy: Strategy = make_strategy(settings, ROBOT)
-        self.plant = RollingPlant(ROBOT, self.start, self.world)
-        self.commands = Commands(ROBOT)
+        self.strategy: Strategy = make_strategy(settings, self.robot)
+        self.plant = RollingPlant(self.robot, self.start, self.world)
+        self.commands = Commands(self.robot)
         self.samples = 0
         self.plans: list[Plan] = []
         self.holds: list[FirstOrderHold] = []
@@ -55,9 +57,9 @@ class MomentumLoop:
     def drift(self) -> Drift:
         """True drift of the plant."""
         return Drift(
-            self.plant.momentum / ROBOT.rotor_axial_inertia,
-            slope_torque(ROBOT, self.world.slope, self.world.slope_direction),
-            imbalance_of_offset(ROBOT, np.array(self.world.mass_offset)),
+            self.plant.momentum / self.robot.rotor_axial_inertia,
+            slope_torque(self.robot, self.world.slope, self.world.slope_direction),
+            imbalance_of_offset(self.robot, np.array(self.world.mass_offset)),
         )
 
     @property
@@ -67,7 +69,7 @@ class MomentumLoop:
 
     def push_momentum(self, momentum: Vector) -> None:
         """Push so that the momentum jumps by `momentum`, shape (3,) [rad/s; world frame]."""
-        size = ROBOT.rotor_axial_inertia / ROBOT.shell_radius
+        size = self.robot.rotor_axial_inertia / self.robot.shell_radius
         self.plant.push(size * np.array([momentum[1], -momentum[0]]))
 
     def tilt(self, slope: float, direction: float = 0.0) -> None:
@@ -79,7 +81,7 @@ class MomentumLoop:
         """Return the situation of now, with nothing to be estimated."""
         in_force = self.commands.sent.at(self.time)
         return Situation(
-            self.time, self.plant.state, self.goal, in_force, ROBOT.lumped, drift=self.drift
+            self.time, self.plant.state, self.goal, in_force, self.robot.lumped, drift=self.drift
         )
 
     def run(self, duration: float) -> list[Plan]:
@@ -102,12 +104,25 @@ class MomentumLoop:
     def check_limits(self) -> None:
         """Check every command that was sent, to its end."""
         for hold in self.holds:
-            assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed + 1e-9
+            assert np.max(np.abs(hold.speeds)) <= self.robot.max_rotor_speed + 1e-9
             slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
-            assert np.max(slopes, initial=0.0) <= ROBOT.max_rotor_acceleration + 1e-6
+            assert np.max(slopes, initial=0.0) <= self.robot.max_rotor_acceleration + 1e-6
             np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
 
 
 def statuses(plans: list[Plan]) -> set[PlanStatus]:
     """Return the statuses of plans."""
     return {plan.status for plan in plans}
+
+
+def settling_time(
+    name: str, start: Vector, goal: Vector, duration: float, robot: RobotParameters = ROBOT
+) -> float:
+    """Return the sample from which a strategy is near its goal [s]; inf where it is not."""
+    loop = MomentumLoop(
+        start, goal, name=name, planning_effort=ControllerSettings.planning_effort, robot=robot
+    )
+    loop.run(duration)
+    late = [k + 1 for k, error in enumerate([*loop.errors, loop.error]) if not error < 1e-2]
+    settled = max(late, default=0)
+    return settled * loop.period if settled <= loop.samples else float("inf")

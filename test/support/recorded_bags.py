@@ -27,12 +27,9 @@ def make(kind: str, **fields: Any) -> Any:
     return STORE.types[kind](**fields)
 
 
-def time_of(stamp: int) -> Any:
-    return make("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
-
-
 def header(stamp: int) -> Any:
-    return make("std_msgs/msg/Header", stamp=time_of(stamp), frame_id="world")
+    time = make("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return make("std_msgs/msg/Header", stamp=time, frame_id="world")
 
 
 def pose(stamp: int, state: Iterable[float]) -> Any:
@@ -143,7 +140,7 @@ def changed(entry: Entry, *, log: int | None = None, stamp: int | None = None,
     topic, kind, time, message = entry
     message = deepcopy(message)
     if stamp is not None:
-        message.header.stamp = time_of(stamp)
+        message.header.stamp = header(stamp).stamp
     edit(message)
     return topic, kind, time if log is None else log, message
 

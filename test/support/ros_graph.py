@@ -5,7 +5,6 @@
 import math
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from rclpy.qos import QoSProfile
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.lifetime import RunnableNode
+from sphere_sim.ros.session.child_process import verb_command
 
 
 def values_of(status: DiagnosticStatus) -> dict[str, str]:
@@ -31,10 +31,8 @@ def values_of(status: DiagnosticStatus) -> dict[str, str]:
 @contextmanager
 def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Run a node in a process of its own; it must end cleanly."""
-    code = "import sys; from sphere_sim.cli.main import main; sys.exit(main())"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, verb, "--ros-args", *options], stderr=subprocess.PIPE,
-        text=True,
+        verb_command(verb, "--ros-args", *options), stderr=subprocess.PIPE, text=True
     )
     try:
         yield process

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calls of every function of the compiled solver, ordinary ones and edge cases.
 
-    sanitized_runs.py FOLDER [FAULT]
+    sanitized_runs.py FOLDER
 
-Run by ``test_sanitizers.py`` with the folder of a solver that `write_sources` prepared. With a
-second argument that fault is in the solver.
+Run by ``test_sanitizers.py`` with the folder of a solver that `write_sources` prepared.
 """
 
-import os
 import sys
 import threading
 from dataclasses import replace
@@ -59,28 +57,18 @@ def random_start(n: int) -> Vector:
 
 
 def ordinary_calls(n: int) -> None:
-    """Solve, expand and predict over N intervals with every kind of cost."""
+    """Solve, expand and predict over N intervals with every kind of cost, and steady rolling."""
+    rolling = {"steady_axis": np.array([0.6, -0.8]), "whole_turns": -4.0}
     for weights, drift in product(WEIGHTS, (NO_DRIFT, DRIFT)):
         problem = replace(make_problem(n, **weights), drift=drift.as_array())
-        solution = HoldSolver(SolverSettings(max_iterations=12)).solve(
-            problem, random_start(n)
-        )
-        expand_compiled(problem, random_start(n))
+        steady = (replace(problem, steady_interval=k, **rolling) for k in range(1, n))
+        for one in (problem, *steady):
+            HoldSolver(SolverSettings(max_iterations=12)).solve(one, random_start(n))
+            expand_compiled(one, random_start(n))
         roll_out_with_momentum(
-            problem.state, DRIFT, solution.inputs, problem.durations, problem.constants,
-            problem.max_step,
+            problem.state, DRIFT, random_start(n + 1), problem.durations,
+            problem.constants, problem.max_step,
         )
-
-
-def steady_rolling(n: int) -> None:
-    """Solve and expand over N intervals of which one is of steady rolling."""
-    for weights, interval in product(WEIGHTS, range(1, n)):
-        problem = replace(
-            make_problem(n, **weights), steady_interval=interval,
-            steady_axis=np.array([0.6, -0.8]), whole_turns=-4.0,
-        )
-        HoldSolver(SolverSettings(max_iterations=12)).solve(problem, random_start(n))
-        expand_compiled(problem, random_start(n))
 
 
 def edge_cases(n: int) -> None:
@@ -89,13 +77,9 @@ def edge_cases(n: int) -> None:
     start = random_start(n)
     for weights in WEIGHTS:
         problem = make_problem(n, **weights)
-        fixed = replace(problem, lower=np.zeros((n, 2)), upper=np.zeros((n, 2)))
-        solver.solve(fixed, start)
-        part = replace(problem, lower=problem.lower.copy(), upper=problem.upper.copy())
-        part.lower[-1] = part.upper[-1] = 0.0
-        solver.solve(part, start)
-        unbounded = np.full((n, 2), np.inf)
-        solver.solve(replace(problem, lower=-unbounded, upper=unbounded), start)
+        part = np.where(np.arange(n)[:, None] == n - 1, 0.0, problem.upper)
+        for upper in (np.zeros((n, 2)), part, np.full((n, 2), np.inf)):
+            solver.solve(replace(problem, lower=-upper, upper=upper), start)
         for name in (
             "state", "goal", "input_in_force", "durations", "constants", "lower", "drift",
         ):
@@ -112,38 +96,24 @@ def edge_cases(n: int) -> None:
     roll_out_with_momentum(state, DRIFT, inputs * np.nan, problem.durations, constants, 0.1)
 
 
-FAULTS = {
-    "part too short": ("workspace.h", "take(base, &used, {})", "m + 2", "m"),
-    "interval past the last": ("shooting.h", "m = {}; m-- > 0", "n", "n + 1"),
-    "index past a row": ("shooting.h", "[k][{}] = 1.0", "2 + k", "6 + k"),
-}
-"""File, text with a place for an expression, the expression, and the faulty one."""
-SWITCH = """
-#include <stdlib.h>
-static int has_fault(char number)
-{
-    const char *chosen = getenv("SOLVER_FAULT");
-    return chosen && *chosen == number;
-}
-"""
+FAULTY = ("workspace.h", "take(base, &used, m + 2)", "take(base, &used, m)")
+"""File, a part of the workspace, and the same made too short, as it is while a variable is set."""
 
 
 def write_sources(folder: Path) -> None:
-    """Write the solver's sources with all faults; a variable selects one of them at run time.
+    """Write the solver's sources with a fault that the environment variable SOLVER_FAULT causes.
 
-    So there is one build for all of them, which takes much longer than the calls.
+    So there is one build, which takes much longer than the calls.
     """
     sources = {
         path.name: path.read_text(encoding="utf-8") for path in library.FOLDER.glob("*.[ch]")
     }
     sources |= {"kernels.h": kernel_source(), "problem.h": problem_header()}
-    for number, (file, text, right, wrong) in enumerate(FAULTS.values()):
-        original = text.format(right)
-        assert original in sources[file]
-        either = text.format(f"has_fault('{number}') ? {wrong} : {right}")
-        sources[file] = sources[file].replace(original, either)
-    first = '#include "problem.h"'
-    sources["solver.c"] = sources["solver.c"].replace(first, SWITCH + first)
+    file, right, wrong = FAULTY
+    assert right in sources[file]
+    either = f'(getenv("SOLVER_FAULT") ? {wrong} : {right})'
+    sources[file] = sources[file].replace(right, either)
+    sources["solver.c"] = "#include <stdlib.h>\n" + sources["solver.c"]
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
 
@@ -151,11 +121,8 @@ def write_sources(folder: Path) -> None:
 def main() -> None:
     library.FOLDER = Path(sys.argv[1])
     compiled()
-    if len(sys.argv) > 2:
-        os.environ["SOLVER_FAULT"] = str(list(FAULTS).index(sys.argv[2]))
     for n in HORIZONS:
         ordinary_calls(n)
-        steady_rolling(n)
         edge_cases(n)
     threads = [threading.Thread(target=ordinary_calls, args=(n,)) for n in (3, 4, 4)]
     for thread in threads:

@@ -13,16 +13,9 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
 
 class Standing:
-    """`Strategy` that plans the same rotor speeds at each sample, whatever the error.
+    """`Strategy` that plans the same speed of both rotors [rad/s] from 2.5 s on at each sample.
 
-    Parameters
-    ----------
-    speed : float, optional
-        Speed of both rotors from 2.5 s on [rad/s].
-    status : PlanStatus, optional
-        Status of the plans.
-    values
-        Other attributes of the plans.
+    Its plans have the given status and further values.
     """
 
     def __init__(

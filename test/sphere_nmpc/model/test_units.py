@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plan_loop import settling_time
+from momentum_loop import settling_time
 from robots import SIZES
 
 from sphere_nmpc.model.parameters import RobotParameters

@@ -4,6 +4,7 @@
 
 import ipaddress
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +14,6 @@ from pathlib import Path
 import psutil
 import pytest
 from geometry_msgs.msg import PoseStamped
-from other_user import as_user
 from patience import PATIENCE
 from ros_graph import Graph
 
@@ -37,11 +37,25 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux interfaces")
 root = pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="needs root")
+READING = ("--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search")
+"""Permission to read everywhere: interpreter and package may lie below a folder of root alone."""
 NOWHERE = "/proc/nonexistent"
 """Folder that not even root can create."""
 PEERS = {"ROS_STATIC_PEERS": "10.0.0.7"}
 PROFILES = Path(__file__).parents[3] / "config" / "lossy_network.xml"
 RUN = (sys.executable, "-c", "import sys; from sphere_sim.cli.main import main; sys.exit(main())")
+
+
+def as_user(user: int) -> tuple[str, ...]:
+    """Return the beginning of a command that runs as a user; skip the test where it cannot."""
+    if os.geteuid() != 0 or shutil.which("setpriv") is None:
+        pytest.skip("needs root and setpriv, of util-linux, to become another user")
+    become = ("setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups")
+    for command in (become, (*become, *READING)):
+        use = [*command, sys.executable, "-c", "import sphere_nmpc.solver"]
+        if subprocess.run(use, capture_output=True, check=False).returncode == 0:
+            return command
+    pytest.skip("no other user can read this Python, and root may not grant it here")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compiled_solver import expand_compiled
-from plan_loop import settling_time
+from momentum_loop import settling_time
 
 from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.model.parameters import RobotParameters

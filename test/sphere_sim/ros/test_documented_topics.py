@@ -3,17 +3,21 @@
 """Tables of msg_docs/topics.md, security policy and configurations of tools against the nodes."""
 
 import contextlib
+import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 import rclpy
+import yaml
+from documented_topics import table
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from ros2_checks import table
 
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_sim.ros.recorder.node import RecorderNode
@@ -142,3 +146,46 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     # `ros2 topic pub --once` ends after the first matched subscription.
     takers = {name for name, rows in allowed().items() if "/goal_pose" in rows["subscriber"]}
     assert takers == {"controller"}
+
+
+def test_document_has_the_tables_of_the_policy() -> None:
+    text = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+    documented = {
+        name: [{full(t, name) for t in re.findall(r"`([^`]+)`", cell)} for cell in cells]
+        for name, *cells in re.findall(r"^\| `(\w+)` \|(.*)\|(.*)\|(.*)\|(.*)\|$", text, re.M)
+    }
+    of_every_node = re.compile(r"parameter|rosout|type_description")
+    assert documented == {
+        name: [{t for t in row if not of_every_node.search(t)} for row in rows.values()]
+        for name, rows in allowed().items()
+    }
+
+
+OF_TOOLS = {"/markers", "/robot_description", "/clicked_point", "/initialpose"}
+"""Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
+
+
+def strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    for part in (*value, *value.values()) if isinstance(value, dict) else ():
+        yield from strings(part)
+    for part in value if isinstance(value, list) else ():
+        yield from strings(part)
+
+
+def test_rviz_and_foxglove_show_documented_topics() -> None:
+    documented = {topic for _, topic, *_ in table()} | OF_TOOLS
+    manager = yaml.safe_load((ROOT / "rviz" / "sphere.rviz").read_text())["Visualization Manager"]
+    topics = {
+        full(entry[key]["Value"], "") for entry in (*manager["Displays"], *manager["Tools"])
+        for key in ("Topic", "Description Topic") if key in entry
+    }
+    assert topics <= documented
+    assert {"/pose", "/odom", "/markers", "/goal_pose", "/controller/predicted_path"} <= topics
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    layout = json.loads((ROOT / "foxglove" / "sphere.json").read_text())
+    shown = {text.partition(".")[0] for text in strings(layout) if re.match(r"/[a-z]", text)}
+    assert shown <= documented
+    placed = [text for text in strings(layout["layout"]) if text in layout["configById"]]
+    assert sorted(placed) == sorted(layout["configById"]), "every panel has one place"

@@ -9,8 +9,8 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from sphere_nmpc.foreign_text import shown
-from sphere_sim.recording.errors import BagError, one_line_reason
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line, shown
 
 METADATA = "metadata.yaml"
 PARAMETERS_PREFIX = "parameters:"
@@ -18,6 +18,18 @@ PARAMETERS_PREFIX = "parameters:"
 _ZSTD = ".zstd"
 _SUFFIXES = (".mcap", ".db3")
 _EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"
+
+
+class BagError(SphereNmpcError):
+    """Bag that cannot be written or read; the message names the bag and the reason."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"bag {path}: {printable_line(reason)}")
+
+
+def one_line_reason(error: Exception) -> str:
+    """Return the message of an error in one line; its type where it has no message."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
 @dataclass

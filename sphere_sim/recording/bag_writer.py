@@ -17,8 +17,7 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc import __version__
 from sphere_sim.output.files import write_atomically
-from sphere_sim.recording.bag_files import METADATA
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import METADATA, BagError
 from sphere_sim.recording.mcap_writer import McapWriter
 
 _LIBRARY = f"sphere_nmpc {__version__}"

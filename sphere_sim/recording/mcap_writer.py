@@ -19,7 +19,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 
 _COMPRESSION = "zstd"
 

@@ -19,8 +19,13 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from sphere_sim.recording.bag_files import custom_data, find_files, storage_name
-from sphere_sim.recording.errors import BagError, one_line_reason
+from sphere_sim.recording.bag_files import (
+    BagError,
+    custom_data,
+    find_files,
+    one_line_reason,
+    storage_name,
+)
 
 TopicFilter = Callable[[str, str], bool]
 """Returns from topic and message type whether its messages are selected."""

@@ -22,8 +22,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock, longest_run
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, storage_name
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
 from sphere_sim.recording.message_fields import (
     NANOSECONDS,
     known,

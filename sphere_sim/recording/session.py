@@ -13,8 +13,8 @@ from rosbags.interfaces import Qos
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.bag_writer import BagWriter
-from sphere_sim.recording.errors import BagError
 
 _KEPT = 2
 """Messages of a topic that are kept until the clock has a time for them: a simulator publishes the

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from sphere_nmpc.model.state import STATE_NAMES
 from sphere_sim.evaluation.metrics import Metrics
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run import Run
 
 COLUMNS = (

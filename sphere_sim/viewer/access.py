@@ -8,7 +8,6 @@ another site that has obtained the token, or that uses a name which resolves to 
 rebinding).
 """
 
-import errno
 import secrets
 from collections.abc import Callable
 from http import HTTPStatus
@@ -53,12 +52,7 @@ class AccessControl:
                 answer = connection.respond(HTTPStatus.FOUND, "")
                 answer.headers["Location"] = f"/?token={self._token}&websocket={websocket}"
                 return answer
-            try:
-                return serve(connection, request)
-            except OSError as error:
-                if error.errno != errno.ENAMETOOLONG:
-                    raise
-                return connection.respond(HTTPStatus.NOT_FOUND, "path: no file has this name\n")
+            return serve(connection, request)
 
         return process
 

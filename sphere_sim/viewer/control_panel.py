@@ -19,9 +19,8 @@ import viser
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.output.round_numbers import round_down
 from sphere_sim.viewer import colours, source
-from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal import GOAL_PRESETS
-from sphere_sim.viewer.source import PageRequest
+from sphere_sim.viewer.source import Capabilities, Frame, PageRequest
 
 _PICK = "pick a goal …"
 _SEEK_HOLD = 0.7

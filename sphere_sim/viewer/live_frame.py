@@ -14,7 +14,7 @@ from sphere_sim.recording.message_fields import (
     reported_momentum,
     reported_solve,
 )
-from sphere_sim.viewer.frame import Frame, radius_at
+from sphere_sim.viewer.source import Frame, radius_at
 
 POSE_TIMEOUT = 0.5
 """Age from which on a pose is missed [s]; a paused simulator repeats its pose at 5 Hz."""

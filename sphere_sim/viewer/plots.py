@@ -13,7 +13,7 @@ from viser import uplot
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
-from sphere_sim.viewer.frame import Drive, Frame
+from sphere_sim.viewer.source import Drive, Frame
 
 _SMALLEST = 1e-9
 """Least value on a logarithmic axis."""

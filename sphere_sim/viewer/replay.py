@@ -8,12 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import integrate, integrate_with_drift
+from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.state import Vector, are_states
 from sphere_sim.recording.message_fields import HOLDING
 from sphere_sim.recording.run import Run, newest
-from sphere_sim.viewer.frame import Capabilities, Drive, Frame
-from sphere_sim.viewer.source import Pause, Request, Reset, Seek, SetSpeed
+from sphere_sim.viewer.source import (
+    Capabilities,
+    Drive,
+    Frame,
+    Pause,
+    Request,
+    Reset,
+    Seek,
+    SetSpeed,
+)
 
 _LINE_DURATION = 60.0
 """Length of the lines that are drawn after a seek [s]."""
@@ -131,12 +139,9 @@ class Replay:
         drift = self._run.momentum.drift_at(hold.start)
         for i, duration in enumerate(np.diff(hold.times[hold.times < hold.start + _LONGEST_PLAN])):
             interval = hold.speeds[i], hold.speeds[i + 1], float(duration), self._constants
-            if drift.is_zero:
-                states.append(integrate(states[-1], *interval))
-            else:
-                state, momentum = integrate_with_drift(states[-1], drift, *interval)
-                states.append(state)
-                drift = replace(drift, momentum=momentum)
+            state, momentum = integrate_with_drift(states[-1], drift, *interval)
+            states.append(state)
+            drift = replace(drift, momentum=momentum)
         plan = np.array(states)
         self._plan = plan[np.logical_and.accumulate(are_states(plan))]
         return self._plan

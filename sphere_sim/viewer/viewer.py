@@ -8,7 +8,6 @@ import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_sim.viewer.control_panel import ControlPanel
-from sphere_sim.viewer.frame import Frame
 from sphere_sim.viewer.goal import GOAL_PRESETS, GoalGizmo
 from sphere_sim.viewer.plots import History, Plots
 from sphere_sim.viewer.scene import Scene
@@ -17,6 +16,7 @@ from sphere_sim.viewer.source import (
     ChooseGoal,
     DragGoal,
     FindSphere,
+    Frame,
     PageRequest,
     Request,
     SetGoal,

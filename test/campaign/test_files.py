@@ -20,8 +20,8 @@ from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import pose_message
 from sphere_nmpc.ros.settings import ControllerNodeSettings
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.bag_writer import BagWriter
-from sphere_sim.recording.errors import BagError
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, ScenarioFileError, read_scenarios
 

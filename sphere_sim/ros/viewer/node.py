@@ -26,10 +26,12 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
-from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.source import (
     ApplyPush,
+    Capabilities,
+    Drive,
+    Frame,
     Pause,
     Request,
     Reset,

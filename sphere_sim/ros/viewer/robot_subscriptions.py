@@ -21,8 +21,8 @@ from sphere_nmpc.ros.messages import (
     seconds,
     stamp_from_ros,
 )
-from sphere_sim.viewer.frame import Frame
 from sphere_sim.viewer.live_frame import LiveFrame
+from sphere_sim.viewer.source import Frame
 
 _LONGEST_PLAN = 400
 """Poses of a plan that are converted."""

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from sphere_sim.output.round_numbers import grid_cell
-from sphere_sim.viewer.frame import DEFAULT_RADIUS
+from sphere_sim.viewer.source import DEFAULT_RADIUS
 
 _LENGTHS = {
     "Axes Length", "Axes Radius", "Distance", "Line Width", "Marker Scale", "Position Tolerance",

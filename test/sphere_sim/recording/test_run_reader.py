@@ -3,6 +3,7 @@
 """Bags of every recorder give the same arrays and times; others give one clear error."""
 
 import dataclasses
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -22,10 +23,8 @@ from rosbags.rosbag2 import Reader
 
 from sphere_nmpc.model.drift import imbalance_of_offset, momentum_of_push, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.cli.report import main
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.report import report_files
 
 POSE_PERIOD = 0.01
 
@@ -57,12 +56,9 @@ def test_run_is_read_as_arrays(tmp_path) -> None:
     np.testing.assert_allclose(run.solves.durations[:2], [1e-3, 51e-3])
     assert set(run.solves.statuses) == {"solved"}
     assert run.momentum.is_zero and run.momentum.values.shape == (0, 3)
-    metrics = figures(run)
     # |x - x_d| = decay * |(2, -1, 1/2)| for small angles.
     expected = 3.01 * np.log(100.0 * np.sqrt(5.25)) / 10.0
-    assert metrics["settle_time_s"] == pytest.approx(expected, abs=0.02)
-    assert metrics["max_rotor_speed"] == 100.0
-    assert metrics["max_rotor_torque_nm"] == pytest.approx(1.0)
+    assert figures(run)["settle_time_s"] == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -110,23 +106,18 @@ def test_momentum_and_pushes_are_read(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("missing", "unknown", "note"),
+    ("missing", "note"),
     [
-        ("/joint_states", {"max_rotor_speed", "max_rotor_torque_nm"},
-         "/joint_states is missing; no rotor speeds and torques"),
-        ("/controller/status", {"solve_ms_p50", "solve_ms_p99"},
-         "no status of the controller reports a solve; no solve times"),
-        ("/rotor_trajectory", set(), "/rotor_trajectory is missing; no plans"),
-        ("/controller/active_goal", set(), "active_goal is missing; goal_pose is used instead"),
+        ("/joint_states", "/joint_states is missing; no rotor speeds and torques"),
+        ("/controller/status", "no status of the controller reports a solve; no solve times"),
+        ("/rotor_trajectory", "/rotor_trajectory is missing; no plans"),
+        ("/controller/active_goal", "active_goal is missing; goal_pose is used instead"),
     ],
 )
-def test_every_topic_but_the_poses_may_be_missing(tmp_path, missing, unknown, note) -> None:
-    expected = figures(read_run(write_own(tmp_path / "whole", run_messages())))
+def test_every_topic_but_the_poses_may_be_missing(tmp_path, missing, note) -> None:
     run = read_run(write_own(tmp_path / "bag", without(run_messages(), missing)))
-    found = figures(run)
-    assert {name for name, value in found.items() if np.isnan(value)} == unknown
-    assert all(same(found[name], expected[name]) for name in found.keys() - unknown)
     assert run.notes == (note,)
+    assert np.isfinite(figures(run)["settle_time_s"])
 
 
 def test_invalid_messages_are_ignored_with_a_note(tmp_path) -> None:
@@ -169,9 +160,7 @@ def test_run_to_each_goal_has_what_belongs_to_it(tmp_path) -> None:
     assert [plan.start for plan in last.plans] == pytest.approx(0.5 * np.arange(5))
     assert len(first.joint_times) == 100 and len(first.goals) == len(last.goals) == 1
     assert (first.name, last.name) == ("mine, goal 1", "mine, goal 2")
-    # The run to a goal is a run: its own run to its goal is the same.
-    assert whole.metrics() == last.metrics() == last.to_goal(1).metrics()
-    assert first.metrics() != last.metrics()
+    assert whole.metrics() == last.metrics() != first.metrics()
     assert first.goal[0] == 5.0 and last.goal[0] == 0.0
 
 
@@ -216,21 +205,6 @@ def test_bag_of_another_robot_is_refused(tmp_path, entries, reason) -> None:
         read_run(write_own(tmp_path / "bag", entries))
 
 
-@pytest.mark.parametrize(
-    ("make", "reason"),
-    [
-        (lambda path: None, "no such file or folder"),
-        (lambda path: path.mkdir(), "holds no .mcap or .db3 file"),
-        (lambda path: path.write_text("x"), "expected a folder, a .mcap or a .db3 file"),
-    ],
-)
-def test_path_that_is_not_a_bag_is_refused(tmp_path, make, reason) -> None:
-    path = tmp_path / "thing"
-    make(path)
-    with pytest.raises(BagError, match=reason):
-        read_run(path)
-
-
 def run_with(tmp_path, *entries):
     """Return the run as ``ros2 bag record`` logs it, without simulated time."""
     return read_run(write_rosbag2(tmp_path / "bag", on_the_system_clock(in_order(*entries))))
@@ -245,11 +219,8 @@ def run_with(tmp_path, *entries):
         # Latched since before the recording.
         ("/controller/active_goal", START - 4_000_000_000, -4.0, 1e-9),
         # Of another clock.
-        ("/controller/active_goal", START + 90_000_000_000, 1.5, POSE_PERIOD),
         ("/controller/active_goal", 1_800_000_000_000_000_000, 1.5, POSE_PERIOD),
-        # Whatever a user has set.
-        ("/goal_pose", 0, 1.5, POSE_PERIOD),
-        ("/goal_pose", START + 1_000_000_000, 1.5, POSE_PERIOD),
+        ("/goal_pose", START + 1_000_000_000, 1.5, POSE_PERIOD),  # whatever a user has set
     ],
 )
 def test_plausible_stamp_of_the_controller_is_used(
@@ -301,14 +272,37 @@ def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) 
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
 
 
-def test_report_says_why_a_run_has_no_goal(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(report_files, "FIGURES", {})
-    entries = without(run_messages(), "goal_pose", "active_goal")
-    bag, out = write_own(tmp_path / "mine", [*entries, goal_at(0.0, 7.25)]), tmp_path / "out"
-    assert main([str(bag), "--out", str(out)]) == 0
-    printed = capsys.readouterr()
-    assert "mine: no metrics, as no goal was in force at any pose" in printed.out
-    reason = "goal at 7.25 s, poses from 0 to 3 s: no goal falls inside the recording"
-    assert reason in printed.err
-    assert reason in (out / "summary.json").read_text()
-    assert reason in (out / "report.html").read_text()
+NUMBERS = cycle((1e308, -1e308, 1e200, 1e31, float("inf"), float("nan")))
+
+
+def strange(entry):
+    """Return a message once more, a little later, with numbers that no robot has."""
+    def edit(message) -> None:
+        if "pose" in kind:
+            message.pose.position.x = message.pose.orientation.w = next(NUMBERS)
+        elif kind == "joint_states":
+            message.velocity[:], message.effort[:] = next(NUMBERS), next(NUMBERS)
+        elif kind == "rotor_trajectory":
+            message.points[0].velocities[:], message.points[1].velocities[:] = 1e308, -1e308
+        elif kind == "status":
+            for pair in (pair for pair in message.values if pair.key != "plan"):
+                pair.value = str(next(NUMBERS))
+        elif kind == "pushed":
+            message.vector.x = next(NUMBERS)
+
+    kind = entry[0].rpartition("/")[2].replace("active_goal", "pose")
+    return changed(entry, log=entry[2] + 1, edit=edit)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_numbers_that_no_robot_has_are_left_out(tmp_path) -> None:
+    ordinary = read_run(write_own(tmp_path / "ordinary", run_messages()))
+    entries = [*run_messages(), *momentum_messages()]
+    run = read_run(write_rosbag2(tmp_path / "bag", in_order(*entries, *map(strange, entries))))
+    np.testing.assert_array_equal(run.times, ordinary.times)
+    np.testing.assert_array_equal(np.abs(run.states), np.abs(ordinary.states))
+    np.testing.assert_array_equal(run.goal, ordinary.goal)
+    assert np.nanmax(np.abs(run.rotor_speeds)) <= 1e30
+    assert all(np.abs(plan.speeds).max() < 5.0 for plan in run.plans)
+    assert np.isfinite(run.momentum.impulses).all() and np.isfinite(run.momentum.values).all()
+    figures(run)

@@ -60,11 +60,11 @@ def find_browser() -> str | None:
 class Browser:
     """Browser with one page; it ends with the context."""
 
-    def __init__(self, executable: str, folder: Path, size: tuple[int, int] = (800, 400),
-                 sharpness: float = 1.0) -> None:
+    def __init__(
+        self, executable: str, folder: Path, size: tuple[int, int] = (800, 400)
+    ) -> None:
         self._folder = folder
         self.size = size
-        self._sharpness = sharpness
         self.console: list[str] = []
         """Errors that the page has logged."""
         self.requested: list[str] = []
@@ -85,27 +85,24 @@ class Browser:
 
     def __enter__(self) -> "Browser":
         try:
-            self._attach()
+            # Without pings, which a browser on a busy machine does not answer in time.
+            self._socket = connect(
+                self._address(), max_size=None, compression=None, ping_interval=None
+            )
+            # The first target of a browser that starts may not be a page yet.
+            target = self.call("Target.createTarget", url="about:blank")["targetId"]
+            attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         except BaseException:
             self.__exit__()
             raise
-        return self
-
-    def _attach(self) -> None:
-        # Without pings, which a browser on a busy machine does not answer in time.
-        self._socket = connect(
-            self._address(), max_size=None, compression=None, ping_interval=None
-        )
-        # The first target of a browser that starts may not be a page yet.
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.call("Page.addScriptToEvaluateOnNewDocument", source=_SLOW_SCREEN)
         width, height = self.size
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
-                  deviceScaleFactor=self._sharpness, mobile=False)
+                  deviceScaleFactor=1.0, mobile=False)
+        return self
 
     def __exit__(self, *exception: object) -> None:
         if self._socket is not None:
@@ -173,11 +170,6 @@ class Browser:
         """Click the button with this label."""
         self._click("button", f"e.innerText.trim() === {json.dumps(label)}")
 
-    def choose(self, shown: str, option: str) -> None:
-        """Open the list that shows one option, and select another."""
-        self._click("input[role=combobox]", f"e.value === {json.dumps(shown)}")
-        self._click("[role=option]", f"e.innerText.trim() === {json.dumps(option)}")
-
     def type_number(self, label: str, number: str) -> None:
         """Replace the number in the field beside a label."""
         beside = (
@@ -191,14 +183,14 @@ class Browser:
         self.evaluate("window.sent = false; setTimeout(() => { window.sent = true; }, 200)")
         self.wait(lambda: self.evaluate("window.sent"), "the page's timers do not run")
 
-    def boxes(self, selector: str) -> list[tuple[float, float, float, float]]:
-        """Return left, top, width and height of the visible elements of a selector [px]."""
+    def box(self, selector: str) -> tuple[float, float, float, float]:
+        """Return left, top, width and height of the largest element of a selector [px]."""
         script = (
             f"[...document.querySelectorAll({json.dumps(selector)})]"
-            ".map(e => e.getBoundingClientRect()).filter(r => r.width > 0)"
-            ".map(r => [r.x, r.y, r.width, r.height])"
+            ".map(e => e.getBoundingClientRect()).map(r => [r.x, r.y, r.width, r.height])"
+            ".sort((a, b) => b[2] * b[3] - a[2] * a[3])[0]"
         )
-        return [tuple(box) for box in self.evaluate(script)]
+        return tuple(self.evaluate(script))
 
     def _click(self, selector: str, condition: str) -> None:
         """Wait for a visible element that satisfies a condition, and click it.

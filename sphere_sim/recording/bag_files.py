@@ -34,18 +34,10 @@ def one_line_reason(error: Exception) -> str:
 
 @dataclass
 class BagFiles:
-    """Storage files of a bag.
+    """Storage files of a bag, in the order in which they were written.
 
-    Attributes
-    ----------
-    files : list of Path
-        Files in the order in which they were written.
-    described : bool
-        Whether metadata.yaml, or the user, names them as one bag.
-    custom_data : dict of str to str
-        Custom data in metadata.yaml.
-    notes : list of str
-        Messages for users on what is missing or ignored.
+    `described` says whether metadata.yaml, or the user, names them as one bag; `custom_data` is
+    that in metadata.yaml, and `notes` are messages for users on what is missing or ignored.
     """
 
     files: list[Path]
@@ -123,7 +115,8 @@ def _storage_files(folder: Path) -> list[Path]:
     plain = {file.name for file in files if file.suffix != _ZSTD}
     return sorted(
         (file for file in files if file.suffix != _ZSTD or storage_name(file) not in plain),
-        key=lambda file: (_recording(file), _number(file), file.name),
+        # Within a recording shorter numbers come first.
+        key=lambda file: (_recording(file), len(storage_name(file)), file.name),
     )
 
 
@@ -131,11 +124,6 @@ def _recording(file: Path) -> tuple[str, str]:
     """Return name without number, and suffix, which the files of one recording share."""
     name = PurePath(storage_name(file))
     return re.sub(r"_\d+$", "", name.stem), name.suffix
-
-
-def _number(file: Path) -> int:
-    found = re.search(r"_(\d+)$", PurePath(storage_name(file)).stem)
-    return int(found.group(1)) if found else -1
 
 
 def _describe(

@@ -196,7 +196,7 @@ class ControlPanel:
     def _offer_impulses(self, frame: Frame) -> None:
         """Offer impulses in proportion to what the rotors can take up; at first 0.5 N s."""
         # A push at the centre has the momentum of the impulse times the radius.
-        step = round_down(0.0375 * frame.drive.momentum / frame.radius)
+        step = round_down(0.0375 * source.rotor_momentum(frame.robot) / frame.radius)
         if step != self._impulse_step:
             self._impulse_step = step
             digits = max(0, -math.floor(math.log10(step)))

@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -80,13 +81,9 @@ class LiveFrame:
             rotor_torques=np.array([*map(known, torques)]),
         )
 
-    def add_goal(self, goal: Vector) -> None:
-        """Update the goal in force, shape (6,)."""
-        self.frame = replace(self.frame, goal=goal)
-
-    def add_plan(self, states: Vector) -> None:
-        """Update the predicted states, shape (n, 6)."""
-        self.frame = replace(self.frame, plan=states)
+    def update(self, **values: Any) -> None:
+        """Update the goal in force, shape (6,), or the plan, shape (n, 6)."""
+        self.frame = replace(self.frame, **values)
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""

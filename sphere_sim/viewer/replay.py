@@ -14,7 +14,6 @@ from sphere_sim.recording.message_fields import HOLDING
 from sphere_sim.recording.run import Run, newest
 from sphere_sim.viewer.source import (
     Capabilities,
-    Drive,
     Frame,
     Pause,
     Request,
@@ -39,10 +38,6 @@ class Replay:
         self._goals = run.goals_in_force
         self._duration = float(run.times[-1])
         self._constants = run.robot.lumped.as_array()
-        self._drive = Drive(
-            run.robot.rotor_axial_inertia, run.robot.max_rotor_speed,
-            run.robot.max_rotor_acceleration,
-        )
         self._time = 0.0
         self._speed = 1.0
         self._paused = False
@@ -98,7 +93,7 @@ class Replay:
             time=moment,
             state=run.states[at],
             radius=run.robot.shell_radius,
-            drive=self._drive,
+            robot=run.robot,
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
             goal=goal if np.all(np.isfinite(goal)) else None,

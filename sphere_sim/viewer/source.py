@@ -25,42 +25,12 @@ def _unknown(size: int = INPUT_SIZE) -> Vector:
 
 
 @dataclass(frozen=True)
-class Drive:
-    """Limits of a rotor's drive, which are the ranges of plots; those of Table 1 where unknown.
-
-    They are its inertia about its axis [kg m^2], and largest speed [rad/s] and acceleration
-    [rad/s^2].
-    """
-
-    inertia: float = _DEFAULT.rotor_axial_inertia
-    speed: float = _DEFAULT.max_rotor_speed
-    acceleration: float = _DEFAULT.max_rotor_acceleration
-
-    @property
-    def torque(self) -> float:
-        """Torque of the largest acceleration [N m]."""
-        return self.inertia * self.acceleration
-
-    @property
-    def momentum(self) -> float:
-        """Angular momentum of a rotor at its largest speed [N m s]."""
-        return self.inertia * self.speed
-
-
-@dataclass(frozen=True)
 class Capabilities:
     """Requests that the source of the frames can fulfil.
 
-    Attributes
-    ----------
-    pause, reset, push, paused : bool
-        Whether it accepts these requests, and whether time is paused.
-    speed : float or None
-        Requested ratio of time shown to wall time; None where it cannot be changed.
-    strategies : tuple of str
-        Strategies that can be selected; empty where none can.
-    duration : float or None
-        Length of a recording [s]; None for a live source.
+    It accepts to `pause`, `reset` or `push`; `paused` says whether time is paused, `speed` is the
+    requested ratio of time shown to wall time, None where it cannot be changed, and `duration` the
+    length of a recording [s], None for a live source. `strategies` can be selected.
     """
 
     pause: bool = False
@@ -84,35 +54,29 @@ class Frame:
         Time of the state on the robot's clock [s].
     state, goal : ndarray of shape (6,), or None
         State of the sphere, and goal in force.
-    radius : float
-        Radius of the shell [m].
-    drive : Drive
-        Limits of the rotors' drives.
+    radius, robot : float and RobotParameters
+        Radius of the shell [m]; inertia and limits of the rotors, which are the ranges of plots.
     rotor_speeds, rotor_torques : ndarray, shape (2,)
         Rotor speeds [rad/s] and torques [N m].
     plan : ndarray, shape (n, 6)
         Predicted states.
-    solve_time, to_go : float
-        Duration of the newest solve, and time until its plan reaches the goal [s].
-    cost : float
-        Value of the optimal control problem, unless that is a time.
+    solve_time, to_go, cost : float
+        Duration of the newest solve, and time until its plan reaches the goal [s]; value of the
+        optimal control problem, unless that is a time.
     momentum : ndarray, shape (3,)
-        Angular momentum about the contact point that the controller estimates [N m s; world
-        frame].
+        Momentum about the contact point that the controller estimates [N m s; world frame].
     strategy, mode : str
         Strategy and mode of the controller.
     alerts, notices : tuple of str
         Present faults; messages to show once, such as the reason of a refused request.
     restarted : bool
         Whether the frame begins another run, so that the lines of the previous one are deleted.
-    capabilities : Capabilities
-        Requests that the source can fulfil.
     """
 
     time: float = 0.0
     state: Vector | None = None
     radius: float = DEFAULT_RADIUS
-    drive: Drive = Drive()
+    robot: RobotParameters = _DEFAULT
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Vector | None = None
@@ -134,6 +98,11 @@ class Frame:
         for name in ("alerts", "notices"):
             texts = tuple(cut(text, LONGEST_TEXT) for text in getattr(self, name))
             object.__setattr__(self, name, texts)
+
+
+def rotor_momentum(robot: RobotParameters) -> float:
+    """Return the angular momentum of a rotor at its largest speed [N m s]."""
+    return robot.rotor_axial_inertia * robot.max_rotor_speed
 
 
 def radius_at(height: float) -> float:

@@ -34,14 +34,7 @@ class Viewer:
 
     Everything happens in `tick`, except the server's callbacks, which only queue requests.
 
-    Parameters
-    ----------
-    source : Source
-        Source of the frames, which handles the requests.
-    port : int
-        Port on this machine.
-    live : bool
-        Whether the source is live; else it is a recording.
+    The source is `live`, or else a recording; the port is one of this machine.
     """
 
     def __init__(self, source: Source, port: int, live: bool) -> None:
@@ -82,7 +75,7 @@ class Viewer:
             if not self._server.get_clients():
                 self._choose_view()
             else:
-                self._plots.show(self._history, self._frame.drive)
+                self._plots.show(self._history, self._frame.robot)
 
     def look_at(self, places: Vector) -> None:
         """Set the initial view of the page to these places, shape (n, 2) [m]."""

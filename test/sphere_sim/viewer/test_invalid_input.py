@@ -17,10 +17,11 @@ pytest.importorskip("viser")
 
 from patience import PATIENCE
 from test_access import PROTOCOL, shake_hands
+from test_viewer import Script
 from websockets.exceptions import ConnectionClosed
 
 from sphere_nmpc.model.state import make_state
-from sphere_sim.viewer.source import Capabilities, Frame, Request, SendGoal, SetGoal
+from sphere_sim.viewer.source import Capabilities, Frame, SendGoal, SetGoal
 from sphere_sim.viewer.viewer import Viewer
 
 pytestmark = pytest.mark.slow
@@ -33,22 +34,6 @@ CAMERA = {
 }
 NAN = float("nan")
 ODD = (None, NAN, 1e308, "x", [], ["a"], {}, [NAN] * 3, [NAN] * 4, [0] * 4, [1e300] * 3)
-
-
-class Script:
-    """Source of one constant frame that collects requests."""
-
-    def __init__(self) -> None:
-        self.requests: list[Request] = []
-
-    def frames(self) -> list[Frame]:
-        state = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
-        capabilities = Capabilities(pause=True, reset=True, speed=1.0, strategies=("a", "b"))
-        return [Frame(state=state, goal=state, capabilities=capabilities)]
-
-    def handle(self, request: Request) -> str:
-        self.requests.append(request)
-        return "noted"
 
 
 def invalid_requests(port: int, query: str) -> Iterator[bytes]:
@@ -86,7 +71,9 @@ def invalid_messages(viewer: Viewer) -> Iterator[bytes | str]:
 
 
 def test_invalid_input_does_not_end_the_viewer(capfd) -> None:
-    script = Script()
+    script, state = Script(), make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
+    can = Capabilities(pause=True, reset=True, speed=1.0, strategies=("a", "b"))
+    script.next = [Frame(state=state, goal=state, capabilities=can)]
     viewer = Viewer(script, 0, live=True)
     port = urlsplit(viewer.url).port
     try:

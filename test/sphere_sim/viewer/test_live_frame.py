@@ -26,20 +26,6 @@ def test_restart_is_a_step_back_in_time_or_an_impossible_speed(stamp, x, restart
     live.add_pose(stamp, state(x), 0.3, 0.1)
     assert live.take(0.1, 1).restarted is restarted
     assert not live.take(0.1, 1).restarted, "a restart is reported once"
-    for step_back in (1.0, 1.1):  # and not lost between two frames
-        live.add_pose(step_back, state(0.0), 0.3, 0.2)
-    assert live.take(0.2, 1).restarted
-
-
-def test_clock_is_paused_while_poses_repeat_a_stamp() -> None:
-    live = LiveFrame(0.0)
-    for now, paused in ((10.0, False), (10.4, False), (10.6, True)):
-        live.add_pose(1.0, state(0.0), 0.3, now)
-        assert live.paused is paused
-    live.take(99.0, 1)
-    assert live.paused, "missing poses do not resume the clock"
-    live.add_pose(1.1, state(0.0), 0.3, 99.0)
-    assert not live.paused
 
 
 def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:

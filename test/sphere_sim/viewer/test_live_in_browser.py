@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("viser")
 
+from browser import page_of, pixel, scene_of, wait_for_red, wait_for_scene
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from page_helpers import page_of, pixel, scene_of, wait_for_red, wait_for_scene
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from verb_process import start, stop
 

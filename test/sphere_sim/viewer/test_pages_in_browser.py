@@ -9,15 +9,15 @@ import pytest
 
 pytest.importorskip("viser")
 
-from browser import Browser
-from page_helpers import page_of, scene_of, wait_for_scene
+from browser import Browser, page_of, scene_of, wait_for_scene
 from recorded_bags import rolling_messages, write_own
+from test_viewer import Script
 from verb_process import start, stop
 
 from sphere_nmpc.model.state import make_state
 from sphere_sim.cli.report import main
 from sphere_sim.report import report_files
-from sphere_sim.viewer.source import Capabilities, Frame, Request
+from sphere_sim.viewer.source import Capabilities, Frame
 from sphere_sim.viewer.viewer import Viewer
 
 pytestmark = pytest.mark.slow
@@ -71,21 +71,14 @@ def test_recording_plays_to_its_end_seeks_and_continues(page, tmp_path) -> None:
         stop([viewer])
 
 
-class Lure:
-    """Source of one frame whose texts, and answers to requests, are HTML and Markdown."""
-
-    def frames(self) -> list[Frame]:
-        state = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        can = Capabilities(reset=True, strategies=("paper", LURE))
-        return [Frame(state=state, mode=LURE, strategy=LURE, alerts=(f"up {LURE}",),
-                      capabilities=can)]
-
-    def handle(self, request: Request) -> str:
-        return f"refused {LURE}"
-
-
 def test_text_of_other_programs_is_shown_as_text(page) -> None:
-    viewer = Viewer(Lure(), 0, live=True)
+    script, state = Script(), make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    can = Capabilities(reset=True, strategies=("paper", LURE))
+    script.next = [
+        Frame(state=state, mode=LURE, strategy=LURE, alerts=(f"up {LURE}",), capabilities=can)
+    ]
+    script.answer = f"refused {LURE}"
+    viewer = Viewer(script, 0, live=True)
 
     def wait_for(text: str, times: int) -> None:
         """Wait until the page has a text; its notifications are hidden in tests."""

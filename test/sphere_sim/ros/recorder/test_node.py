@@ -20,51 +20,34 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from verb_process import start
 
 from sphere_sim.ros.recorder.node import _message_class
-from sphere_sim.ros.session.child_process import verb_command
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-class Recording:
-    """Recorder node in a process."""
-
-    def __init__(self, folder: Path, graph, *arguments: str) -> None:
-        self.folder = folder
-        self._graph = graph
-        self.process = subprocess.Popen(
-            verb_command("recorder", "--ros-args", "-p", f"output:={folder}", *arguments),
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )
-
-    def received(self, namespace: str = "") -> set[str]:
-        """Return the topics of which the node has received a message."""
-        service = f"{namespace}/recorder/is_recording"
-        answer = self._graph.call(Trigger, service, Trigger.Request())
-        lines = answer.message.splitlines()
-        return {line.partition(" ")[2] for line in lines if line.startswith("received")}
-
-    def end(self, number: int) -> str:
-        """Send a signal and return the output of the node."""
-        self.process.send_signal(number)
-        output, _ = self.process.communicate(timeout=PATIENCE)
-        return output
-
-
 @pytest.fixture
-def record(tmp_path, graph):
-    recordings = []
+def record(tmp_path):
+    processes = []
 
-    def start(*arguments: str) -> Recording:
-        recordings.append(Recording(tmp_path / "bag", graph, *arguments))
-        return recordings[-1]
+    def begin(*arguments: str) -> subprocess.Popen:
+        given = "--ros-args", "-p", f"output:={tmp_path / 'bag'}", *arguments
+        processes.append(start(tmp_path, "recorder", *given))
+        return processes[-1]
 
-    yield start
-    for recording in recordings:
-        recording.process.kill()
-        recording.process.communicate()
+    yield begin
+    for process in processes:
+        process.kill()
+        process.wait(PATIENCE)
+
+
+def received(graph, namespace: str = "") -> set[str]:
+    """Return the topics of which the node has received a message."""
+    answer = graph.call(Trigger, f"{namespace}/recorder/is_recording", Trigger.Request())
+    lines = answer.message.splitlines()
+    return {line.partition(" ")[2] for line in lines if line.startswith("received")}
 
 
 def counted(folder: Path) -> Counter[str]:
@@ -79,33 +62,34 @@ def counted(folder: Path) -> Counter[str]:
 
 
 @pytest.mark.slow
-def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None:
+def test_messages_of_every_kind_of_publisher_are_recorded(graph, record, tmp_path) -> None:
     probe = graph.probe
     probe.declare_parameter("bytes", [b"\x01", b"\xff"])
     latched = probe.create_publisher(PoseStamped, "controller/active_goal", LATCHED)
     latched.publish(PoseStamped())  # before the recorder starts
     early = probe.create_publisher(PoseStamped, "pose", 10)
     recording = record()
-    graph.until(lambda: "/controller/active_goal" in recording.received())
+    graph.until(lambda: "/controller/active_goal" in received(graph))
     # Publishers that are late, unknown beforehand or less reliable than expected:
     late = probe.create_publisher(Odometry, "odom", BEST_EFFORT)
     unknown = probe.create_publisher(String, "controller/anything", 10)
     foreign = probe.create_publisher(String, "another_topic", 10)
     graph.until(lambda: all(p.get_subscription_count() for p in (early, late, unknown)))
-    while not {"/pose", "/odom", "/controller/anything"} <= recording.received():
+    while not {"/pose", "/odom", "/controller/anything"} <= received(graph):
         for publisher, message in (
             (early, PoseStamped()), (late, Odometry()), (unknown, String()), (foreign, String())
         ):
             publisher.publish(message)
-    metadata = recording.folder / "metadata.yaml"
+    metadata = tmp_path / "bag" / "metadata.yaml"
     graph.until(lambda: "parameters:/probe" in metadata.read_text())
-    output = recording.end(signal.SIGHUP)  # as when its terminal is closed
-    assert recording.process.returncode == 0 and "messages on" in output
-    counts = counted(recording.folder)
+    recording.send_signal(signal.SIGHUP)  # as when its terminal is closed
+    assert recording.wait(PATIENCE) == 0
+    assert "messages on" in (tmp_path / "recorder.log").read_text()
+    counts = counted(tmp_path / "bag")
     assert counts["/controller/active_goal"] == 1
     assert min(counts[t] for t in ("/pose", "/odom", "/controller/anything")) > 0
     assert "/another_topic" not in counts
-    with Reader(recording.folder) as reader:
+    with Reader(tmp_path / "bag") as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
         custom = reader.storage.metadata.custom
     assert qos["/odom"][0].reliability.name == "BEST_EFFORT"
@@ -115,7 +99,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
 
 
 @pytest.mark.slow
-def test_start_and_stop_make_separate_bags(graph, record) -> None:
+def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
     recording = record("-p", "record_on_start:=false", "-p", "topics:=[/diagnostics]",
                        "-r", "__ns:=/left")
 
@@ -132,10 +116,12 @@ def test_start_and_stop_make_separate_bags(graph, record) -> None:
     assert second.success and second.message.endswith("bag_1")
     publisher = graph.publisher(DiagnosticArray, "/diagnostics")
     publisher.publish(DiagnosticArray())
-    graph.until(lambda: recording.received("/left"))
-    assert "Traceback" not in recording.end(signal.SIGINT)
-    assert counted(recording.folder) == {}
-    assert counted(recording.folder.with_name("bag_1")) == {"/diagnostics": 1}
+    graph.until(lambda: received(graph, "/left"))
+    recording.send_signal(signal.SIGINT)
+    recording.wait(PATIENCE)
+    assert "Traceback" not in (tmp_path / "recorder.log").read_text()
+    assert counted(tmp_path / "bag") == {}
+    assert counted(tmp_path / "bag_1") == {"/diagnostics": 1}
 
 
 def test_announced_type_that_is_none_is_not_loaded() -> None:

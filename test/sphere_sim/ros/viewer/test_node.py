@@ -3,10 +3,12 @@
 """Frames from live topics, requests to other nodes, and markers, over DDS."""
 
 from itertools import count
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -19,6 +21,7 @@ pytest.importorskip("viser")
 
 from robots import PALM
 
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.messages import pose_to_ros
@@ -27,13 +30,13 @@ from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.node import TopicSource
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
-from sphere_sim.viewer.source import ApplyPush, Drive, Pause, Reset, SetGoal, SetSpeed, SetStrategy
+from sphere_sim.viewer.source import ApplyPush, Pause, Reset, SetGoal, SetSpeed, SetStrategy
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
-DRIVE = Drive(0.9, 60.0, 50.0)
-ROBOT = {"robot.rotor_axial_inertia": 0.9, "robot.max_rotor_speed": 60.0,
-         "robot.max_rotor_acceleration": 50.0}
+ROBOT = RobotParameters(
+    rotor_axial_inertia=0.9, max_rotor_speed=60.0, max_rotor_acceleration=50.0
+)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -58,7 +61,8 @@ def notices(graph, source) -> list[str]:
 def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> None:
     simulator = SimulatorNode([Parameter("initial_state", value=START.tolist())])
     graph.add(simulator)
-    given = {"use_sim_time": True, **ROBOT}
+    given = {"use_sim_time": True, "robot.rotor_axial_inertia": 0.9,
+             "robot.max_rotor_speed": 60.0, "robot.max_rotor_acceleration": 50.0}
     controller = ControllerNode([Parameter(name, value=value) for name, value in given.items()])
     graph.add(controller)
     graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(GOAL, 0, 0.3))
@@ -71,7 +75,7 @@ def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> N
     assert state_error(newest(source).goal, GOAL) < 1e-9
     graph.until(lambda: np.all(np.isfinite(newest(source).rotor_speeds)))
     graph.until(lambda: newest(source).strategy != "" and newest(source).alerts == ())
-    graph.until(lambda: newest(source).drive == DRIVE)
+    graph.until(lambda: newest(source).robot == ROBOT)
     assert set(newest(source).capabilities.strategies) == set(STRATEGIES)
 
     graph.until(lambda: newest(source).capabilities.pause and newest(source).capabilities.push)
@@ -95,7 +99,7 @@ def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> N
 
 def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     frame = newest(source)
-    assert frame.state is None and frame.drive == Drive()
+    assert frame.state is None and frame.robot == RobotParameters()
     assert frame.alerts == ("no pose yet", "no controller yet")
     assert "goal_pose" in source.handle(SetGoal(GOAL))
     assert "pause" in source.handle(Pause(True))
@@ -124,25 +128,20 @@ def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
 
 
 def test_answer_to_a_poll_before_a_change_does_not_undo_it(graph) -> None:
-    def told(value: str) -> Future:
-        future = Future()
-        values = [Parameter("strategy", value=value).get_parameter_value()]
-        future.set_result(GetParameters.Response(values=values))
-        return future
+    def take(value: str, changes: int, kind: int = ParameterType.PARAMETER_STRING) -> Any:
+        answer = Future()
+        values = [ParameterValue(type=kind, string_value=value)]
+        answer.set_result(GetParameters.Response(values=values))
+        parameter._take_value(changes, answer)
+        return parameter.value
 
     node = Node("viewer")
     graph.add(node)
     parameter = RemoteParameter(node, "controller", "strategy", ControllerSettings, print)
-    before = parameter._changes
     parameter.set("paper")
-    parameter._take_value(before, told("time_optimal"))
-    assert parameter.value == "paper"
-    parameter._take_value(parameter._changes, told("plan_keeping"))
-    assert parameter.value == "plan_keeping", "what another user has chosen since"
-    strange = told("paper")
-    strange.result().values[0].type = 99
-    parameter._take_value(parameter._changes, strange)
-    assert parameter.value is None
+    assert take("time_optimal", 0) == "paper"
+    assert take("plan_keeping", 1) == "plan_keeping", "what another user has chosen since"
+    assert take("paper", 1, kind=99) is None and take("<b>", 1) is None
     parameter._descriptor.additional_constraints = "one of: paper, <b>, , paper, time_optimal"
     assert parameter.choices == ("paper", "time_optimal"), "a list with repetitions breaks a page"
 
@@ -160,7 +159,7 @@ def test_markers_are_in_the_size_of_the_robot_and_leave_out_what_no_robot_has(gr
         poses.publish(pose_to_ros(START, i, far))  # its height is that of no robot
         graph.until(lambda i=i: len(received) > i)
     assert received[-1].markers[0].scale.x == 0.6
-    radius = PALM.shell_radius
+    radius, steps = PALM.shell_radius, count(1)
 
     def path_is_drawn() -> bool:
         # Ever further along x: the markers come at their own rate, and miss some of the poses.
@@ -169,7 +168,6 @@ def test_markers_are_in_the_size_of_the_robot_and_leave_out_what_no_robot_has(gr
         poses.publish(pose_to_ros(state, step * 10**9, radius))
         return any(it.ns == "path" and len(it.points) > 2 for it in received[-1].markers)
 
-    steps = count(1)
     graph.until(path_is_drawn)
     markers = {marker.ns: marker for marker in received[-1].markers}
     assert markers["sphere"].scale.x == 2.0 * radius and "goal" not in markers

@@ -49,10 +49,7 @@ class BagFiles:
 def find_files(path: Path) -> BagFiles:
     """Find the storage files of a bag: a folder, or a single storage file.
 
-    Raises
-    ------
-    BagError
-        If there is none, their compression is unknown, or they are of several bags.
+    Raises `BagError` if there is none, their compression is unknown, or they are of several bags.
     """
     if not path.exists():
         raise BagError(path, "there is no such file or folder")

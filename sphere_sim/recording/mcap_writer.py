@@ -35,12 +35,8 @@ def _encode(*entries: records.McapRecord) -> bytes:
 class McapWriter:
     """New MCAP file that takes messages and is complete after every commit.
 
-    `library` is the name and version of the writer.
-
-    Raises
-    ------
-    BagError
-        If the file exists, or cannot be created or written.
+    `library` is the name and version of the writer. Raises `BagError` if the file exists, or
+    cannot be created or written.
     """
 
     def __init__(self, path: Path, library: str) -> None:

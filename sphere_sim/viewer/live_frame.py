@@ -37,8 +37,10 @@ class LiveFrame:
         """Newest values, without alerts."""
         self._stamp_changed_at = now
         self._pose_at: float | None = None
-        self._controller_at: float | None = None
-        self._refused = ""
+        self.controller_at: float | None = None
+        """Time at which the newest message of the controller arrived [s]."""
+        self.refused = ""
+        """Why the newest pose cannot be shown; empty otherwise."""
         self._reported: tuple[str, ...] = ()
 
     @property
@@ -61,7 +63,7 @@ class LiveFrame:
 
         Its stamp [s] is on the robot's clock; for its height [m] see `radius_at`.
         """
-        self._refused, self._pose_at = "", now
+        self.refused, self._pose_at = "", now
         last = self.frame
         if stamp != last.time:
             self._stamp_changed_at = now
@@ -69,10 +71,6 @@ class LiveFrame:
             last, time=stamp, state=state, radius=radius_at(height),
             restarted=last.restarted or _is_restart(last, stamp, state),
         )
-
-    def refuse_pose(self, reason: str) -> None:
-        """Report a pose that cannot be shown."""
-        self._refused = reason
 
     def add_rotors(self, speeds: Vector, torques: Vector) -> None:
         """Update rotor speeds, shape (2,) [rad/s], and torques, shape (2,) [N m]."""
@@ -103,22 +101,18 @@ class LiveFrame:
             mode=values.get("mode", ""),
         )
 
-    def controller_seen(self, now: float) -> None:
-        """Note a message of the controller that arrived now [s]."""
-        self._controller_at = now
-
     def _pose_alert(self, now: float) -> str:
-        if self._refused:
-            return f"pose refused: {self._refused}"
+        if self.refused:
+            return f"pose refused: {self.refused}"
         if self._pose_at is None:
             return "no pose yet"
         age = now - self._pose_at
         return f"no pose for {age:.1f} s" if age > POSE_TIMEOUT else ""
 
     def _controller_alert(self, now: float, controllers: int) -> str:
-        if self._controller_at is None:
+        if self.controller_at is None:
             return "no controller yet"
-        age = now - self._controller_at
+        age = now - self.controller_at
         if age <= CONTROLLER_TIMEOUT:
             # A node that ends normally leaves the graph immediately.
             return "" if controllers or age < POSE_TIMEOUT else "controller gone"

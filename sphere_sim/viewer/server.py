@@ -112,12 +112,8 @@ def _query(request: Request, name: str) -> str:
 class LocalServer(viser.ViserServer):
     """Server for clients on this machine that know its address with the token.
 
-    A free port is used if the preferred one is taken.
-
-    Raises
-    ------
-    ServerError
-        If no port is available, or access control cannot be installed.
+    A free port is used if the preferred one is taken. Raises `ServerError` if no port is
+    available, or access control cannot be installed.
     """
 
     def __init__(self, port: int) -> None:

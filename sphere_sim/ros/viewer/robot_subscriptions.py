@@ -81,7 +81,7 @@ class RobotSubscriptions:
         try:
             state = framed_pose_from_ros(message, self._frame)
         except InvalidStateError as error:
-            self._live.refuse_pose(str(error))
+            self._live.refused = str(error)
             return
         stamp = seconds(stamp_from_ros(message.header.stamp))
         self._live.add_pose(stamp, state, float(message.pose.position.z), now)
@@ -99,19 +99,19 @@ class RobotSubscriptions:
             self._live.update(goal=pose_from_ros(message))
 
     def _take_plan(self, message: Path) -> None:
-        self._live.controller_seen(self._arrival())
+        self._live.controller_at = self._arrival()
         with suppress(InvalidStateError):
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
             self._live.update(plan=np.array(states).reshape(-1, 6))
 
     def _take_status(self, message: DiagnosticStatus) -> None:
-        self._live.controller_seen(self._arrival())
+        self._live.controller_at = self._arrival()
         self._live.add_status({pair.key: pair.value for pair in message.values})
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         now = self._arrival()
         if any(status.name.startswith(self._diagnostics_prefix) for status in message.status):
-            self._live.controller_seen(now)
+            self._live.controller_at = now
 
     def _arrival(self) -> float:
         """Count a message and return its time of arrival [s; steady clock]."""

@@ -9,7 +9,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from sphere_sim.recording.bag_files import BagError
@@ -42,23 +41,6 @@ def test_bag_is_complete_after_every_commit_and_grows_linearly(tmp_path) -> None
     # Index and footer are rewritten each time: appended copies would add up quadratically.
     assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 100 * 400
     writer.close()
-
-
-def test_metadata_lists_topics_and_custom_data(tmp_path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic(TOPIC, KIND)
-    writer.add_topic("/silent", KIND)
-    writer.custom_data["seed"] = "7"
-    writer.write(TOPIC, 3_000_000_000, TRUE)
-    writer.write(TOPIC, 5_000_000_000, TRUE)
-    writer.close()
-    with Reader(tmp_path / "bag") as reader:
-        assert {c.topic: c.msgcount for c in reader.connections} == {TOPIC: 2, "/silent": 0}
-        assert reader.connections[0].digest.startswith("RIHS01_")
-        assert reader.duration == 2_000_000_001 and reader.start_time == 3_000_000_000
-        assert reader.ros_distro == "jazzy"
-        assert reader.storage.metadata.custom["seed"] == "7"
-        assert "sphere_nmpc_version" in reader.storage.metadata.custom
 
 
 def test_folder_that_exists_or_cannot_be_created_is_refused(tmp_path) -> None:

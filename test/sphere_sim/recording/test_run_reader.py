@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 from recorded_bags import (
-    START,
     changed,
     goal_at,
     in_order,
@@ -212,32 +211,6 @@ def test_bag_of_another_robot_is_refused(tmp_path, entries, reason) -> None:
         read_run(write_own(tmp_path / "bag", entries))
 
 
-def run_with(tmp_path, *entries):
-    """Return the run as ``ros2 bag record`` logs it, without simulated time."""
-    return read_run(write_rosbag2(tmp_path / "bag", on_the_system_clock(in_order(*entries))))
-
-
-@pytest.mark.parametrize(
-    ("topic", "stamp", "time", "tolerance"),
-    [
-        # Latched since before the recording.
-        ("/controller/active_goal", START - 4_000_000_000, -4.0, 1e-9),
-        # Of another clock.
-        ("/controller/active_goal", 1_800_000_000_000_000_000, 1.5, POSE_PERIOD),
-        ("/goal_pose", START + 1_000_000_000, 1.5, POSE_PERIOD),  # whatever a user has set
-    ],
-)
-def test_plausible_stamp_of_the_controller_is_used(
-    tmp_path, topic, stamp, time, tolerance
-) -> None:
-    rest = without(run_messages(), "goal_pose", "active_goal")
-    goal = (topic, *changed(goal_at(0.0, 1.5), stamp=stamp)[1:])
-    run = run_with(tmp_path, goal, *rest)
-    assert run.goal_times == pytest.approx([time], abs=tolerance)
-    assert np.all(np.isfinite(run.goals_in_force[run.times >= max(time, 0.0) + POSE_PERIOD]))
-    assert run.metrics() is not None
-
-
 def test_plans_and_solves_without_simulated_time_are_dated_by_their_log_times(tmp_path) -> None:
     def shift(message) -> None:
         for pair in message.values:
@@ -249,7 +222,7 @@ def test_plans_and_solves_without_simulated_time_are_dated_by_their_log_times(tm
         changed(entry, edit=shift) if entry[0] == "/controller/status" else entry
         for entry in run_messages()
     ]
-    run = run_with(tmp_path, *entries)
+    run = read_run(write_rosbag2(tmp_path / "bag", on_the_system_clock(entries)))
     starts = [plan.start for plan in run.plans]
     assert starts == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
     assert run.solves.times == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)

@@ -36,7 +36,7 @@ def test_demo_shows_its_page_and_runs_on_until_enter(tmp_path) -> None:
             if select.select([own], [], [], 0.1)[0]:
                 output += os.read(own, 65536).decode(errors="replace")
         children = psutil.Process(demo.pid).children(recursive=True)
-        assert len(children) == 5, "four nodes, and the controller's worker"
+        assert len(children) == 4, "three nodes, as the recording is over, and a worker"
         assert (tmp_path / "out" / "summary.json").exists()
         address = re.search(r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])", output).group()
         with urllib.request.urlopen(address, timeout=PATIENCE) as page:

@@ -53,8 +53,8 @@ def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:
 def test_missing_messages_and_what_the_status_gives_up_are_alerts() -> None:
     live = LiveFrame(0.0)
     assert live.take(0.0, 1).alerts == ("no pose yet", "no controller yet")
-    live.controller_seen(10.0)
-    live.refuse_pose("frame: given 'map'")
+    live.controller_at = 10.0
+    live.refused = "frame: given 'map'"
     assert live.take(10.1, 1).alerts == ("pose refused: frame: given 'map'",)
     live.add_pose(1.0, state(0.0), 0.3, 10.0)
     assert live.take(10.5, 1).alerts == ()

@@ -14,7 +14,7 @@ from robots import GIANT, PALM
 
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.viewer.goal import GOAL_PRESETS
-from sphere_sim.viewer.plots import History, axis_range
+from sphere_sim.viewer.plots import History
 from sphere_sim.viewer.source import (
     DEFAULT_RADIUS,
     Capabilities,
@@ -189,12 +189,6 @@ def test_history_is_limited_in_length_and_density() -> None:
     assert np.allclose(history.series()["distance"], times)
     history.add(at(0.0, 0.0, time=1.0, restarted=True))
     assert history.series()["time"].tolist() == [1.0]
-
-
-def test_axis_ranges_have_a_smallest_range_and_grow_in_steps() -> None:
-    still = np.array([np.nan, 1e-12, -1e-12])
-    assert axis_range([still], (-100.0, 100.0)) == (-100.0, 100.0)
-    assert axis_range([np.array([-5.0, 132.0]), still], (0.0, 1.0)) == (-50.0, 150.0)
 
 
 def test_plans_at_one_point_are_not_drawn(viewer, script) -> None:

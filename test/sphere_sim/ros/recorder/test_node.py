@@ -92,6 +92,8 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record, tmp_pat
     with Reader(tmp_path / "bag") as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
         custom = reader.storage.metadata.custom
+        assert reader.ros_distro == "jazzy" and reader.duration > 0
+        assert reader.connections[0].digest.startswith("RIHS01_")
     assert qos["/odom"][0].reliability.name == "BEST_EFFORT"
     assert qos["/controller/active_goal"][0].durability.name == "TRANSIENT_LOCAL"
     parameters = json.loads(custom["parameters:/probe"])

@@ -3,17 +3,13 @@
 """Frames from live topics, requests to other nodes, and markers, over DDS."""
 
 from itertools import count
-from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -25,11 +21,10 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.messages import pose_to_ros
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.node import TopicSource
-from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.viewer.source import ApplyPush, Pause, Reset, SetGoal, SetSpeed, SetStrategy
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
@@ -125,25 +120,6 @@ def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     poses.publish(pose_to_ros(START, 1, 0.3, "map"))
     graph.until(lambda: "refused" in newest(source).alerts[0])
     assert newest(source).state is None
-
-
-def test_answer_to_a_poll_before_a_change_does_not_undo_it(graph) -> None:
-    def take(value: str, changes: int, kind: int = ParameterType.PARAMETER_STRING) -> Any:
-        answer = Future()
-        values = [ParameterValue(type=kind, string_value=value)]
-        answer.set_result(GetParameters.Response(values=values))
-        parameter._take_value(changes, answer)
-        return parameter.value
-
-    node = Node("viewer")
-    graph.add(node)
-    parameter = RemoteParameter(node, "controller", "strategy", ControllerSettings, print)
-    parameter.set("paper")
-    assert take("time_optimal", 0) == "paper"
-    assert take("plan_keeping", 1) == "plan_keeping", "what another user has chosen since"
-    assert take("paper", 1, kind=99) is None and take("<b>", 1) is None
-    parameter._descriptor.additional_constraints = "one of: paper, <b>, , paper, time_optimal"
-    assert parameter.choices == ("paper", "time_optimal"), "a list with repetitions breaks a page"
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

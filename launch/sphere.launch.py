@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import yaml
 from ament_index_python.packages import (
     PackageNotFoundError,
     get_package_prefix,
@@ -45,9 +46,10 @@ from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.error_text import how_to_install
+from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
-from sphere_sim.ros.viewer.rviz_config import rviz_config
+from sphere_sim.viewer.source import DEFAULT_RADIUS
 from sphere_sim.world.settings import PLANTS
 
 PACKAGE = "sphere_nmpc"
@@ -68,6 +70,12 @@ OF_LAUNCH = (
     "launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout",
 )
 """Arguments that launch itself reads."""
+RVIZ_LENGTHS = {
+    "Axes Length", "Axes Radius", "Distance", "Line Width", "Marker Scale", "Position Tolerance",
+    "X", "Y", "Z",
+}
+RVIZ_FRAMES = {"Fixed Frame", "Reference Frame", "Target Frame"}
+"""Entries of a configuration of RViz that are lengths, and names of frames."""
 RESPAWN_DELAY = 2.0
 """Time between the end of a process and its restart [s]."""
 MISSING = 3
@@ -315,13 +323,28 @@ def recording(clock: dict[str, bool], own: dict[str, Any], place: str) -> Node |
 def rviz(urdf: str, clock: dict[str, bool], frame: str, remapped: dict[str, object]) -> Node:
     """Return RViz with a view in the size of the robot."""
     radius = float(next(ElementTree.fromstring(urdf).iter("sphere")).attrib["radius"])
-    shipped = (SHARE / "rviz" / "sphere.rviz").read_text(encoding="utf-8")
+    shipped = yaml.safe_load((SHARE / "rviz" / "sphere.rviz").read_text(encoding="utf-8"))
     with tempfile.NamedTemporaryFile("w", suffix=".rviz", delete=False) as config:
-        config.write(rviz_config(shipped, radius, frame))
+        config.write(yaml.safe_dump(adapted(shipped, radius, frame), sort_keys=False))
     return Node(
         package="rviz2", executable="rviz2", arguments=["-d", config.name], parameters=[clock],
         **remapped,
     )
+
+
+def adapted(value: Any, radius: float, frame: str) -> Any:
+    """Return part of a configuration of RViz for another radius [m] and name of the frame."""
+    if isinstance(value, list):
+        return [adapted(item, radius, frame) for item in value]
+    if not isinstance(value, dict):
+        return value
+    found = {name: adapted(item, radius, frame) for name, item in value.items()}
+    for name in RVIZ_LENGTHS & found.keys():
+        found[name] *= radius / DEFAULT_RADIUS
+    found |= dict.fromkeys(RVIZ_FRAMES & found.keys(), frame)
+    if "Cell Size" in found:
+        found["Cell Size"] = grid_cell(radius)
+    return found
 
 
 def is_installed(package: str) -> bool:

@@ -17,7 +17,7 @@ from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.demo.run import run_demo
 from sphere_sim.output.files import prepare_folder
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.scenario.scenarios import PAPER_CASES
 

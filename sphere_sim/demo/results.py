@@ -23,7 +23,7 @@ from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import write_atomically
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run import Run, Solves, without_sign_jumps
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.comparison import side_by_side

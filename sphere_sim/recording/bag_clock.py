@@ -32,12 +32,8 @@ class BagClock:
 
     ``ros2 bag record`` logs messages by the system clock while stamps are in simulated time, which
     may be faster, slower or paused, so the two must never be compared directly. The poses, which
-    have both times, relate the two clocks.
-
-    Parameters
-    ----------
-    received, stamps : sequence of int, length n > 0
-        Log times of the poses [ns], in any order, and their stamps [ns].
+    have both times, relate the two clocks: `received` and `stamps` are their log times and stamps
+    [ns], in any order.
     """
 
     def __init__(self, received: Sequence[int], stamps: Sequence[int]) -> None:

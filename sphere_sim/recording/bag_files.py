@@ -9,8 +9,8 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from sphere_nmpc.foreign_text import shown
-from sphere_sim.recording.errors import BagError, one_line_reason
+from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_text import printable_line, shown
 
 METADATA = "metadata.yaml"
 PARAMETERS_PREFIX = "parameters:"
@@ -20,20 +20,24 @@ _SUFFIXES = (".mcap", ".db3")
 _EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"
 
 
+class BagError(SphereNmpcError):
+    """Bag that cannot be written or read; the message names the bag and the reason."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"bag {path}: {printable_line(reason)}")
+
+
+def one_line_reason(error: Exception) -> str:
+    """Return the message of an error in one line; its type where it has no message."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
+
+
 @dataclass
 class BagFiles:
-    """Storage files of a bag.
+    """Storage files of a bag, in the order in which they were written.
 
-    Attributes
-    ----------
-    files : list of Path
-        Files in the order in which they were written.
-    described : bool
-        Whether metadata.yaml, or the user, names them as one bag.
-    custom_data : dict of str to str
-        Custom data in metadata.yaml.
-    notes : list of str
-        Messages for users on what is missing or ignored.
+    `described` says whether metadata.yaml, or the user, names them as one bag; `custom_data` is
+    that in metadata.yaml, and `notes` are messages for users on what is missing or ignored.
     """
 
     files: list[Path]
@@ -45,10 +49,7 @@ class BagFiles:
 def find_files(path: Path) -> BagFiles:
     """Find the storage files of a bag: a folder, or a single storage file.
 
-    Raises
-    ------
-    BagError
-        If there is none, their compression is unknown, or they are of several bags.
+    Raises `BagError` if there is none, their compression is unknown, or they are of several bags.
     """
     if not path.exists():
         raise BagError(path, "there is no such file or folder")
@@ -111,7 +112,8 @@ def _storage_files(folder: Path) -> list[Path]:
     plain = {file.name for file in files if file.suffix != _ZSTD}
     return sorted(
         (file for file in files if file.suffix != _ZSTD or storage_name(file) not in plain),
-        key=lambda file: (_recording(file), _number(file), file.name),
+        # Within a recording shorter numbers come first.
+        key=lambda file: (_recording(file), len(storage_name(file)), file.name),
     )
 
 
@@ -119,11 +121,6 @@ def _recording(file: Path) -> tuple[str, str]:
     """Return name without number, and suffix, which the files of one recording share."""
     name = PurePath(storage_name(file))
     return re.sub(r"_\d+$", "", name.stem), name.suffix
-
-
-def _number(file: Path) -> int:
-    found = re.search(r"_(\d+)$", PurePath(storage_name(file)).stem)
-    return int(found.group(1)) if found else -1
 
 
 def _describe(

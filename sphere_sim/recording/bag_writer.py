@@ -17,8 +17,7 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc import __version__
 from sphere_sim.output.files import write_atomically
-from sphere_sim.recording.bag_files import METADATA
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import METADATA, BagError
 from sphere_sim.recording.mcap_writer import McapWriter
 
 _LIBRARY = f"sphere_nmpc {__version__}"
@@ -37,12 +36,7 @@ def _dump_yaml(value: Any) -> str:
 
 
 class BagWriter:
-    """New bag that takes serialised messages and is complete after every commit.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag, which must not exist; missing parent folders are created.
+    """New bag in a new folder that takes serialised messages and is complete after every commit.
 
     Raises
     ------
@@ -94,12 +88,8 @@ class BagWriter:
     def add_topic(self, name: str, msgtype: str, offered_qos: Sequence[Qos] = ()) -> None:
         """Add a topic of a type that is supported; without effect if the bag has it already.
 
-        Parameters
-        ----------
-        name, msgtype : str
-            Full name, with the leading slash, and type as in ``geometry_msgs/msg/PoseStamped``.
-        offered_qos : sequence of rosbags.interfaces.Qos, optional
-            Quality of service that its publishers offer.
+        It has a full name, with the leading slash, a type as in ``geometry_msgs/msg/PoseStamped``
+        and the quality of service that its publishers offer.
         """
         if name in self._channels:
             return
@@ -122,10 +112,7 @@ class BagWriter:
     def write(self, topic: str, stamp: int, data: bytes) -> None:
         """Add a message in CDR, with its log time [ns], on a topic that was added before.
 
-        Raises
-        ------
-        BagError
-            If a commit was due and failed.
+        Raises as `commit`, which may be due.
         """
         self._file.add_message(self._channels[topic], stamp, data)
         if self._file.pending > _LARGEST_CHUNK:
@@ -148,13 +135,7 @@ class BagWriter:
             raise BagError(self.folder, f"cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """Commit the remaining messages and close the file.
-
-        Raises
-        ------
-        BagError
-            As `commit`; the file is closed in any case.
-        """
+        """Commit and close the bag; it is closed also where that raises."""
         try:
             self.commit()
         finally:
@@ -179,9 +160,7 @@ class BagWriter:
             "compression_format": "",
             "compression_mode": "",
             "files": [{
-                "path": name,
-                "starting_time": dict(start),
-                "duration": dict(duration),
+                "path": name, "starting_time": dict(start), "duration": dict(duration),
                 "message_count": total.message_count,
             }],
             "custom_data": dict(self.custom_data),

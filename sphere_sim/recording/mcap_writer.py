@@ -19,7 +19,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 
 _COMPRESSION = "zstd"
 
@@ -35,17 +35,8 @@ def _encode(*entries: records.McapRecord) -> bytes:
 class McapWriter:
     """New MCAP file that takes messages and is complete after every commit.
 
-    Parameters
-    ----------
-    path : Path
-        File to create; must not exist.
-    library : str
-        Name and version of the writer, stored in the header.
-
-    Raises
-    ------
-    BagError
-        If the file cannot be created or written.
+    `library` is the name and version of the writer. Raises `BagError` if the file exists, or
+    cannot be created or written.
     """
 
     def __init__(self, path: Path, library: str) -> None:
@@ -120,12 +111,7 @@ class McapWriter:
         total.message_count += 1
 
     def commit(self, metadata: str) -> None:
-        """Write everything added so far, and leave a complete file on disk.
-
-        Parameters
-        ----------
-        metadata : str
-            Metadata of the bag as rosbag2 stores it; it replaces that of the commit before.
+        """Write everything added so far, with this metadata of the bag in the form of rosbag2.
 
         Raises
         ------

@@ -44,16 +44,9 @@ def state_of(message: Any) -> list[float]:
 class ReportedSolve:
     """Solve of one control sample as a status message reports it; nan where it does not.
 
-    Attributes
-    ----------
-    duration : float
-        Solve time [s]; 0 where nothing was solved.
-    cost : float
-        Value of the optimal control problem.
-    time_to_go : float
-        Time from the sampling instant until the plan reaches the goal [s].
-    plan : str
-        Status of the plan; empty without a plan.
+    It has its duration [s], 0 where nothing was solved, the value of the optimal control problem,
+    the time from the sampling instant until the plan reaches the goal [s], and the status of the
+    plan, empty without one.
     """
 
     duration: float

@@ -19,28 +19,17 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from sphere_sim.recording.bag_files import custom_data, find_files, storage_name
-from sphere_sim.recording.errors import BagError, one_line_reason
+from sphere_sim.recording.bag_files import (
+    BagError,
+    custom_data,
+    find_files,
+    one_line_reason,
+    storage_name,
+)
 
 TopicFilter = Callable[[str, str], bool]
 """Returns from topic and message type whether its messages are selected."""
 _DAMAGED = "is truncated or damaged"
-
-
-@dataclass
-class _Storage:
-    """Content of a storage file.
-
-    It has the message types of its topics, topic, log time [ns] and data of the selected messages
-    in the order written, the number of messages read, selected or not, and the custom data of the
-    bag; `problem` describes a damage.
-    """
-
-    types: dict[str, str] = field(default_factory=dict)
-    messages: list[tuple[str, int, bytes]] = field(default_factory=list)
-    count: int = 0
-    custom_data: dict[str, str] = field(default_factory=dict)
-    problem: str = ""
 
 
 @dataclass
@@ -49,16 +38,12 @@ class Messages:
 
     Attributes
     ----------
-    path : Path
-        The bag.
     types : dict of str to str
         Message type of each topic that the bag announces.
     decoded : dict of str to list of (int, Any)
         Log time [ns] and message, in order of time, for each selected topic that has messages.
-    custom_data : dict of str to str
-        Custom data of the bag.
-    notes : list of str
-        Messages for users on what is missing or invalid in the bag.
+    custom_data, notes : dict of str to str, and list of str
+        Custom data of the bag; messages for users on what is missing or invalid in it.
     truncated : bool
         Whether more may have been recorded than can be read.
     """
@@ -93,34 +78,31 @@ def read_messages(path: Path, selects: TopicFilter) -> Messages:
     """
     bag = find_files(path)
     messages = Messages(path, notes=bag.notes)
-    storages = [_read(path, file, selects) for file in bag.files]
-    for file, storage in zip(bag.files, storages, strict=True):
-        if storage.problem:
-            read = f"; {storage.count} messages before that were read" if storage.count else ""
-            messages.notes.append(f"{file.name} {storage.problem}{read}")
-        messages.truncated |= bool(storage.problem)
-        messages.types.update(storage.types)
-        messages.custom_data.update(storage.custom_data)
+    reader = _StorageReader(messages, selects)
+    for file in bag.files:
+        before = reader.count
+        try:
+            problem = reader.read(file)
+        except OSError as error:
+            reason = f"{file.name} cannot be read: {error.strerror or error}"
+            raise BagError(path, reason) from error
+        if problem:
+            count = reader.count - before
+            read = f"; {count} messages before that were read" if count else ""
+            messages.notes.append(f"{file.name} {problem}{read}")
+            messages.truncated = True
     messages.custom_data.update(bag.custom_data)
     if messages.truncated and not messages.types:
         problems = "; ".join(messages.notes)
         raise BagError(path, f"nothing can be read of it: {problems}")
-    _decode(messages, storages)
+    _decode(messages, reader.raw)
     return messages
 
 
-def _read(path: Path, file: Path, selects: TopicFilter) -> _Storage:
-    try:
-        return _read_storage(file, selects)
-    except OSError as error:
-        raise BagError(path, f"{file.name} cannot be read: {error.strerror or error}") from error
-
-
-def _decode(messages: Messages, storages: list[_Storage]) -> None:
-    """Decode the selected messages in order of log time."""
+def _decode(messages: Messages, raw: list[tuple[str, int, bytes]]) -> None:
+    """Decode messages, with topic and log time [ns], in order of log time."""
     store, zstd = get_typestore(Stores.ROS2_JAZZY), zstandard.ZstdDecompressor()
     invalid: Counter[str] = Counter()
-    raw = [entry for storage in storages for entry in storage.messages]
     # Recorders that compress messages in several threads write them in any order.
     for topic, stamp, data in sorted(raw, key=lambda entry: entry[1]):
         msgtype = messages.types[topic]
@@ -136,99 +118,111 @@ def _decode(messages: Messages, storages: list[_Storage]) -> None:
     messages.notes += [f"{n} messages of type {name} are invalid" for name, n in invalid.items()]
 
 
-def _read_storage(file: Path, selects: TopicFilter) -> _Storage:
-    """Read a ``.mcap`` or ``.db3`` file, also with the suffix ``.zstd``, up to any damage."""
-    storage = _Storage()
-    with file.open("rb") as stream:  # an error is that of the file system here, later damage
-        if not stream.read(1):
-            storage.problem = "has 0 bytes"
-            return storage
-    if file.suffix != ".zstd":
-        _read_plain(file, storage, selects)
-        return storage
-    with TemporaryDirectory() as folder:
-        plain = Path(folder) / storage_name(file)
-        problem = ""
-        with file.open("rb") as packed, plain.open("wb") as unpacked:
-            try:
-                zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
-            except zstandard.ZstdError as error:
-                problem = f"{_DAMAGED} ({error})"
-        _read_plain(plain, storage, selects)
-    storage.problem = problem or storage.problem
-    return storage
+class _StorageReader:
+    """Reader of the storage files of a bag, which adds their topics and custom data to `messages`.
 
-
-def _read_plain(file: Path, storage: _Storage, selects: TopicFilter) -> None:
-    (_read_mcap if file.suffix == ".mcap" else _read_sqlite)(file, storage, selects)
-
-
-def _read_mcap(file: Path, storage: _Storage, selects: TopicFilter) -> None:
-    """Read an MCAP file sequentially, without its index, which may be missing."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, tuple[str, bool]] = {}
-    with file.open("rb") as stream:
-        try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, Message) and record.channel_id in channels:
-                    storage.count += 1
-                    topic, selected = channels[record.channel_id]
-                    if selected:
-                        storage.messages.append((topic, record.log_time, record.data))
-                elif isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel) and record.schema_id in schemas:
-                    msgtype = schemas[record.schema_id].name
-                    if _are_names(record.topic, msgtype):
-                        storage.types[record.topic] = msgtype
-                        channels[record.id] = record.topic, selects(record.topic, msgtype)
-                elif isinstance(record, Metadata) and record.name == "rosbag2":
-                    _add_metadata(storage, record.metadata.get("serialized_metadata", ""))
-        except Exception as error:
-            # Such files raise anything, from MemoryError to the private errors of decompressors.
-            storage.problem = f"{_DAMAGED} ({one_line_reason(error)})"
-
-
-def _read_sqlite(file: Path, storage: _Storage, selects: TopicFilter) -> None:
-    # A killed recorder leaves its last messages in a write-ahead log beside the file.
-    has_log = file.with_name(f"{file.name}-wal").exists()
-    address = f"{file.absolute().as_uri()}?{'mode=ro' if has_log else 'immutable=1'}"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as connection:
-            # Without this SQLite refuses a truncated file instead of reading it up to its end.
-            connection.execute("PRAGMA writable_schema=ON")
-            topics = {}
-            for number, topic, msgtype in connection.execute("SELECT id, name, type FROM topics"):
-                if _are_names(topic, msgtype):
-                    storage.types[topic] = msgtype
-                    topics[number] = topic, selects(topic, msgtype)
-            rows = connection.execute("SELECT topic_id, timestamp, data FROM messages")
-            for number, stamp, data in rows:
-                storage.count += 1
-                topic, selected = topics.get(number, ("", False))
-                if selected and isinstance(data, bytes):
-                    storage.messages.append((topic, int(stamp), data))
-            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
-            if "metadata" in tables:  # written last, so missing first in a truncated file
-                for (text,) in connection.execute("SELECT metadata FROM metadata ORDER BY id"):
-                    _add_metadata(storage, text)
-    except Exception as error:
-        # Damaged pages also give text with a wrong encoding, and missing tables.
-        storage.problem = f"{_DAMAGED} ({one_line_reason(error)})"
-
-
-def _are_names(*values: object) -> bool:
-    """Return whether values are names that a topic or a type can have, which notes will show.
-
-    Those of damaged files, or of files that are made to fool their reader, are not.
+    Its methods return a description of the damage up to which a file was read; empty without any.
     """
-    return all(isinstance(it, str) and it.isprintable() and len(it) < 256 for it in values)
 
+    def __init__(self, messages: Messages, selects: TopicFilter) -> None:
+        self.raw: list[tuple[str, int, bytes]] = []
+        """Topic, log time [ns] and data of the selected messages, in the order written."""
+        self.count = 0
+        """Number of messages read, selected or not."""
+        self._messages, self._selects = messages, selects
 
-def _add_metadata(storage: _Storage, text: str) -> None:
-    """Add the custom data of the metadata that recorders store in the file as well."""
-    try:
-        storage.custom_data.update(custom_data(YAML(typ="safe").load(text)))
-    except Exception as error:
-        # The messages are intact: this record only repeats metadata.yaml.
-        storage.problem = f"has damaged metadata ({one_line_reason(error)})"
+    def read(self, file: Path) -> str:
+        """Read a ``.mcap`` or ``.db3`` file, also with the suffix ``.zstd``."""
+        with file.open("rb") as stream:  # an error is that of the file system here, later damage
+            if not stream.read(1):
+                return "has 0 bytes"
+        if file.suffix != ".zstd":
+            return self._read_plain(file)
+        with TemporaryDirectory() as folder:
+            plain = Path(folder) / storage_name(file)
+            problem = ""
+            with file.open("rb") as packed, plain.open("wb") as unpacked:
+                try:
+                    zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
+                except zstandard.ZstdError as error:
+                    problem = f"{_DAMAGED} ({error})"
+            found = self._read_plain(plain)
+            return problem or found
+
+    def _read_plain(self, file: Path) -> str:
+        return self._read_mcap(file) if file.suffix == ".mcap" else self._read_sqlite(file)
+
+    def _read_mcap(self, file: Path) -> str:
+        """Read an MCAP file sequentially, without its index, which may be missing."""
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, tuple[str, bool]] = {}
+        problem = ""
+        with file.open("rb") as stream:
+            try:
+                for record in StreamReader(stream, validate_crcs=True).records:
+                    if isinstance(record, Message) and record.channel_id in channels:
+                        self._add(*channels[record.channel_id], record.log_time, record.data)
+                    elif isinstance(record, Schema):
+                        schemas[record.id] = record
+                    elif isinstance(record, Channel) and record.schema_id in schemas:
+                        self._add_topic(
+                            channels, record.id, record.topic, schemas[record.schema_id].name
+                        )
+                    elif isinstance(record, Metadata) and record.name == "rosbag2":
+                        text = record.metadata.get("serialized_metadata", "")
+                        problem = self._add_metadata(text) or problem
+            except Exception as error:
+                # Such files raise anything, from MemoryError to the private errors of
+                # decompressors.
+                problem = f"{_DAMAGED} ({one_line_reason(error)})"
+        return problem
+
+    def _read_sqlite(self, file: Path) -> str:
+        # A killed recorder leaves its last messages in a write-ahead log beside the file.
+        has_log = file.with_name(f"{file.name}-wal").exists()
+        address = f"{file.absolute().as_uri()}?{'mode=ro' if has_log else 'immutable=1'}"
+        topics: dict[int, tuple[str, bool]] = {}
+        problem = ""
+        try:
+            with closing(sqlite3.connect(address, uri=True)) as connection:
+                # Without this SQLite refuses a truncated file instead of reading it up to its end.
+                connection.execute("PRAGMA writable_schema=ON")
+                for row in connection.execute("SELECT id, name, type FROM topics"):
+                    self._add_topic(topics, *row)
+                rows = connection.execute("SELECT topic_id, timestamp, data FROM messages")
+                for number, stamp, data in rows:
+                    self._add(*topics.get(number, ("", False)), stamp, data)
+                tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+                if "metadata" in tables:  # written last, so missing first in a truncated file
+                    for (text,) in connection.execute("SELECT metadata FROM metadata ORDER BY id"):
+                        problem = self._add_metadata(text) or problem
+        except Exception as error:
+            # Damaged pages also give text with a wrong encoding, and missing tables.
+            problem = f"{_DAMAGED} ({one_line_reason(error)})"
+        return problem
+
+    def _add(self, topic: str, selected: bool, stamp: int, data: Any) -> None:
+        self.count += 1
+        if selected and isinstance(data, bytes):
+            self.raw.append((topic, int(stamp), data))
+
+    def _add_topic(
+        self, topics: dict[int, tuple[str, bool]], number: int, topic: Any, msgtype: Any
+    ) -> None:
+        """Add a topic whose names a topic and a type can have, as notes will show them.
+
+        Those of damaged files, or of files that are made to fool their reader, are not.
+        """
+        if all(isinstance(it, str) and it.isprintable() and len(it) < 256
+               for it in (topic, msgtype)):
+            self._messages.types[topic] = msgtype
+            topics[number] = topic, self._selects(topic, msgtype)
+
+    def _add_metadata(self, text: str) -> str:
+        """Add the custom data of the metadata that recorders store in the file as well."""
+        try:
+            self._messages.custom_data.update(custom_data(YAML(typ="safe").load(text)))
+        except Exception as error:
+            # The messages are intact: this record only repeats metadata.yaml.
+            return f"has damaged metadata ({one_line_reason(error)})"
+        return ""

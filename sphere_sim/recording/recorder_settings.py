@@ -51,13 +51,7 @@ LATCHED = ("controller/active_goal",)
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """Folder, start and commit period of recordings.
-
-    Raises
-    ------
-    InvalidParameterError
-        If a value is not in its range.
-    """
+    """Folder, start and commit period of recordings."""
 
     output: str = quantity(
         "", "-", "Folder of the bag, which must not exist; runs/<date and time> if empty"

@@ -22,20 +22,11 @@ _SAME_INSTANT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Solves:
-    """Solves that the controller reported; all arrays of length m.
+    """Solves that the controller reported, m in number.
 
-    Attributes
-    ----------
-    times : ndarray
-        Sampling instants [s].
-    durations : ndarray
-        Solve times [s].
-    costs : ndarray
-        Values of the optimal control problem; nan where not reported.
-    statuses : tuple of str
-        Status of the plan after each solve.
-    to_go : ndarray
-        Time until the plan reaches the goal [s]; nan where not reported.
+    They have sampling instants and solve times [s], values of the optimal control problem, the
+    status of the plan after each, and the times until it reaches the goal [s]; nan where not
+    reported.
     """
 
     times: Vector
@@ -59,16 +50,12 @@ class Momentum:
 
     Attributes
     ----------
-    times : ndarray, shape (m,)
-        Times of the reports [s].
-    values : ndarray, shape (m, 3)
-        Estimated momentum [N m s; world frame]; zero where the controller found none.
+    times, values : ndarray, shapes (m,) and (m, 3)
+        Times of the reports [s], and momentum [N m s; world frame]; zero where none was found.
     drifts : tuple of Drift, length m
         The same in the units of the model, with slope and imbalance.
-    push_times : ndarray, shape (p,)
-        Times at which the simulated sphere was pushed [s].
-    impulses : ndarray, shape (p, 2)
-        Impulses of these pushes [N s; world frame].
+    push_times, impulses : ndarray, shapes (p,) and (p, 2)
+        Times at which the simulated sphere was pushed [s], and impulses [N s; world frame].
     """
 
     times: Vector = field(default_factory=lambda: np.empty(0))
@@ -109,29 +96,20 @@ class Run:
 
     Attributes
     ----------
-    name : str
-        Name of the run in legends.
-    path : Path
-        The bag.
-    times : ndarray, shape (n,)
-        Times of the poses [s].
-    states : ndarray, shape (n, 6)
-        Measured states, without sign changes between consecutive quaternions.
-    joint_times : ndarray, shape (m,)
-        Times of the joint states [s].
-    rotor_speeds, rotor_torques : ndarray, shape (m, 2)
-        Measured speeds [rad/s] and torques [N m]; nan where not recorded.
-    goal_times : ndarray, shape (g,)
-        Times at which the goals came into force [s], ascending; at least one pose follows each
-        before the next.
-    goals : ndarray, shape (g, 6)
-        The goals.
+    name, path : str and Path
+        Name of the run in legends, and the bag.
+    times, states : ndarray, shapes (n,) and (n, 6)
+        Times of the poses [s], and measured states, without sign changes between consecutive
+        quaternions.
+    joint_times, rotor_speeds, rotor_torques : ndarray, shapes (m,), (m, 2) and (m, 2)
+        Times of the joint states [s], speeds [rad/s] and torques [N m]; nan where not recorded.
+    goal_times, goals : ndarray, shapes (g,) and (g, 6)
+        Times at which the goals came into force [s], ascending, and the goals; at least one pose
+        follows each before the next.
     plans : tuple of FirstOrderHold
         Rotor trajectories that the controller sent, knot times in the run's time.
-    solves : Solves
-        Solves that it reported.
-    momentum : Momentum
-        Momentum that it reported, and pushes.
+    solves, momentum : Solves and Momentum
+        Solves and momentum that it reported, and pushes.
     robot : RobotParameters
         Robot parameters of the controller, or the defaults where the bag does not have them.
     notes : tuple of str

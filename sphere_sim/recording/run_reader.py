@@ -22,8 +22,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock, longest_run
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, storage_name
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
 from sphere_sim.recording.message_fields import (
     NANOSECONDS,
     known,
@@ -61,10 +60,9 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     ----------
     path : Path
         Folder or file, see `read_messages`.
-    namespace : str, optional
-        Namespace of the robot, as in ``/left``; needed only if the bag has several robots.
-    name : str, optional
-        Name of the run in legends; that of the bag by default.
+    namespace, name : str, optional
+        Namespace of the robot, as in ``/left``, needed only if the bag has several robots; name of
+        the run in legends, that of the bag by default.
 
     Raises
     ------
@@ -83,20 +81,9 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     parameters = _recorded_robot(messages.custom_data, f"{robot}/controller")
     solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
     return Run(
-        name=printable(name or Path(storage_name(path)).stem),
-        path=path,
-        times=times,
-        states=without_sign_jumps(states),
-        joint_times=joint_times,
-        rotor_speeds=speeds,
-        rotor_torques=torques,
-        goal_times=goal_times,
-        goals=goals,
-        plans=plans,
-        solves=solves,
-        momentum=momentum,
-        robot=parameters,
-        notes=tuple(messages.notes),
+        printable(name or Path(storage_name(path)).stem), path, times, without_sign_jumps(states),
+        joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, parameters,
+        tuple(messages.notes),
     )
 
 
@@ -204,13 +191,11 @@ class _TopicReader:
         entries = self._messages.decoded.get(topic, [])
         rows = []
         for _, message in entries:
-            names = list(message.name)
-            if not set(ROTORS) <= set(names):
-                # Other joints of a robot, such as grippers, may use the same topic.
-                continue
-            order = [names.index(name) for name in ROTORS]
-            time = self._clock.time_of_stamp(stamp_of(message))
-            rows.append([time, *_select(message.velocity, order), *_select(message.effort, order)])
+            order = _rotors(message.name)
+            if order:  # other joints of a robot, such as grippers, may use the same topic
+                time = self._clock.time_of_stamp(stamp_of(message))
+                speeds, torques = (_select(it, order) for it in (message.velocity, message.effort))
+                rows.append([time, *speeds, *torques])
         if entries and not rows:
             names = list(entries[0][1].name)
             raise BagError(
@@ -231,11 +216,10 @@ class _TopicReader:
             self._notes.append(f"{topic} is missing; no plans")
         plans = []
         for received, message in entries:
-            names = list(message.joint_names)
-            if set(names) != set(ROTORS):
+            order = _rotors(message.joint_names)
+            if not order or len(message.joint_names) > len(order):
                 continue
             start = self._clock.time_of_message(stamp_of(message), received, latched=True)
-            order = [names.index(name) for name in ROTORS]
             offsets = [
                 point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
                 for point in message.points
@@ -374,6 +358,11 @@ class _TopicReader:
             return self._clock.time_of_log(received), values
         # Without simulated time the controller counts from its own start.
         return self._clock.time_of_message(round(time * NANOSECONDS), received), values
+
+
+def _rotors(names: Sequence[str]) -> list[int]:
+    """Return the indices of the rotors among names of joints; empty where one is missing."""
+    return [list(names).index(name) for name in ROTORS] if set(ROTORS) <= set(names) else []
 
 
 def _select(values: Sequence[float], order: Sequence[int]) -> list[float]:

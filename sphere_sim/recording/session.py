@@ -13,8 +13,8 @@ from rosbags.interfaces import Qos
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.bag_writer import BagWriter
-from sphere_sim.recording.errors import BagError
 
 _KEPT = 2
 """Messages of a topic that are kept until the clock has a time for them: a simulator publishes the
@@ -26,28 +26,16 @@ _CDR_HEADER = 4
 class RecordingSession:
     """Bags that are started and stopped, and messages that are written into the one in progress.
 
-    Parameters
-    ----------
-    output : str
-        Folder of the first bag, see `RecorderSettings`; later ones have a number appended.
-    clock_topic : str
-        Topic of simulated time, whose newest value is the log time of all messages; empty to log
-        the times of arrival.
-    offered_qos : callable
-        Returns the quality of service that the publishers of a topic offer.
-    fault_log : FaultLog
-        Log of topics and messages that cannot be recorded.
-    fail : callable
-        Called with one line about a failed recording.
+    `output` is the folder of the first bag, see `RecorderSettings`; later ones have a number
+    appended. The newest value of `clock_topic` is the log time of all messages; where it is empty,
+    they have their times of arrival. `offered_qos` returns the quality of service that the
+    publishers of a topic offer, `fault_log` gets what cannot be recorded, and `fail` is called
+    with one line about a failed recording.
     """
 
     def __init__(
-        self,
-        output: str,
-        clock_topic: str,
-        offered_qos: Callable[[str], Sequence[Qos]],
-        fault_log: FaultLog,
-        fail: Callable[[str], object],
+        self, output: str, clock_topic: str, offered_qos: Callable[[str], Sequence[Qos]],
+        fault_log: FaultLog, fail: Callable[[str], object],
     ) -> None:
         self.received: set[str] = set()
         """Topics with at least one message."""
@@ -122,13 +110,7 @@ class RecordingSession:
                 self._abort(error)
 
     def start(self) -> Path:
-        """Start a new bag and return its folder.
-
-        Raises
-        ------
-        BagError
-            If its folder exists or cannot be written.
-        """
+        """Start a new bag and return its folder; raises as `BagWriter`."""
         self._bag = BagWriter(self._next_folder())
         self._started += 1
         self._early = {

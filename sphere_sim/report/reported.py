@@ -13,7 +13,7 @@ import numpy as np
 from sphere_nmpc.model.state import STATE_NAMES, Vector
 from sphere_sim.evaluation.metrics import Metrics, angle_errors, position_errors, state_errors
 from sphere_sim.output.files import write_atomically
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run import Run
 
 COLUMNS = (

@@ -19,9 +19,8 @@ import viser
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.output.round_numbers import round_down
 from sphere_sim.viewer import colours, source
-from sphere_sim.viewer.frame import Capabilities, Frame
 from sphere_sim.viewer.goal import GOAL_PRESETS
-from sphere_sim.viewer.source import PageRequest
+from sphere_sim.viewer.source import Capabilities, Frame, PageRequest
 
 _PICK = "pick a goal …"
 _SEEK_HOLD = 0.7
@@ -197,7 +196,7 @@ class ControlPanel:
     def _offer_impulses(self, frame: Frame) -> None:
         """Offer impulses in proportion to what the rotors can take up; at first 0.5 N s."""
         # A push at the centre has the momentum of the impulse times the radius.
-        step = round_down(0.0375 * frame.drive.momentum / frame.radius)
+        step = round_down(0.0375 * source.rotor_momentum(frame.robot) / frame.radius)
         if step != self._impulse_step:
             self._impulse_step = step
             digits = max(0, -math.floor(math.log10(step)))

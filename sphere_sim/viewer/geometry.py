@@ -17,82 +17,57 @@ class Mesh(NamedTuple):
     faces: NDArray[np.uint32]
 
 
+def revolved(
+    profile: Vector, axis: int, start: float = 0.0, end: float = 2.0 * np.pi, steps: int = 48
+) -> Mesh:
+    """Return the surface that a line sweeps about a body axis between two angles [rad].
+
+    The line has places along the axis and distances from it, shape (n, 2) [m], in the order in
+    which places fall where the surface faces away from the axis.
+    """
+    turn, (along, radius) = np.linspace(start, end, steps + 1), profile.T
+    points = np.stack((np.tile(along, (steps + 1, 1)), np.outer(np.cos(turn), radius),
+                       np.outer(np.sin(turn), radius)), axis=-1)
+    corner = np.arange(points[..., 0].size, dtype=np.uint32).reshape(steps + 1, -1)
+    a, b, c, d = (it.ravel() for it in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:],
+                                        corner[1:, :-1]))
+    faces = np.concatenate((np.stack((a, b, c), axis=1), np.stack((a, c, d), axis=1)))
+    # A cyclic permutation of the coordinates keeps the mesh right-handed.
+    return Mesh(np.roll(points.reshape(-1, 3), axis, axis=1).astype(np.float32), faces)
+
+
+def _meridian(radius: float, start: float, end: float, steps: int) -> Vector:
+    """Return an arc between two angles from the axis [rad], as a line for `revolved`."""
+    tilt = np.linspace(start, end, steps + 1)
+    return radius * np.stack((np.cos(tilt), np.sin(tilt)), axis=1)
+
+
 def octants(radius: float, even: bool) -> Mesh:
     """Return the four octants of a sphere where x y z is positive; if not `even`, the others."""
-    meshes = []
-    for signs in np.array(np.meshgrid([1, -1], [1, -1], [1, -1])).reshape(3, -1).T:
-        is_even = bool(np.prod(signs) > 0)
-        if is_even != even:
-            continue
-        patch = _octant(radius, 12)
-        faces = patch.faces if is_even else patch.faces[:, ::-1]
-        meshes.append(Mesh((patch.vertices * signs).astype(np.float32), faces))
-    return merged(meshes)
-
-
-def _octant(radius: float, divisions: int) -> Mesh:
-    """Return the part of a sphere where no coordinate is negative, by triangles along an edge."""
-    points: list[NDArray[np.float64]] = []
-    index: dict[tuple[int, int], int] = {}
-    for i in range(divisions + 1):
-        for j in range(divisions + 1 - i):
-            index[i, j] = len(points)
-            # Equal steps in angle rather than in coordinates give triangles of similar size.
-            point = np.sin(0.5 * np.pi * np.array([i, j, divisions - i - j]) / divisions)
-            points.append(radius * point / np.linalg.norm(point))
-    faces = []
-    for i in range(divisions):
-        for j in range(divisions - i):
-            faces.append((index[i, j], index[i + 1, j], index[i, j + 1]))
-            if j < divisions - i - 1:
-                faces.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
-    return Mesh(np.array(points, dtype=np.float32), np.array(faces, dtype=np.uint32))
+    quarter = 0.5 * np.pi
+    return merged([
+        revolved(_meridian(radius, lower * quarter, (lower + 1) * quarter, 12), 2,
+                 k * quarter, (k + 1) * quarter, 12)
+        for lower in range(2) for k in range(4) if ((lower + k) % 2 == 0) == even
+    ])
 
 
 def cap(radius: float, axis: int, angle: float) -> Mesh:
     """Return the part of a sphere within `angle` [rad] of a body axis."""
-    rings, sides = 4, 32
-    turn = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    points = [np.array([[radius, 0.0, 0.0]])]
-    for k in range(1, rings + 1):
-        tilt = angle * k / rings
-        around = np.stack((np.full(sides, np.cos(tilt)), np.sin(tilt) * np.cos(turn),
-                           np.sin(tilt) * np.sin(turn)), axis=1)
-        points.append(radius * around)
-    faces = [(0, 1 + i, 1 + (i + 1) % sides) for i in range(sides)]
-    for k in range(rings - 1):
-        a, b = 1 + k * sides, 1 + (k + 1) * sides
-        for i in range(sides):
-            j = (i + 1) % sides
-            faces += [(a + i, b + i, b + j), (a + i, b + j, a + j)]
-    return _about(Mesh(np.concatenate(points).astype(np.float32),
-                       np.array(faces, dtype=np.uint32)), axis)
+    return revolved(_meridian(radius, 0.0, angle, 4), axis)
 
 
 def sector(
     radius: float, thickness: float, axis: int, start: float = 0.0, end: float = 2.0 * np.pi
 ) -> Mesh:
     """Return a disc perpendicular to a body axis, or its sector between two angles [rad]."""
-    steps = max(3, round((end - start) / (2.0 * np.pi) * 48))
-    turn = np.linspace(start, end, steps + 1)
-    rim = radius * np.stack((np.zeros_like(turn), np.cos(turn), np.sin(turn)), axis=1)
-    half = np.array([0.5 * thickness, 0.0, 0.0])
-    n = len(rim)
-    vertices = np.concatenate((rim + half, rim - half, [half, -half]))
-    top, bottom = 2 * n, 2 * n + 1
-    faces = []
-    for i in range(n - 1):
-        faces += [(top, i, i + 1), (bottom, n + i + 1, n + i)]
-        faces += [(i, n + i, n + i + 1), (i, n + i + 1, i + 1)]
+    half = 0.5 * thickness
+    profile = np.array([[half, 0.0], [half, radius], [-half, radius], [-half, 0.0]])
+    swept = revolved(profile, axis, start, end)
+    last = len(swept.vertices) - 4
     # The two cut faces; those of a whole disc lie inside it.
-    faces += [(top, bottom, n), (top, n, 0), (top, n - 1, 2 * n - 1), (top, 2 * n - 1, bottom)]
-    return _about(Mesh(vertices.astype(np.float32), np.array(faces, dtype=np.uint32)), axis)
-
-
-def _about(mesh: Mesh, axis: int) -> Mesh:
-    """Return a mesh about the x axis rotated to be about another axis."""
-    # A cyclic permutation of the coordinates keeps the mesh right-handed.
-    return Mesh(np.roll(mesh.vertices, axis, axis=1), mesh.faces)
+    cuts = np.array([[0, 2, 1], [0, 3, 2], [last, last + 1, last + 2], [last, last + 2, last + 3]])
+    return Mesh(swept.vertices, np.concatenate((swept.faces, cuts.astype(np.uint32))))
 
 
 def merged(meshes: list[Mesh]) -> Mesh:

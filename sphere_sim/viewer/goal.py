@@ -23,12 +23,13 @@ _SAME = 1e-6
 _VISIBLE = 1e-4
 """Least error from the goal in force that the label shows [mixed units]."""
 _ORIGIN = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+_ON_GAMMA = math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0
 _DRAG_TIMEOUT = 10.0
 """Time after which a drag without events is over, as when its page is closed [s]."""
 
 
 def _fixed(goal: Vector) -> Callable[[Vector], Vector]:
-    return lambda state: goal.copy()
+    return lambda state: goal
 
 
 def _turned(*wxyz: float) -> Callable[[Vector], Vector]:
@@ -38,18 +39,14 @@ def _turned(*wxyz: float) -> Callable[[Vector], Vector]:
     )
 
 
-def _here(*wxyz: float) -> Callable[[Vector], Vector]:
-    return lambda state: make_state(state[POSITION], wxyz)
-
-
 GOAL_PRESETS: dict[str, Callable[[Vector], Vector]] = {
     "origin, upright": _fixed(_ORIGIN),
     **{f"goal of the paper's case {i}": _fixed(case.goal) for i, case in PAPER_CASES.items()},
     **{f"start of the paper's case {i}": _fixed(case.start) for i, case in PAPER_CASES.items()},
     "half turn about the vertical, here": _turned(0.0, 0.0, 0.0, 1.0),
     "upside down, here": _turned(0.0, 1.0, 0.0, 0.0),
-    "upright, here": _here(1.0, 0.0, 0.0, 0.0),
-    "on circle Γ, here": _here(math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0),
+    "upright, here": lambda state: make_state(state[POSITION], _ORIGIN[QUATERNION]),
+    "on circle Γ, here": lambda state: make_state(state[POSITION], _ON_GAMMA),
     "1 m ahead in x": lambda state: state + np.eye(6)[0],
 }
 """Goal of each name, shape (6,), as a function of the present state, shape (6,)."""

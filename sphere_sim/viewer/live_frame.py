@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from sphere_sim.recording.message_fields import (
     reported_momentum,
     reported_solve,
 )
-from sphere_sim.viewer.frame import Frame, radius_at
+from sphere_sim.viewer.source import Frame, radius_at
 
 POSE_TIMEOUT = 0.5
 """Age from which on a pose is missed [s]; a paused simulator repeats its pose at 5 Hz."""
@@ -36,8 +37,10 @@ class LiveFrame:
         """Newest values, without alerts."""
         self._stamp_changed_at = now
         self._pose_at: float | None = None
-        self._controller_at: float | None = None
-        self._refused = ""
+        self.controller_at: float | None = None
+        """Time at which the newest message of the controller arrived [s]."""
+        self.refused = ""
+        """Why the newest pose cannot be shown; empty otherwise."""
         self._reported: tuple[str, ...] = ()
 
     @property
@@ -60,7 +63,7 @@ class LiveFrame:
 
         Its stamp [s] is on the robot's clock; for its height [m] see `radius_at`.
         """
-        self._refused, self._pose_at = "", now
+        self.refused, self._pose_at = "", now
         last = self.frame
         if stamp != last.time:
             self._stamp_changed_at = now
@@ -69,10 +72,6 @@ class LiveFrame:
             restarted=last.restarted or _is_restart(last, stamp, state),
         )
 
-    def refuse_pose(self, reason: str) -> None:
-        """Report a pose that cannot be shown."""
-        self._refused = reason
-
     def add_rotors(self, speeds: Vector, torques: Vector) -> None:
         """Update rotor speeds, shape (2,) [rad/s], and torques, shape (2,) [N m]."""
         self.frame = replace(
@@ -80,13 +79,9 @@ class LiveFrame:
             rotor_torques=np.array([*map(known, torques)]),
         )
 
-    def add_goal(self, goal: Vector) -> None:
-        """Update the goal in force, shape (6,)."""
-        self.frame = replace(self.frame, goal=goal)
-
-    def add_plan(self, states: Vector) -> None:
-        """Update the predicted states, shape (n, 6)."""
-        self.frame = replace(self.frame, plan=states)
+    def update(self, **values: Any) -> None:
+        """Update the goal in force, shape (6,), or the plan, shape (n, 6)."""
+        self.frame = replace(self.frame, **values)
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""
@@ -106,22 +101,18 @@ class LiveFrame:
             mode=values.get("mode", ""),
         )
 
-    def controller_seen(self, now: float) -> None:
-        """Note a message of the controller that arrived now [s]."""
-        self._controller_at = now
-
     def _pose_alert(self, now: float) -> str:
-        if self._refused:
-            return f"pose refused: {self._refused}"
+        if self.refused:
+            return f"pose refused: {self.refused}"
         if self._pose_at is None:
             return "no pose yet"
         age = now - self._pose_at
         return f"no pose for {age:.1f} s" if age > POSE_TIMEOUT else ""
 
     def _controller_alert(self, now: float, controllers: int) -> str:
-        if self._controller_at is None:
+        if self.controller_at is None:
             return "no controller yet"
-        age = now - self._controller_at
+        age = now - self.controller_at
         if age <= CONTROLLER_TIMEOUT:
             # A node that ends normally leaves the graph immediately.
             return "" if controllers or age < POSE_TIMEOUT else "controller gone"

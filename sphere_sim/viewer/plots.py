@@ -3,17 +3,18 @@
 """Plots beside the scene, of the last seconds of a run."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import viser
 from viser import uplot
 
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
-from sphere_sim.viewer.frame import Drive, Frame
+from sphere_sim.viewer.source import Frame, rotor_momentum
 
 _SMALLEST = 1e-9
 """Least value on a logarithmic axis."""
@@ -71,9 +72,8 @@ class History:
 class Chart:
     """Series of the history in one plot, with labels and colours.
 
-    `least` is the smallest range of the vertical axis, so that small changes look small: over the
-    limit of the drives that `limit` names, if any. A chart of `disturbances` is only shown while a
-    value is not zero.
+    `least` is the smallest range of the vertical axis in a `unit` of the robot, so that small
+    changes look small. A chart of `disturbances` is only shown while a value is not zero.
     """
 
     title: str
@@ -81,13 +81,13 @@ class Chart:
     labels: tuple[str, ...]
     colours: tuple[Colour, ...]
     least: Range
-    limit: str = ""
+    unit: Callable[[RobotParameters], float] = lambda robot: 1.0
     logarithmic: bool = False
     disturbances: bool = False
 
-    def least_range(self, drive: Drive) -> Range:
-        """Return the smallest range of the vertical axis for a robot with this drive."""
-        unit = getattr(drive, self.limit) if self.limit else 1.0
+    def least_range(self, robot: RobotParameters) -> Range:
+        """Return the smallest range of the vertical axis for a robot."""
+        unit = self.unit(robot)
         return self.least[0] * unit, self.least[1] * unit
 
 
@@ -96,12 +96,12 @@ CHARTS = (
           ("distance", "angle"), (colours.BLUE, colours.VERMILION), (-3.0, 0.0),
           logarithmic=True),
     Chart("rotor speeds [rad/s]", ("speed_1", "speed_2"), ("rotor 1", "rotor 2"),
-          colours.ROTORS, (-1.0, 1.0), "speed"),
+          colours.ROTORS, (-1.0, 1.0), lambda robot: robot.max_rotor_speed),
     Chart("rotor torques [N m]", ("torque_1", "torque_2"), ("rotor 1", "rotor 2"),
-          colours.ROTORS, (-0.625, 0.625), "torque"),
+          colours.ROTORS, (-0.625, 0.625), lambda robot: robot.full_torque),
     Chart("momentum about the contact point, world [N m s]",
           ("momentum_x", "momentum_y", "momentum_z"), ("x", "y", "z"),
-          (colours.BLUE, colours.VERMILION, colours.INK), (-0.25, 0.25), "momentum",
+          (colours.BLUE, colours.VERMILION, colours.INK), (-0.25, 0.25), rotor_momentum,
           disturbances=True),
     Chart("value of the control problem: time to go [s]", ("to_go",), ("time to go",),
           (colours.BLUE,), (0.0, 2.0)),
@@ -123,14 +123,14 @@ class Plots:
         self._drawn: dict[Chart, viser.GuiUplotHandle] = {}
         self._ranges: dict[Chart, Range] = {}
 
-    def show(self, history: History, drive: Drive) -> None:
-        """Draw the history of a robot with this drive; plots without any value are hidden."""
+    def show(self, history: History, robot: RobotParameters) -> None:
+        """Draw the history of a robot; plots without any value are hidden."""
         series = history.series()
         times = series["time"]
         for order, chart in enumerate(CHARTS):
             lines = [_drawable(series[name], chart) for name in chart.names]
             has_values = len(times) >= 2 and any(_is_shown(line, chart) for line in lines)
-            wanted = axis_range(lines, chart.least_range(drive))
+            wanted = axis_range(lines, chart.least_range(robot))
             handle = self._drawn.get(chart)
             if handle is None:
                 # Created only with values: a plot that is created hidden keeps a width of 0.

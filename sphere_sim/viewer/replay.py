@@ -8,12 +8,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import integrate, integrate_with_drift
+from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.state import Vector, are_states
 from sphere_sim.recording.message_fields import HOLDING
 from sphere_sim.recording.run import Run, newest
-from sphere_sim.viewer.frame import Capabilities, Drive, Frame
-from sphere_sim.viewer.source import Pause, Request, Reset, Seek, SetSpeed
+from sphere_sim.viewer.source import (
+    Capabilities,
+    Frame,
+    Pause,
+    Request,
+    Reset,
+    Seek,
+    SetSpeed,
+)
 
 _LINE_DURATION = 60.0
 """Length of the lines that are drawn after a seek [s]."""
@@ -31,10 +38,6 @@ class Replay:
         self._goals = run.goals_in_force
         self._duration = float(run.times[-1])
         self._constants = run.robot.lumped.as_array()
-        self._drive = Drive(
-            run.robot.rotor_axial_inertia, run.robot.max_rotor_speed,
-            run.robot.max_rotor_acceleration,
-        )
         self._time = 0.0
         self._speed = 1.0
         self._paused = False
@@ -90,7 +93,7 @@ class Replay:
             time=moment,
             state=run.states[at],
             radius=run.robot.shell_radius,
-            drive=self._drive,
+            robot=run.robot,
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
             goal=goal if np.all(np.isfinite(goal)) else None,
@@ -131,12 +134,9 @@ class Replay:
         drift = self._run.momentum.drift_at(hold.start)
         for i, duration in enumerate(np.diff(hold.times[hold.times < hold.start + _LONGEST_PLAN])):
             interval = hold.speeds[i], hold.speeds[i + 1], float(duration), self._constants
-            if drift.is_zero:
-                states.append(integrate(states[-1], *interval))
-            else:
-                state, momentum = integrate_with_drift(states[-1], drift, *interval)
-                states.append(state)
-                drift = replace(drift, momentum=momentum)
+            state, momentum = integrate_with_drift(states[-1], drift, *interval)
+            states.append(state)
+            drift = replace(drift, momentum=momentum)
         plan = np.array(states)
         self._plan = plan[np.logical_and.accumulate(are_states(plan))]
         return self._plan

@@ -11,9 +11,9 @@ import viser
 from sphere_nmpc.model.state import POSITION, Vector, contact_points
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import Ball
-from sphere_sim.viewer.frame import DEFAULT_RADIUS, Frame
 from sphere_sim.viewer.geometry import arc
 from sphere_sim.viewer.ground import Ground, Trail
+from sphere_sim.viewer.source import DEFAULT_RADIUS, Frame
 
 CAMERA = (4.0, -4.4, 2.7)
 LOOK_AT = (0.9, -1.2, 0.0)

@@ -1,13 +1,119 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Source of frames, and the requests that users make on the page."""
+"""Source of frames, each the state of one robot at one instant, and the requests of users."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
-from sphere_nmpc.model.state import Vector
-from sphere_sim.viewer.frame import Frame
+import numpy as np
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_text import cut
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+
+_DEFAULT = RobotParameters()
+DEFAULT_RADIUS = _DEFAULT.shell_radius
+"""Radius of the shell where it is not known [m]."""
+LONGEST_TEXT = 300
+"""Characters of a text that are shown."""
+
+
+def _unknown(size: int = INPUT_SIZE) -> Vector:
+    return np.full(size, np.nan)
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """Requests that the source of the frames can fulfil.
+
+    It accepts to `pause`, `reset` or `push`; `paused` says whether time is paused, `speed` is the
+    requested ratio of time shown to wall time, None where it cannot be changed, and `duration` the
+    length of a recording [s], None for a live source. `strategies` can be selected.
+    """
+
+    pause: bool = False
+    reset: bool = False
+    push: bool = False
+    paused: bool = False
+    speed: float | None = None
+    strategies: tuple[str, ...] = ()
+    duration: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """State of one robot at one instant; unknown values are None, nan or empty.
+
+    Texts, which come from messages of others, are cut to `LONGEST_TEXT`.
+
+    Attributes
+    ----------
+    time : float
+        Time of the state on the robot's clock [s].
+    state, goal : ndarray of shape (6,), or None
+        State of the sphere, and goal in force.
+    radius, robot : float and RobotParameters
+        Radius of the shell [m]; inertia and limits of the rotors, which are the ranges of plots.
+    rotor_speeds, rotor_torques : ndarray, shape (2,)
+        Rotor speeds [rad/s] and torques [N m].
+    plan : ndarray, shape (n, 6)
+        Predicted states.
+    solve_time, to_go, cost : float
+        Duration of the newest solve, and time until its plan reaches the goal [s]; value of the
+        optimal control problem, unless that is a time.
+    momentum : ndarray, shape (3,)
+        Momentum about the contact point that the controller estimates [N m s; world frame].
+    strategy, mode : str
+        Strategy and mode of the controller.
+    alerts, notices : tuple of str
+        Present faults; messages to show once, such as the reason of a refused request.
+    restarted : bool
+        Whether the frame begins another run, so that the lines of the previous one are deleted.
+    """
+
+    time: float = 0.0
+    state: Vector | None = None
+    radius: float = DEFAULT_RADIUS
+    robot: RobotParameters = _DEFAULT
+    rotor_speeds: Vector = field(default_factory=_unknown)
+    rotor_torques: Vector = field(default_factory=_unknown)
+    goal: Vector | None = None
+    plan: Vector = field(default_factory=lambda: np.empty((0, STATE_SIZE)))
+    solve_time: float = float("nan")
+    cost: float = float("nan")
+    to_go: float = float("nan")
+    momentum: Vector = field(default_factory=lambda: _unknown(3))
+    strategy: str = ""
+    mode: str = ""
+    alerts: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    restarted: bool = False
+    capabilities: Capabilities = Capabilities()
+
+    def __post_init__(self) -> None:
+        for name in ("strategy", "mode"):
+            object.__setattr__(self, name, cut(getattr(self, name), LONGEST_TEXT))
+        for name in ("alerts", "notices"):
+            texts = tuple(cut(text, LONGEST_TEXT) for text in getattr(self, name))
+            object.__setattr__(self, name, texts)
+
+
+def rotor_momentum(robot: RobotParameters) -> float:
+    """Return the angular momentum of a rotor at its largest speed [N m s]."""
+    return robot.rotor_axial_inertia * robot.max_rotor_speed
+
+
+def radius_at(height: float) -> float:
+    """Return the radius of a sphere whose centre is at this height [m].
+
+    It is `DEFAULT_RADIUS` where no robot has it, as in poses in the plane, whose height is 0.
+    """
+    try:
+        return RobotParameters(shell_radius=height, rotor_offset=0.0).shell_radius
+    except InvalidParameterError:
+        return DEFAULT_RADIUS
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_sim.viewer.control_panel import ControlPanel
-from sphere_sim.viewer.frame import Frame
 from sphere_sim.viewer.goal import GOAL_PRESETS, GoalGizmo
 from sphere_sim.viewer.plots import History, Plots
 from sphere_sim.viewer.scene import Scene
@@ -17,6 +16,7 @@ from sphere_sim.viewer.source import (
     ChooseGoal,
     DragGoal,
     FindSphere,
+    Frame,
     PageRequest,
     Request,
     SetGoal,
@@ -34,14 +34,7 @@ class Viewer:
 
     Everything happens in `tick`, except the server's callbacks, which only queue requests.
 
-    Parameters
-    ----------
-    source : Source
-        Source of the frames, which handles the requests.
-    port : int
-        Port on this machine.
-    live : bool
-        Whether the source is live; else it is a recording.
+    The source is `live`, or else a recording; the port is one of this machine.
     """
 
     def __init__(self, source: Source, port: int, live: bool) -> None:
@@ -82,7 +75,7 @@ class Viewer:
             if not self._server.get_clients():
                 self._choose_view()
             else:
-                self._plots.show(self._history, self._frame.drive)
+                self._plots.show(self._history, self._frame.robot)
 
     def look_at(self, places: Vector) -> None:
         """Set the initial view of the page to these places, shape (n, 2) [m]."""

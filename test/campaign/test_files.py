@@ -13,7 +13,7 @@ from patience import PATIENCE
 from recorded_bags import rolling_messages, write_own
 
 from sphere_nmpc.child import python_command
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
 
 STUDY = ("study", "--draw", "2", "--seed", "1", "--duration", "1", "--jobs", "2", "--no-bound")

@@ -30,7 +30,7 @@ from std_srvs.srv import Trigger
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.graph_monitor import INVALID, UNKNOWN, GraphMonitor, full_name
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_sim.recording.errors import BagError
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.recorder_settings import (
     DEFAULT_TOPICS,
     KNOWN_TYPES,

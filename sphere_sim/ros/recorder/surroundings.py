@@ -55,24 +55,18 @@ def is_latched(profile: QoSProfile) -> bool:
 
 def qos_for_bag(profile: QoSProfile) -> Qos:
     """Return a profile in the form in which a bag stores it."""
-    deadline, lifespan, lease = (
-        QosTime(*divmod(duration.nanoseconds, NANOSECONDS))
-        for duration in (profile.deadline, profile.lifespan, profile.liveliness_lease_duration)
-    )
-
     def same(kind: Any, policy: Any) -> Any:
         return kind.__members__.get(policy.name, kind.UNKNOWN)
 
+    def time_of(duration: Any) -> QosTime:
+        return QosTime(*divmod(duration.nanoseconds, NANOSECONDS))
+
     return Qos(
-        history=same(QosHistory, profile.history),
-        depth=profile.depth,
-        reliability=same(QosReliability, profile.reliability),
-        durability=same(QosDurability, profile.durability),
-        deadline=deadline,
-        lifespan=lifespan,
-        liveliness=same(QosLiveliness, profile.liveliness),
-        liveliness_lease_duration=lease,
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+        same(QosHistory, profile.history), profile.depth,
+        same(QosReliability, profile.reliability), same(QosDurability, profile.durability),
+        time_of(profile.deadline), time_of(profile.lifespan),
+        same(QosLiveliness, profile.liveliness), time_of(profile.liveliness_lease_duration),
+        profile.avoid_ros_namespace_conventions,
     )
 
 

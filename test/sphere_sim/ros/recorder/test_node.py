@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorder node over DDS: subscriptions, time stamps, services and end."""
+"""Recorder node over DDS: subscriptions, services and end."""
 
 import json
 import signal
@@ -18,59 +18,36 @@ from nav_msgs.msg import Odometry
 from patience import PATIENCE
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from verb_process import start
 
-from sphere_nmpc.ros.messages import stamp_to_ros
-from sphere_sim.ros.recorder.node import RecorderNode, _message_class
-from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.recorder.node import _message_class
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-class Recording:
-    """Recorder node in a process."""
-
-    def __init__(self, folder: Path, graph, *arguments: str) -> None:
-        self.folder = folder
-        self._graph = graph
-        self.process = subprocess.Popen(
-            verb_command("recorder", "--ros-args", "-p", f"output:={folder}", *arguments),
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )
-
-    def received(self, namespace: str = "") -> set[str]:
-        """Return the topics of which the node has received a message."""
-        service = f"{namespace}/recorder/is_recording"
-        answer = self._graph.call(Trigger, service, Trigger.Request())
-        lines = answer.message.splitlines()
-        return {line.partition(" ")[2] for line in lines if line.startswith("received")}
-
-    def wait_for(self, *topics: str, namespace: str = "") -> None:
-        """Wait until the node has received messages of these topics."""
-        self._graph.until(lambda: set(topics) <= self.received(namespace))
-
-    def end(self, number: int = signal.SIGINT) -> str:
-        """Send a signal and return the output of the node."""
-        self.process.send_signal(number)
-        output, _ = self.process.communicate(timeout=PATIENCE)
-        return output
-
-
 @pytest.fixture
-def record(tmp_path, graph):
-    recordings = []
+def record(tmp_path):
+    processes = []
 
-    def start(*arguments: str) -> Recording:
-        recordings.append(Recording(tmp_path / "bag", graph, *arguments))
-        return recordings[-1]
+    def begin(*arguments: str) -> subprocess.Popen:
+        given = "--ros-args", "-p", f"output:={tmp_path / 'bag'}", *arguments
+        processes.append(start(tmp_path, "recorder", *given))
+        return processes[-1]
 
-    yield start
-    for recording in recordings:
-        recording.process.kill()
-        recording.process.communicate()
+    yield begin
+    for process in processes:
+        process.kill()
+        process.wait(PATIENCE)
+
+
+def received(graph, namespace: str = "") -> set[str]:
+    """Return the topics of which the node has received a message."""
+    answer = graph.call(Trigger, f"{namespace}/recorder/is_recording", Trigger.Request())
+    lines = answer.message.splitlines()
+    return {line.partition(" ")[2] for line in lines if line.startswith("received")}
 
 
 def counted(folder: Path) -> Counter[str]:
@@ -85,35 +62,38 @@ def counted(folder: Path) -> Counter[str]:
 
 
 @pytest.mark.slow
-def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None:
+def test_messages_of_every_kind_of_publisher_are_recorded(graph, record, tmp_path) -> None:
     probe = graph.probe
     probe.declare_parameter("bytes", [b"\x01", b"\xff"])
     latched = probe.create_publisher(PoseStamped, "controller/active_goal", LATCHED)
     latched.publish(PoseStamped())  # before the recorder starts
     early = probe.create_publisher(PoseStamped, "pose", 10)
     recording = record()
-    recording.wait_for("/controller/active_goal")
+    graph.until(lambda: "/controller/active_goal" in received(graph))
     # Publishers that are late, unknown beforehand or less reliable than expected:
     late = probe.create_publisher(Odometry, "odom", BEST_EFFORT)
     unknown = probe.create_publisher(String, "controller/anything", 10)
     foreign = probe.create_publisher(String, "another_topic", 10)
     graph.until(lambda: all(p.get_subscription_count() for p in (early, late, unknown)))
-    while not {"/pose", "/odom", "/controller/anything"} <= recording.received():
+    while not {"/pose", "/odom", "/controller/anything"} <= received(graph):
         for publisher, message in (
             (early, PoseStamped()), (late, Odometry()), (unknown, String()), (foreign, String())
         ):
             publisher.publish(message)
-    metadata = recording.folder / "metadata.yaml"
+    metadata = tmp_path / "bag" / "metadata.yaml"
     graph.until(lambda: "parameters:/probe" in metadata.read_text())
-    output = recording.end(signal.SIGHUP)  # as when its terminal is closed
-    assert recording.process.returncode == 0 and "messages on" in output
-    counts = counted(recording.folder)
+    recording.send_signal(signal.SIGHUP)  # as when its terminal is closed
+    assert recording.wait(PATIENCE) == 0
+    assert "messages on" in (tmp_path / "recorder.log").read_text()
+    counts = counted(tmp_path / "bag")
     assert counts["/controller/active_goal"] == 1
     assert min(counts[t] for t in ("/pose", "/odom", "/controller/anything")) > 0
     assert "/another_topic" not in counts
-    with Reader(recording.folder) as reader:
+    with Reader(tmp_path / "bag") as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
         custom = reader.storage.metadata.custom
+        assert reader.ros_distro == "jazzy" and reader.duration > 0
+        assert reader.connections[0].digest.startswith("RIHS01_")
     assert qos["/odom"][0].reliability.name == "BEST_EFFORT"
     assert qos["/controller/active_goal"][0].durability.name == "TRANSIENT_LOCAL"
     parameters = json.loads(custom["parameters:/probe"])
@@ -121,28 +101,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record) -> None
 
 
 @pytest.mark.slow
-def test_simulated_time_is_the_log_time_also_of_earlier_messages(graph, record) -> None:
-    # The clock is always recorded.
-    recording = record("-p", "use_sim_time:=true", "-p", "topics:=[goal_pose]")
-    goal = graph.publisher(PoseStamped, "goal_pose")
-    clock = graph.publisher(Clock, "/clock")
-    goal.publish(PoseStamped())
-    recording.wait_for("/goal_pose")
-    clock.publish(b"\x00\x01\x00\x00")
-    for stamp in (-5 * 10**9, 0, 40_000_000, 50_000_000):
-        clock.publish(Clock(clock=stamp_to_ros(stamp)))
-    recording.wait_for("/clock", "/goal_pose")
-    assert "/clock refused: " in recording.end()
-    with Reader(recording.folder) as reader:
-        stamps = {}
-        for connection, stamp, _ in reader.messages():
-            stamps.setdefault(connection.topic, []).append(stamp)
-    assert stamps["/goal_pose"] == [40_000_000]
-    assert stamps["/clock"] == [40_000_000, 40_000_000, 50_000_000]
-
-
-@pytest.mark.slow
-def test_start_and_stop_make_separate_bags(graph, record) -> None:
+def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
     recording = record("-p", "record_on_start:=false", "-p", "topics:=[/diagnostics]",
                        "-r", "__ns:=/left")
 
@@ -159,10 +118,12 @@ def test_start_and_stop_make_separate_bags(graph, record) -> None:
     assert second.success and second.message.endswith("bag_1")
     publisher = graph.publisher(DiagnosticArray, "/diagnostics")
     publisher.publish(DiagnosticArray())
-    recording.wait_for("/diagnostics", namespace="/left")
-    assert "Traceback" not in recording.end()
-    assert counted(recording.folder) == {}
-    assert counted(recording.folder.with_name("bag_1")) == {"/diagnostics": 1}
+    graph.until(lambda: received(graph, "/left"))
+    recording.send_signal(signal.SIGINT)
+    recording.wait(PATIENCE)
+    assert "Traceback" not in (tmp_path / "recorder.log").read_text()
+    assert counted(tmp_path / "bag") == {}
+    assert counted(tmp_path / "bag_1") == {"/diagnostics": 1}
 
 
 def test_announced_type_that_is_none_is_not_loaded() -> None:
@@ -171,22 +132,3 @@ def test_announced_type_that_is_none_is_not_loaded() -> None:
         assert _message_class(msgtype) is None
     assert "this" not in sys.modules
     assert _message_class("std_msgs/msg/String") is String
-
-
-@pytest.mark.parametrize(
-    "graph", [["--ros-args", "-p", "record_on_start:=false"]], indirect=True
-)
-def test_announced_topic_of_an_invalid_name_is_refused_in_one_line(graph, capfd) -> None:
-    node = RecorderNode()
-    graph.add(node)
-    node._subscribe("/controller/a\n[FATAL] forged", "std_msgs/msg/String", QoSProfile(depth=1))
-    (line,) = (line for line in capfd.readouterr().err.splitlines() if "not recorded" in line)
-    assert "'/controller/a\\n[FATAL] forged' is not recorded: expected a valid name" in line
-
-
-def test_existing_folder_ends_the_node_with_one_line(tmp_path, record) -> None:
-    (tmp_path / "bag").mkdir()
-    recording = record()
-    output, _ = recording.process.communicate(timeout=PATIENCE)
-    assert recording.process.returncode == 1
-    assert "exists already" in output and "Traceback" not in output

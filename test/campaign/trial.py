@@ -96,9 +96,6 @@ class Trial:
             if any(fault.goal_again for fault in self._faults):
                 session.send_goal(goal)
             recovery = self._recover(run, ended)
-            if any(fault.upright for fault in self._faults):
-                with session.lenient():
-                    session.reset()
         except (SphereNmpcError, OSError) as error:
             self._complaints.append(str(error))
         self._judge_reports(logged)
@@ -206,17 +203,18 @@ def run_trials(
 ) -> Iterator[Outcome]:
     """Yield the outcome of each trial, of faults that are caused together and a repetition.
 
-    After a trial that was not survived the nodes are started again.
+    After a trial that was not survived, or that leaves momentum, the nodes are started again.
     """
     number, remaining = 0, iter(plans)
     plan = next(remaining, None)
     while plan:
         number += 1
         with Session(folder / f"session_{number}", settings, everything) as session:
-            survived = True
-            while plan and survived:
+            is_good = True
+            while plan and is_good:
                 outcome = Trial(session, *plan).run()
                 yield outcome
-                plan, survived = next(remaining, None), outcome.survived
+                is_good = outcome.survived and not any(fault.upright for fault in plan[0])
+                plan = next(remaining, None)
                 # Pass on what came while the bag was read.
                 session.until(lambda: False, _CATCH_UP)

@@ -24,7 +24,9 @@ Task = tuple[Any, tuple[Any, ...]]
 """A name of the task, and the arguments of its call."""
 
 _CONNECT_TIMEOUT = 15.0
-"""How long to wait for the scheduler [s]."""
+"""How long to wait for the scheduler [s] ..."""
+_TOLD_AFTER = 2.0
+"""... and after how long the user is told of it."""
 _AHEAD = 4
 """Tasks submitted for each thread of the cluster, so that none is idle."""
 
@@ -203,7 +205,9 @@ def _joined_cluster(address: str) -> Iterator[Any]:
         asyncio.run(asyncio.wait_for(_find_scheduler(address), _CONNECT_TIMEOUT))
         client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except Exception as error:  # the answer of another program can cause any, also MemoryError
-        reason = printable_line(str(error) or type(error).__name__)
+        late = f"no answer within {_CONNECT_TIMEOUT:g} s"
+        told = late if isinstance(error, asyncio.TimeoutError) else str(error)
+        reason = printable_line(told or type(error).__name__)
         raise WorkersError(f"scheduler {address}: cannot be reached ({reason})") from None
     with client:
         try:
@@ -223,13 +227,20 @@ async def _find_scheduler(address: str) -> None:
     from distributed import Security
     from distributed.comm import connect
 
-    security = Security().get_connection_args("client")
-    comm = await connect(address, timeout=_CONNECT_TIMEOUT, **security)
+    told = asyncio.get_running_loop().call_later(
+        _TOLD_AFTER, _log.warning,
+        "sphere_nmpc study: waiting for the scheduler %s, at most %g s", address, _CONNECT_TIMEOUT,
+    )
     try:
-        await comm.write({"op": "identity", "reply": True})
-        found = (await comm.read())["type"]
+        security = Security().get_connection_args("client")
+        comm = await connect(address, timeout=_CONNECT_TIMEOUT, **security)
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            found = (await comm.read())["type"]
+        finally:
+            comm.abort()
     finally:
-        comm.abort()
+        told.cancel()
     if found != "Scheduler":
         raise ValueError(f"given Dask's {shown(found)}, expected a scheduler")
 

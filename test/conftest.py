@@ -3,6 +3,7 @@
 """Isolation of the test session from other ROS graphs and from randomness; common fixtures."""
 
 import fcntl
+import importlib.machinery
 import os
 import signal
 import sys
@@ -14,12 +15,15 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from sphere_nmpc.child import END_SIGNALS
-
 if TYPE_CHECKING:
     from ros_graph import Graph
 
 _HERE = Path(__file__).parent
+# `colcon test` runs in the source tree, which would hide the package that has been built.
+_INSTALLED = [path for path in sys.path if Path(path).resolve() != _HERE.parent]
+if importlib.machinery.PathFinder.find_spec("sphere_nmpc", _INSTALLED):
+    sys.path[:] = _INSTALLED
+    os.environ["PYTHONSAFEPATH"] = "1"  # the same for children
 # Modules that tests share, those of the campaign of faults, and the scripts of bench/, some of
 # which are tested.
 _SCRIPTS = _HERE.parent / "bench"
@@ -76,6 +80,8 @@ def _signals_have_their_defaults() -> None:
     An ignored signal is inherited: from a shell that started the session in the background, or
     from a node in the session that ignored further signals at its end.
     """
+    from sphere_nmpc.child import END_SIGNALS
+
     for number in END_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -29,6 +29,7 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner
@@ -108,7 +109,7 @@ class Observer:
             handle, kind = subscription.handle, subscription.msg_type
             with handle:
                 while (taken := handle.take_message(kind, True)) is not None:
-                    take(taken[0], taken[1]["source_timestamp"] / 1e9)
+                    take(taken[0], taken[1]["source_timestamp"] / NANOSECONDS)
         self.processes.check()
 
     def _require(self, condition: Callable[[], Any], what: str) -> None:

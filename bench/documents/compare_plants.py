@@ -24,7 +24,6 @@ from plant_runs import (
     KNOTS,
     ROBOT,
     STEP,
-    angles_between,
     deviation,
     draw_sequences,
     run,
@@ -33,8 +32,10 @@ from plant_runs import (
 from printed_model import PrintedModel
 from tables import header, row
 
+from sphere_nmpc.model.drift import GRAVITY
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_nmpc.model.torque import rotor_acceleration
+from sphere_sim.evaluation.metrics import angle_errors
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -168,7 +169,7 @@ class Study:
                     contact_impedance=impedance,
                 )
                 # Penetration of the contact under the weight at rest.
-                sunk = (1 - impedance) / impedance * 9.81 * constant**2
+                sunk = (1 - impedance) / impedance * GRAVITY * constant**2
                 about = f"impedance {impedance:g} (sinks {1e6 * sunk:.2g} um)"
                 variants[f"{1e3 * constant:g} ms, {about}"] = Variant(settings)
             rows, angles = self.table(variants)
@@ -216,7 +217,7 @@ class Study:
             numbers = (of(part) for part in (position, angle) for of in (np.median, np.max))
             lines.append(row(name, *(f"{number:.3g}" for number in numbers)))
             print(lines[-1], flush=True)
-            angles = [angles_between(a, b) for a, b in zip(runs, rigid, strict=True)]
+            angles = [angle_errors(a, b) for a, b in zip(runs, rigid, strict=True)]
             label = {"corrected": "sign corrected", "printed": "as printed"}.get(name.split()[-1])
             if label:
                 self.axes[2].semilogy(times, 1e3 * np.median(angles, axis=0), label=label)
@@ -307,7 +308,7 @@ class Study:
             DisturbanceSettings(slope=math.radians(1.0)),
         )
         plant.advance(np.zeros(2), 5.0)
-        gain = ROBOT.total_mass * 9.81 * math.sin(math.radians(1.0)) * ROBOT.shell_radius
+        gain = ROBOT.total_mass * GRAVITY * math.sin(math.radians(1.0)) * ROBOT.shell_radius
         full = ROBOT.rotor_axial_inertia * ROBOT.max_rotor_speed
         return (
             "### A slope of 1 degree (default settings)\n\n"

@@ -18,18 +18,13 @@ import numpy as np
 from plant_runs import deviation
 from tables import header, row
 
-from sphere_nmpc.model.drift import (
-    NO_DRIFT,
-    Drift,
-    imbalance_of_offset,
-    momentum_of_push,
-    slope_torque,
-)
+from sphere_nmpc.model.drift import NO_DRIFT, Drift, momentum_of_push
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.study.motion import drift_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.factory import Plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
@@ -105,10 +100,7 @@ def compare(scenario: Scenario) -> Vector:
     settings = DisturbanceSettings(**scenario.disturbances)
     contact = plant_states(RigidBodyPlant(ROBOT, scenario.start, CONTACT, settings), scenario)
     ideal = plant_states(RollingPlant(ROBOT, scenario.start, settings), scenario)
-    drift = Drift(
-        slope=slope_torque(ROBOT, settings.slope, settings.slope_direction),
-        imbalance=imbalance_of_offset(ROBOT, np.array(settings.mass_offset)),
-    )
+    drift = drift_of(settings, ROBOT)
     impulse = (0.0, 0.0) if scenario.push is None else scenario.push.impulse
     model = model_states(scenario, drift, momentum_of_push(ROBOT, np.array(impulse)))
     paper = model_states(scenario, NO_DRIFT, np.zeros(3))

@@ -16,15 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 from tables import header, in_processes, median_and_worst, row
 
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque, time_to_saturation
+from sphere_nmpc.model.drift import Drift, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
 from sphere_sim.scenario.perturbation import DisturbanceDraws, perturbed
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.motion import drift_of
 from sphere_sim.study.single_run import prepare
+from sphere_sim.world.disturbances import DisturbanceSettings
 
 PERTURBATION = 3.0
 """Largest error of the parameters [%]."""
@@ -101,7 +104,7 @@ def run(case: Case, index: int) -> Stay:
     arrived, robot = float(found.times[first]), conditions.robot
     # The sampling instant after the arrival, at which the controller holds.
     instant = math.ceil(arrived / period) * period
-    truth = momenta[round(instant * 1e9)]
+    truth = momenta[round(instant * NANOSECONDS)]
     drift = _true_drift(scenario.disturbances, robot, scenario.seed, truth)
     turn, limit = scenario.goal[QUATERNION], robot.max_rotor_speed
     estimated = found.decisions[round(instant / period)].drift
@@ -116,12 +119,8 @@ def _true_drift(
 ) -> Drift:
     """Return the drift of the robot that was drawn, at an angular momentum [N m s]."""
     robot = perturbed(robot, PERTURBATION / 100.0, np.random.default_rng([seed, 2]))
-    offset = np.array([disturbances.get(f"mass_offset_{axis}", 0.0) for axis in "xyz"])
-    slope = disturbances.get("slope", 0.0), disturbances.get("slope_direction", 0.0)
-    return Drift(
-        momentum / robot.rotor_axial_inertia, slope_torque(robot, *slope),
-        imbalance_of_offset(robot, offset),
-    )
+    settings = DisturbanceSettings(**disturbances)
+    return drift_of(settings, robot, momentum / robot.rotor_axial_inertia)
 
 
 def _row(case: Case, stays: list[Stay]) -> str:

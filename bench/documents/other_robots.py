@@ -9,17 +9,17 @@ import argparse
 import math
 
 import numpy as np
-from plant_runs import angles_between
 from tables import header, median_and_worst, row
 
+from sphere_nmpc.model.drift import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
+from sphere_sim.evaluation.metrics import angle_errors
 from sphere_sim.world.plant.factory import Plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
-GRAVITY = 9.81
 STEPS = 50
 """Steps of the simulator on each ramp."""
 RAMPS = 10
@@ -82,7 +82,7 @@ def deviations(robot: RobotParameters, number: int) -> tuple[np.ndarray, np.ndar
         contact = states(RigidBodyPlant(robot, start), knots, ramp)
         apart = np.linalg.norm(ideal[:, :2] - contact[:, :2], axis=1).max()
         distances.append(apart / robot.shell_radius)
-        angles.append(angles_between(contact, ideal).max())
+        angles.append(angle_errors(contact, ideal).max())
     return np.array(distances), np.array(angles)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
+from sphere_sim.evaluation.metrics import angle_errors
 
 ROBOT = RobotParameters()
 KNOT_PERIOD = 0.5
@@ -57,14 +58,7 @@ def run(plant: Any, sequence: Sequence) -> np.ndarray:
     return np.array(states)
 
 
-def angles_between(states: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Return the angles between two runs, step by step [rad], shape (steps,)."""
-    near = np.linalg.norm(states[:, 2:] - reference[:, 2:], axis=1)
-    far = np.linalg.norm(states[:, 2:] + reference[:, 2:], axis=1)
-    return 4.0 * np.arcsin(np.minimum(1.0, 0.5 * np.minimum(near, far)))
-
-
 def deviation(states: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
     """Return the largest distance [m] and angle [rad] between two runs."""
     distance = np.linalg.norm(states[:, :2] - reference[:, :2], axis=1)
-    return float(distance.max()), float(angles_between(states, reference).max())
+    return float(distance.max()), float(angle_errors(states, reference).max())

@@ -193,27 +193,6 @@ def parts_of_ramp(start: Vector, end: Vector, steps: int) -> Iterator[tuple[Vect
         yield start + (end - start) * (i / steps), start + (end - start) * ((i + 1) / steps)
 
 
-def integrate(
-    state: Vector,
-    u_start: Vector,
-    u_end: Vector,
-    duration: float,
-    constants: Vector,
-    max_step: float = DEFAULT_MAX_STEP,
-) -> Vector:
-    """Return the state after one interval of a first-order hold (Eq. 20 with Eq. 21).
-
-    From a state, shape (6,), with the rotor speeds at both ends [rad/s], shape (2,), over
-    `duration` [s] in steps of `max_step` [s] at most; `constants` are [Rs, c1, r1, r3].
-    """
-    steps = steps_for(duration, max_step)
-    step, h = step_function(), duration / steps
-    x: Vector = state
-    for here, there in parts_of_ramp(u_start, u_end, steps):
-        x = np.array(step(x, here, there, h, constants)).ravel()
-    return x
-
-
 def integrate_with_drift(
     state: Vector,
     drift: Drift,
@@ -223,9 +202,10 @@ def integrate_with_drift(
     constants: Vector,
     max_step: float = DEFAULT_MAX_STEP,
 ) -> tuple[Vector, Vector]:
-    """Return state (6,) and momentum (3,) [rad/s] after one interval; see `integrate`.
+    """Return state (6,) and momentum (3,) [rad/s] after one interval of a first-order hold.
 
-    `drift` is that at the start of the interval.
+    From a state, shape (6,), and a drift, with the rotor speeds at both ends [rad/s], shape (2,),
+    over `duration` [s] in steps of `max_step` [s] at most; `constants` are [Rs, c1, r1, r3].
     """
     steps = steps_for(duration, max_step)
     step, h = drift_step_function(), duration / steps

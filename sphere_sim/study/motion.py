@@ -49,6 +49,17 @@ class Motion:
         return bool(np.max(np.abs(excess)) < AT_REST)
 
 
+def drift_of(
+    settings: DisturbanceSettings, robot: RobotParameters, momentum: Vector = NO_DRIFT.momentum
+) -> Drift:
+    """Return the drift of a robot with a momentum h [rad/s; world frame], shape (3,)."""
+    return Drift(
+        momentum,
+        slope_torque(robot, settings.slope, settings.slope_direction),
+        imbalance_of_offset(robot, np.array(settings.mass_offset)),
+    )
+
+
 def motion_of(
     scenario: Scenario, record: RunRecord, robot: RobotParameters, settings: DisturbanceSettings
 ) -> Motion:
@@ -57,10 +68,7 @@ def motion_of(
     The robot has no errors of its parameters; the scenario's disturbances replace the settings.
     """
     settings = replace(settings, **scenario.disturbances)
-    drift = Drift(
-        slope=slope_torque(robot, settings.slope, settings.slope_direction),
-        imbalance=imbalance_of_offset(robot, np.array(settings.mass_offset)),
-    )
+    drift = drift_of(settings, robot)
     if not record.at_push.size:
         return Motion(scenario.start, scenario.goal, drift=drift)
     state, speeds, momentum = np.split(record.at_push, (6, 8))

@@ -4,12 +4,11 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.state import Vector, are_states
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.recording.message_fields import HOLDING
 from sphere_sim.recording.run import Run, newest
 from sphere_sim.viewer.source import (
@@ -130,13 +129,11 @@ class Replay:
         if index < 0:
             return self._plan
         hold = plans[index]
-        states = [self._run.states[max(0, newest(self._run.times, hold.start))]]
-        drift = self._run.momentum.drift_at(hold.start)
-        for i, duration in enumerate(np.diff(hold.times[hold.times < hold.start + _LONGEST_PLAN])):
-            interval = hold.speeds[i], hold.speeds[i + 1], float(duration), self._constants
-            state, momentum = integrate_with_drift(states[-1], drift, *interval)
-            states.append(state)
-            drift = replace(drift, momentum=momentum)
-        plan = np.array(states)
+        times = hold.times[hold.times < hold.start + _LONGEST_PLAN]
+        plan = roll_out(
+            self._run.states[max(0, newest(self._run.times, hold.start))],
+            hold.speeds[: times.size], np.diff(times), self._constants,
+            drift=self._run.momentum.drift_at(hold.start),
+        )
         self._plan = plan[np.logical_and.accumulate(are_states(plan))]
         return self._plan

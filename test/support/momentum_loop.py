@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sphere_nmpc.control.link import Commands
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_sim.study.motion import drift_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -56,11 +57,8 @@ class MomentumLoop:
     @property
     def drift(self) -> Drift:
         """True drift of the plant."""
-        return Drift(
-            self.plant.momentum / self.robot.rotor_axial_inertia,
-            slope_torque(self.robot, self.world.slope, self.world.slope_direction),
-            imbalance_of_offset(self.robot, np.array(self.world.mass_offset)),
-        )
+        momentum = self.plant.momentum / self.robot.rotor_axial_inertia
+        return drift_of(self.world, self.robot, momentum)
 
     @property
     def error(self) -> float:

@@ -4,7 +4,6 @@
 
 import contextlib
 import os
-import re
 import signal
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -98,11 +97,6 @@ class ChildProcess:
     def output(self) -> str:
         """Content of its log so far."""
         return self.log.read_text(encoding="utf-8", errors="replace") if self.log.exists() else ""
-
-    @property
-    def tracebacks(self) -> int:
-        """Number of unexpected errors in its log, each of which is logged with its place."""
-        return len(re.findall(r"Traceback \(most recent|\.py, line \d+\)", self.output))
 
     def start(self, extra: Sequence[str] = ()) -> None:
         """Start it with `extra` arguments; one that still runs is ended first."""

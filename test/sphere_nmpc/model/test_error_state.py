@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from integration import integrate
 
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.error_state import (
@@ -14,7 +15,7 @@ from sphere_nmpc.model.error_state import (
     propagate,
     propagate_with_drift,
 )
-from sphere_nmpc.model.integrator import integrate, integrate_with_drift
+from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, as_state
 

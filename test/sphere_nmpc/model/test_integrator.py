@@ -4,11 +4,9 @@
 
 import casadi as ca
 import numpy as np
+from integration import integrate
 
-from sphere_nmpc.model.integrator import (
-    integrate,
-    step_function,
-)
+from sphere_nmpc.model.integrator import step_function
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 from sphere_sim.world.plant.rolling_plant import RollingPlant

@@ -17,7 +17,6 @@ from sphere_nmpc.model.state import (
     state_error,
 )
 
-HALF_TURN = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
 ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 
 

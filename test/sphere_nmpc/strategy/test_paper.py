@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compiled_solver import expand_compiled
+from integration import integrate
 from momentum_loop import settling_time
 
-from sphere_nmpc.model.integrator import integrate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, make_state
 from sphere_nmpc.settings import ControllerSettings

@@ -22,6 +22,7 @@ from sphere_nmpc.strategy.rest import (
     hold_momentum,
     holdable_goal,
 )
+from sphere_sim.study.motion import drift_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -44,8 +45,7 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
 ) -> None:
     start = make_state(np.zeros(2), HEADING)
     plant = RollingPlant(ROBOT, start, world)
-    slope = slope_torque(ROBOT, world.slope, world.slope_direction)
-    drift = Drift(slope=slope, imbalance=imbalance_of_offset(ROBOT, np.array(world.mass_offset)))
+    drift = drift_of(world, ROBOT)
     at_rest = FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2)))
     hold = hold_momentum(at_rest, drift.after_rest(HEADING, 0.1), HEADING, LIMIT, 5.0)
     assert hold.end == pytest.approx(5.1)

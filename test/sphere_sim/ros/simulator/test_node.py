@@ -32,8 +32,6 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MS = 1_000_000
 SAMPLE = 250 * MS
 """Default of sample_period [ns]."""
-SLEW = 400.0
-"""Default of robot.max_rotor_acceleration [rad/s^2]."""
 
 
 def simulator(graph, **settings) -> SimulatorNode:

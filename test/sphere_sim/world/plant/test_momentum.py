@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, momentum_of_push, slope_torque
+from sphere_nmpc.model.drift import momentum_of_push
 from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix, random_quaternion
 from sphere_nmpc.model.state import Vector, angle_error, make_state, position_error
+from sphere_sim.study.motion import drift_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -88,11 +89,7 @@ def test_momentum_is_that_of_the_moving_bodies(settings: DisturbanceSettings) ->
 
 @pytest.mark.parametrize("settings", [DisturbanceSettings(), SLOPE, OFFSET])
 def test_agrees_with_the_model_with_drift(settings: DisturbanceSettings) -> None:
-    drift = Drift(
-        momentum_of_push(ROBOT, PUSH),
-        slope_torque(ROBOT, settings.slope, settings.slope_direction),
-        imbalance_of_offset(ROBOT, np.array(settings.mass_offset)),
-    )
+    drift = drift_of(settings, ROBOT, momentum_of_push(ROBOT, PUSH))
     start, speeds = drawn(3)
     plant = RollingPlant(ROBOT, start, settings)
     plant.push(PUSH)

@@ -79,11 +79,14 @@ class Transition:
             np.vstack((first, inputs[kept])), lead,
         )
 
-    def window(self, lag: float) -> tuple[Vector, Vector]:
-        """Return durations (K,) and speeds (K + 1, 2) that moved the sphere at this lag [s]."""
+    def window(self, lag: float, until: float = np.inf) -> tuple[Vector, Vector]:
+        """Return durations (K,) and speeds (K + 1, 2) that moved the sphere at this lag [s].
+
+        `until` is the time [s] after the first state at which they end; by default the last.
+        """
         given = np.concatenate(([0.0], np.cumsum(self.durations)))
         begin = self.lead - min(lag, self.lead)
-        end = begin + given[-1] - self.lead
+        end = begin + min(float(given[-1]) - self.lead, until)
         inside = (given > begin + _SAME) & (given < end - _SAME)
         times = np.concatenate(([begin], given[inside], [end]))
         speeds = [np.interp(times, given, column) for column in self.inputs.T]

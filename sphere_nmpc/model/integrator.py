@@ -165,24 +165,22 @@ def drift_step_function() -> ca.Function:
 
 
 @cache
-def tangent_drift_step_function(directions: int) -> ca.Function:
+def tangent_drift_step_function(directions: int, varied: tuple[str, ...]) -> ca.Function:
     """Return the function of one step with momentum and its derivatives along D = `directions`.
 
-    Signature ``(q, momentum, u_start, u_end, h, p, torques, dq, dmomentum, du_start, du_end) ->
-    (dxy, q_end, momentum_end, ddxy, dq_end, dmomentum_end)``; seeds and derivatives have one
-    column for each direction.
+    Signature ``(q, momentum, u_start, u_end, h, p, torques, d...) -> (dxy, q_end, momentum_end,
+    ddxy, dq_end, dmomentum_end)``, with a seed for each of the arguments `varied`; seeds and
+    derivatives have one column for each direction.
     """
-    q, momentum, p = ca.SX.sym("q", 4), ca.SX.sym("momentum", 3), ca.SX.sym("p", 4)
-    u_start, u_end, h = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2), ca.SX.sym("h")
-    torques = ca.SX.sym("torques", 5)
-    sizes = {"dq": 4, "dmomentum": 3, "du_start": 2, "du_end": 2}
-    seeds = [ca.SX.sym(name, size, directions) for name, size in sizes.items()]
-    ends = cf4_drift_step(q, momentum, u_start, u_end, h, p, torques)
-    variables = ca.vertcat(q, momentum, u_start, u_end)
+    sizes = {"q": 4, "momentum": 3, "u_start": 2, "u_end": 2, "h": 1, "p": 4, "torques": 5}
+    arguments = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    seeds = [ca.SX.sym(f"d{name}", sizes[name], directions) for name in varied]
+    ends = cf4_drift_step(**arguments)
+    variables = ca.vertcat(*(arguments[name] for name in varied))
     tangent = ca.jtimes(ca.vertcat(*ends), variables, ca.vertcat(*seeds))
     return ca.Function(
         "tangent_drift_step",
-        [q, momentum, u_start, u_end, h, p, torques, *seeds],
+        [*arguments.values(), *seeds],
         [*ends, tangent[0:2, :], tangent[2:6, :], tangent[6:9, :]],
     )
 

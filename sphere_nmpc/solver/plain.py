@@ -98,7 +98,9 @@ class _Step:
     """
 
     def __init__(self, directions: int) -> None:
-        function = tangent_drift_step_function(directions)
+        function = tangent_drift_step_function(
+            directions, ("q", "momentum", "u_start", "u_end")
+        )
         # CasADi stores matrices by columns: each array is the transpose of one.
         self._given = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
         self._found = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]

@@ -3,6 +3,7 @@
 """Prediction of the states under a first-order hold, by the solver's own integrator."""
 
 import threading
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,52 @@ def roll_out_with_momentum(
     workspace.inputs[:] = inputs
     solver.hold_roll_out(n, max_step, *workspace.addresses)
     return workspace.states.copy(), workspace.momenta.copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Propagation:
+    """State and momentum at the end of a motion, with the derivatives of their error.
+
+    Attributes
+    ----------
+    state : ndarray, shape (6,)
+    momentum : ndarray, shape (3,)
+        [rad/s; world frame].
+    by_start : ndarray, shape (8, 8)
+        Derivative of the error of state and momentum by that at the start.
+    by_constants : ndarray, shape (8, 4)
+    by_torques : ndarray, shape (8, 5)
+        Derivative by [slope, imbalance].
+    """
+
+    state: Vector
+    momentum: Vector
+    by_start: Vector
+    by_constants: Vector
+    by_torques: Vector
+
+
+def propagate(
+    state: Vector,
+    drift: Drift,
+    inputs: Vector,
+    durations: Vector,
+    constants: Vector,
+    max_step: float = DEFAULT_MAX_STEP,
+) -> Propagation:
+    """Return the end of a first-order hold with its derivatives; the arguments of `roll_out`."""
+    solver = library()
+    assert solver is not None
+    end, momentum = state.copy(), drift.momentum.copy()
+    torques = np.concatenate((drift.slope, drift.imbalance))
+    found = np.empty((8, 15))
+    inputs, durations = np.ascontiguousarray(inputs), np.ascontiguousarray(durations)
+    arrays = (constants, torques, durations, inputs, end, momentum, found)
+    solver.hold_propagate(durations.size, max_step, *(a.ctypes.data for a in arrays))
+    by_start = np.zeros((8, 8))
+    by_start[0, 0] = by_start[1, 1] = 1.0
+    by_start[:, 2:] = found[:, :6]
+    return Propagation(end, momentum, by_start, found[:, 6:10], found[:, 10:])
 
 
 class _Workspace:

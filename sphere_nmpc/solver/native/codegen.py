@@ -10,6 +10,7 @@ is only ever added to a tangent or scaled by a number. ``vectors.h`` defines the
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import casadi as ca
 
@@ -18,14 +19,14 @@ from sphere_nmpc.model.integrator import tangent_drift_step_function, tangent_st
 _PLACES = {
     "q": ("y", 0), "momentum": ("y", 4), "u_start": ("u_start", 0), "u_end": ("u_end", 0),
     "h": ("h", 0), "p": ("p", 0), "torques": ("torques", 0),
-    "dq": ("dy", 0), "dmomentum": ("dy", 4), "du_start": ("du_start", 0), "du_end": ("du_end", 0),
+    "dp": ("dp", 0), "dtorques": ("dtorques", 0), "dq": ("dy", 0), "dmomentum": ("dy", 4), "du_start": ("du_start", 0), "du_end": ("du_end", 0),
     "dxy": ("dxy", 0), "q_end": ("y_end", 0), "momentum_end": ("y_end", 4),
     "ddxy": ("ddxy", 0), "dq_end": ("dy_end", 0), "dmomentum_end": ("dy_end", 4),
 }
 """Array in C, and first index in it, of each argument and result of the steps of
 `sphere_nmpc.model.integrator`: y holds the quaternion and the momentum if there is one."""
 
-_SEED_NAMES = ("dq", "dmomentum", "du_start", "du_end")
+_SEED_NAMES = ("dq", "dmomentum", "du_start", "du_end", "dp", "dtorques")
 
 _STEP = ("q", "u_start", "u_end", "h", "p", "dq", "du_start", "du_end"), (
     "dxy", "q_end", "ddxy", "dq_end",
@@ -35,7 +36,13 @@ _DRIFT_STEP = (
      "dq", "dmomentum", "du_start", "du_end"),
     ("dxy", "q_end", "momentum_end", "ddxy", "dq_end", "dmomentum_end"),
 )
-"""Arguments and results of `tangent_step_function` and `tangent_drift_step_function`."""
+_FITTED_STEP = (
+    ("q", "momentum", "u_start", "u_end", "h", "p", "torques",
+     "dq", "dmomentum", "dp", "dtorques"),
+    _DRIFT_STEP[1],
+)
+"""Arguments and results of `tangent_step_function` and `tangent_drift_step_function`, the last
+ones with the derivatives that an estimator needs."""
 
 _SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}
@@ -56,9 +63,18 @@ Operands = list[tuple[str, bool]]
 
 
 def kernel_source() -> str:
-    """Return the C functions ``nominal_step`` and ``tangent_step``, without and with drift."""
-    return _kernels("without_drift", "tangent", tangent_step_function, _STEP) + _kernels(
-        "with_drift", "wide_tangent", tangent_drift_step_function, _DRIFT_STEP
+    """Return the C functions of a step: alone and with derivatives, without and with drift.
+
+    The last one, ``fitted_step``, has the derivatives that an estimator needs.
+    """
+    by_inputs = partial(tangent_drift_step_function, varied=("q", "momentum", "u_start", "u_end"))
+    by_plant = tangent_drift_step_function(1, ("q", "momentum", "p", "torques"))
+    plant_seeds = "const fitted *restrict dy, const fitted *restrict dp, " \
+        "const fitted *restrict dtorques"
+    return (
+        _kernels("without_drift", "tangent", tangent_step_function, _STEP)
+        + _kernels("with_drift", "wide_tangent", by_inputs, _DRIFT_STEP)
+        + _kernel("fitted_step", "fitted", by_plant, _FITTED_STEP, plant_seeds)
     )
 
 
@@ -66,12 +82,18 @@ def _kernels(
     model: str, tangent: str, step_function: Callable[[int], ca.Function], names: Names
 ) -> str:
     value = _body(_without_repetition(step_function(0)), names)
-    both = _body(_without_repetition(step_function(1)), names)
-    seeds, tangents = _SEEDS.format(tangent), _TANGENTS.format(tangent)
+    seeds = _SEEDS.format(tangent)
     return (
         f"static void nominal_step_{model}({_INPUTS}, {_OUTPUTS})\n{{\n{value}}}\n\n"
-        f"static void tangent_step_{model}({_INPUTS}, {seeds}, {_OUTPUTS}, {tangents})\n"
-        f"{{\n{both}}}\n\n"
+        + _kernel(f"tangent_step_{model}", tangent, step_function(1), names, seeds)
+    )
+
+
+def _kernel(name: str, tangent: str, function: ca.Function, names: Names, seeds: str) -> str:
+    body = _body(_without_repetition(function), names)
+    tangents = _TANGENTS.format(tangent)
+    return (
+        f"static void {name}({_INPUTS}, {seeds}, {_OUTPUTS}, {tangents})\n{{\n{body}}}\n\n"
     )
 
 

@@ -64,6 +64,7 @@ def _loaded() -> ctypes.CDLL:
     for name, result, arguments in (
         ("hold_solve", None, [address]),
         ("hold_roll_out", None, [count, number, *[address] * 7]),
+        ("hold_propagate", None, [count, number, *[address] * 7]),
         ("hold_expand", None, [address] * 4),
         ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 7]),
         ("hold_workspace", count, [count]),

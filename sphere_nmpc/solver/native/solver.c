@@ -29,6 +29,7 @@
 #include "objective.h"
 #include "bounded_step.h"
 #include "half_motions.h"
+#include "propagation.h"
 
 /* Suffix of the library that is the fastest on this processor, see LEVELS in setup.py. */
 const char *hold_level(void)

@@ -15,14 +15,17 @@
 #define WIDTH 8
 #define PARTS(DO) DO(a)
 #define WIDE_PARTS(DO) DO(a) DO(b)
+#define FITTED_PARTS(DO) DO(a) DO(b)
 #elif defined(__AVX__)
 #define WIDTH 4
 #define PARTS(DO) DO(a) DO(b)
 #define WIDE_PARTS(DO) DO(a) DO(b) DO(c)
+#define FITTED_PARTS(DO) DO(a) DO(b) DO(c) DO(d)
 #else
 #define WIDTH 2
 #define PARTS(DO) DO(a) DO(b) DO(c) DO(d)
 #define WIDE_PARTS(DO) DO(a) DO(b) DO(c) DO(d) DO(e) DO(f)
+#define FITTED_PARTS(DO) DO(a) DO(b) DO(c) DO(d) DO(e) DO(f) DO(g) DO(h)
 #endif
 
 typedef double vec __attribute__((vector_size(8 * WIDTH)));
@@ -30,6 +33,7 @@ typedef double vec __attribute__((vector_size(8 * WIDTH)));
 #define MEMBER(i) vec i;
 typedef struct { PARTS(MEMBER) } tangent;
 typedef struct { WIDE_PARTS(MEMBER) } wide_tangent;
+typedef struct { FITTED_PARTS(MEMBER) } fitted;
 
 #define ADD(i) x.i += y.i;
 #define SUBTRACT(i) x.i -= y.i;
@@ -42,10 +46,12 @@ typedef struct { WIDE_PARTS(MEMBER) } wide_tangent;
     static inline type width##_negative(type x) { ALL(NEGATE) return x; }
 OPERATIONS(tangent, narrow, PARTS)
 OPERATIONS(wide_tangent, wide, WIDE_PARTS)
+OPERATIONS(fitted, fitted, FITTED_PARTS)
 
 /* The operation for tangents of the width of `x`. */
 #define OF_WIDTH(x, operation) \
-    _Generic((x), tangent: narrow_##operation, wide_tangent: wide_##operation)
+    _Generic((x), tangent: narrow_##operation, wide_tangent: wide_##operation, \
+             fitted: fitted_##operation)
 
 #define TANGENT_COPY(name, x) const __typeof__(x) name = x;
 #define TANGENT_SUM(name, x, y) const __typeof__(x) name = OF_WIDTH(x, sum)(x, y);

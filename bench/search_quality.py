@@ -19,6 +19,7 @@ from node_runs import machine, write_json
 
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
@@ -75,7 +76,7 @@ def main() -> None:
     options = parser.parse_args()
     limit_library_threads()
     scenarios = draw_scenarios(options.draw, options.seed, options.kind)
-    motions = [Motion(scenario.start, scenario.goal) for scenario in scenarios]
+    motions = [Motion(without_momentum(scenario.start), scenario.goal) for scenario in scenarios]
     with Workers(options.jobs) as workers:
         times = best_known_times(motions, _ROBOT, workers, options.bound_effort)
     known = np.array([found.duration for found in times])

@@ -32,7 +32,7 @@ from plant_runs import (
 from printed_model import PrintedModel
 from tables import header, row
 
-from sphere_nmpc.model.drift import GRAVITY
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_nmpc.model.torque import rotor_acceleration
 from sphere_sim.evaluation.metrics import angle_errors

@@ -18,10 +18,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque, time_to_saturation
+from sphere_nmpc.model.disturbance import (
+    Disturbance,
+    imbalance_of_offset,
+    rest_speeds,
+    slope_torque,
+    time_to_saturation,
+)
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import exponential
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import NO_MOMENTUM, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
@@ -46,18 +52,19 @@ SLOPE = math.radians(0.5)
 
 def times_on_slope(angle: float) -> tuple[float, float]:
     """Return the shortest and longest time [s] over all headings on a slope of `angle` [rad]."""
-    drift = Drift(slope=slope_torque(ROBOT, angle, 0.0))
+    disturbance = Disturbance(slope=slope_torque(ROBOT, angle, 0.0))
+    turns = [exponential(np.array([0.0, 0.0, heading])) for heading in HEADINGS]
     times = [
-        time_to_saturation(drift, exponential(np.array([0.0, 0.0, h])), ROBOT.max_rotor_speed)
-        for h in HEADINGS
+        time_to_saturation(NO_MOMENTUM, disturbance, turn, ROBOT.max_rotor_speed) for turn in turns
     ]
     return min(times), max(times)
 
 
 def time_out_of_balance(offset: float) -> float:
     """Return the time [s] with the centre of mass `offset` [m] along the axis of a rotor."""
-    drift = Drift(imbalance=imbalance_of_offset(ROBOT, np.array([offset, 0.0, 0.0])))
-    return time_to_saturation(drift, GOAL[QUATERNION], ROBOT.max_rotor_speed)
+    imbalance = imbalance_of_offset(ROBOT, np.array([offset, 0.0, 0.0]))
+    disturbance = Disturbance(imbalance=imbalance)
+    return time_to_saturation(NO_MOMENTUM, disturbance, GOAL[QUATERNION], ROBOT.max_rotor_speed)
 
 
 def run(
@@ -99,7 +106,7 @@ def draw_run(found: Trajectory, error: Axes, speed: Axes, name: str) -> None:
     error.set_ylabel(r"$\|x - x_d\|$ [m, -]")
     error.legend()
     samples = ControllerSettings().control_period * np.arange(len(found.decisions))
-    rest = np.array([d.drift.rest_speeds(GOAL[QUATERNION]) for d in found.decisions])
+    rest = np.array([rest_speeds(d.momentum, GOAL[QUATERNION]) for d in found.decisions])
     for rotor, colour in enumerate((BLUE, VERMILION)):
         speed.plot(found.times, found.speeds[:, rotor], color=colour, label=f"rotor {rotor + 1}")
         speed.plot(samples, rest[:, rotor], color=colour, linestyle="--",

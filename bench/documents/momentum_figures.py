@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Deviation of the model with drift and of the paper's model from plants with disturbances.
+"""Deviation of the model with momentum and of the paper's model from plants with disturbances.
 
 ``python bench/documents/momentum_figures.py --runs 100`` prints a table: random runs of 3 s from
 random orientations, rotor speeds uniform in +-60 rad/s each half second and joined by straight
@@ -11,20 +11,19 @@ with contact has a stiff contact and ideal drives.
 import argparse
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from plant_runs import deviation
 from tables import header, row
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift, momentum_of_push
-from sphere_nmpc.model.integrator import integrate_with_drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, momentum_of_push
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector, without_momentum
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
-from sphere_sim.study.motion import drift_of
+from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.factory import Plant
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
@@ -80,14 +79,15 @@ def plant_states(plant: Plant, scenario: Scenario) -> Vector:
     return np.array(states)
 
 
-def model_states(scenario: Scenario, drift: Drift, jump: Vector) -> Vector:
-    """Return the states of the model after each step, shape (steps, 6)."""
-    states, state, constants = [], scenario.start, ROBOT.lumped.as_array()
+def model_states(scenario: Scenario, disturbance: Disturbance, jump: Vector) -> Vector:
+    """Return the states of the model after each step, shape (steps, 9)."""
+    states, state = [], without_momentum(scenario.start)
+    durations, constants = np.array([STEP]), ROBOT.lumped.as_array()
     for here, there, is_push in steps(scenario.seed):
         if is_push:
-            drift = replace(drift, momentum=drift.momentum + jump)
-        state, momentum = integrate_with_drift(state, drift, here, there, STEP, constants)
-        drift = replace(drift, momentum=momentum)
+            state[MOMENTUM] += jump
+        inputs = np.array([here, there])
+        state = roll_out(state, inputs, durations, constants, disturbance=disturbance)[-1]
         states.append(state)
     return np.array(states)
 
@@ -95,15 +95,15 @@ def model_states(scenario: Scenario, drift: Drift, jump: Vector) -> Vector:
 def compare(scenario: Scenario) -> Vector:
     """Return deviations [m, rad] of both models from the plants, shape (3, 2).
 
-    The model with drift from `rigid_body` and from `rolling`, the paper's from `rigid_body`.
+    The model with momentum from `rigid_body` and from `rolling`, the paper's from `rigid_body`.
     """
     settings = DisturbanceSettings(**scenario.disturbances)
     contact = plant_states(RigidBodyPlant(ROBOT, scenario.start, CONTACT, settings), scenario)
     ideal = plant_states(RollingPlant(ROBOT, scenario.start, settings), scenario)
-    drift = drift_of(settings, ROBOT)
+    disturbance = disturbance_of(settings, ROBOT)
     impulse = (0.0, 0.0) if scenario.push is None else scenario.push.impulse
-    model = model_states(scenario, drift, momentum_of_push(ROBOT, np.array(impulse)))
-    paper = model_states(scenario, NO_DRIFT, np.zeros(3))
+    model = model_states(scenario, disturbance, momentum_of_push(ROBOT, np.array(impulse)))
+    paper = model_states(scenario, UNDISTURBED, NO_MOMENTUM)
     pairs: Any = ((model, contact), (model, ideal), (paper, contact))
     return np.array([deviation(found, plant) for found, plant in pairs])
 
@@ -122,8 +122,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100)
     arguments = parser.parse_args()
-    print(header("disturbance", "drift against `rigid_body`: median (worst)",
-                 "drift against `rolling`", "the paper's against `rigid_body`"))
+    print(header("disturbance", "with momentum, from `rigid_body`: median (worst)",
+                 "with momentum, from `rolling`", "paper's model, from `rigid_body`"))
     scenarios = draw_scenarios(arguments.runs, 0)
     for name, drawn in DISTURBANCES.items():
         found = np.array([compare(drawn.applied_to(scenario)) for scenario in scenarios])

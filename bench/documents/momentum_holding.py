@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from tables import header, in_processes, median_and_worst, row
 
-from sphere_nmpc.model.drift import Drift, time_to_saturation
+from sphere_nmpc.model.disturbance import Disturbance, time_to_saturation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
@@ -25,7 +25,7 @@ from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
 from sphere_sim.scenario.perturbation import DisturbanceDraws, perturbed
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.motion import drift_of
+from sphere_sim.study.motion import disturbance_of
 from sphere_sim.study.single_run import prepare
 from sphere_sim.world.disturbances import DisturbanceSettings
 
@@ -104,23 +104,25 @@ def run(case: Case, index: int) -> Stay:
     arrived, robot = float(found.times[first]), conditions.robot
     # The sampling instant after the arrival, at which the controller holds.
     instant = math.ceil(arrived / period) * period
-    truth = momenta[round(instant * NANOSECONDS)]
-    drift = _true_drift(scenario.disturbances, robot, scenario.seed, truth)
+    truth = _truth(
+        scenario.disturbances, robot, scenario.seed, momenta[round(instant * NANOSECONDS)]
+    )
     turn, limit = scenario.goal[QUATERNION], robot.max_rotor_speed
-    estimated = found.decisions[round(instant / period)].drift
+    decision = found.decisions[round(instant / period)]
+    estimated = time_to_saturation(decision.momentum, decision.disturbance, turn, limit)
     return Stay(
-        arrived, float(left), instant + time_to_saturation(drift, turn, limit),
-        instant + time_to_saturation(estimated, turn, limit) - arrived,
+        arrived, float(left), instant + time_to_saturation(*truth, turn, limit),
+        instant + estimated - arrived,
     )
 
 
-def _true_drift(
+def _truth(
     disturbances: dict[str, float], robot: RobotParameters, seed: int, momentum: Vector
-) -> Drift:
-    """Return the drift of the robot that was drawn, at an angular momentum [N m s]."""
+) -> tuple[Vector, Disturbance]:
+    """Return an angular momentum [N m s] and the disturbance in the units of the robot drawn."""
     robot = perturbed(robot, PERTURBATION / 100.0, np.random.default_rng([seed, 2]))
     settings = DisturbanceSettings(**disturbances)
-    return drift_of(settings, robot, momentum / robot.rotor_axial_inertia)
+    return momentum / robot.rotor_axial_inertia, disturbance_of(settings, robot)
 
 
 def _row(case: Case, stays: list[Stay]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from noisy_poses import ANGLE_NOISE, MEASUREMENT, POSITION_NOISE
 from tables import errors_in_words, header, last_arrival, median_and_worst, row
 
-from sphere_nmpc.model.drift import Drift, momentum_of_push
+from sphere_nmpc.model.disturbance import momentum_of_push, rest_speeds
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -26,7 +26,7 @@ from sphere_sim.evaluation.metrics import angle_errors, position_errors
 from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.motion import drift_of
+from sphere_sim.study.motion import disturbance_of
 from sphere_sim.study.single_run import prepare
 from sphere_sim.world.disturbances import DisturbanceSettings
 
@@ -63,14 +63,14 @@ def scenarios(number: int, draws: DisturbanceDraws) -> list[Scenario]:
 
 def speeds_of_rest(scenario: Scenario, times: Vector, states: Vector) -> Vector:
     """Return the rotor speeds that hold the true momentum at the goal [rad/s], shape (n, 2)."""
-    drift = drift_of(DisturbanceSettings(**scenario.disturbances), ROBOT)
-    torques = np.array([drift.torque_at_rest(state[QUATERNION]) for state in states])
+    disturbance = disturbance_of(DisturbanceSettings(**scenario.disturbances), ROBOT)
+    torques = np.array([disturbance.at_rest(state[QUATERNION]) for state in states])
     momenta = np.cumsum(torques, axis=0) * OUTPUT_PERIOD
     if scenario.push is not None:
         jump = momentum_of_push(ROBOT, np.array(scenario.push.impulse))
         momenta[times >= scenario.push.time] += jump
     goal = scenario.goal[QUATERNION]
-    return np.array([Drift(momentum=momentum).rest_speeds(goal) for momentum in momenta])
+    return np.array([rest_speeds(momentum, goal) for momentum in momenta])
 
 
 def run(scenario: Scenario, momentum: bool) -> tuple[float, float, float, float]:

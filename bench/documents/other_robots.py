@@ -11,7 +11,7 @@ import math
 import numpy as np
 from tables import header, median_and_worst, row
 
-from sphere_nmpc.model.drift import GRAVITY
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_sim.evaluation.metrics import angle_errors

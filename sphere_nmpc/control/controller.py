@@ -13,10 +13,17 @@ from sphere_nmpc.control.monitors import ArrivalDetector, Progress, impossible_s
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.contract import Estimate, Estimator
 from sphere_nmpc.estimation.estimators import make_estimator
-from sphere_nmpc.model.drift import NO_DRIFT
+from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector, as_state
+from sphere_nmpc.model.state import (
+    INPUT_SIZE,
+    MOMENTUM,
+    STATE_SIZE,
+    Vector,
+    as_state,
+    without_momentum,
+)
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
@@ -266,7 +273,7 @@ class Controller:
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Mode.NO_POSE, float("inf"))
-        stamp, state = newest
+        stamp, state = newest[0], without_momentum(newest[1])
         age = time - stamp
         if abs(age) > self._settings.pose_timeout:
             if age < 0.0:
@@ -289,9 +296,10 @@ class Controller:
             estimate = self._estimator.estimate(time)
         except Exception as error:
             failure = error
-        covariance, drift = None, NO_DRIFT
+        covariance, disturbance = None, UNDISTURBED
         if estimate is not None:
-            state, covariance, drift = estimate.state, estimate.covariance, estimate.drift
+            state, covariance = estimate.state, estimate.covariance
+            disturbance = estimate.disturbance
         if goal is None or not self.enabled:
             mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
             plan = self._ramp_to_rest(time, mode, state)
@@ -299,7 +307,9 @@ class Controller:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
         else:
             mode, plan = self._plan(time, estimate, goal, time_budget)
-        decision = Decision(mode, plan, state, goal, age, covariance, drift)
+        decision = Decision(
+            mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
+        )
         settings = self._settings
         reached = self._arrival.update(
             time, decision.error, settings.goal_tolerance, settings.period
@@ -316,8 +326,11 @@ class Controller:
         return replace(decision, mode=Mode.NO_PROGRESS, no_progress=missing)
 
     def _without_pose(self, time: float, mode: Mode, age: float) -> Decision:
-        ramp, drift = self._ramp_to_rest(time, mode), self._estimator.drift
-        return Decision(mode, ramp, None, pose_age=age, drift=drift)
+        estimator = self._estimator
+        return Decision(
+            mode, self._ramp_to_rest(time, mode), None, pose_age=age,
+            momentum=estimator.momentum, disturbance=estimator.disturbance,
+        )
 
     def _plan(
         self, time: float, estimate: Estimate, goal: Vector, time_budget: float
@@ -326,7 +339,7 @@ class Controller:
             plant = estimate.plant
             situation = Situation(
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
-                estimate.uncertainty, time_budget, estimate.drift, plant.acceleration,
+                estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
@@ -396,4 +409,4 @@ class Controller:
 
 
 def _states(state: Vector | None) -> Vector:
-    return np.empty((0, 6)) if state is None else state[None, :]
+    return np.empty((0, STATE_SIZE)) if state is None else state[None, :]

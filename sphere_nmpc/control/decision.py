@@ -3,14 +3,14 @@
 """Result of a sampling instant: mode of the controller, plan, and distance to the goal."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
-from sphere_nmpc.model.state import Vector, angle_error, position_error, state_error
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.state import NO_MOMENTUM, Vector, angle_error, position_error, state_error
 from sphere_nmpc.strategy.plan import Plan
 
 
@@ -45,7 +45,7 @@ class Decision:
         Operating mode.
     plan : Plan
         The plan, before it is joined to the speeds in force by `Controller.commit`.
-    state : ndarray of shape (6,), or None
+    state : ndarray of shape (9,), or None
         State estimated for the sampling instant; None without a fresh pose.
     goal : ndarray of shape (6,), or None
         Goal in force.
@@ -54,8 +54,10 @@ class Decision:
     covariance : ndarray of shape (5, 5), or None
         Covariance of the error state: position [m; world frame], rotation vector [rad; body
         frame]. None where poses are trusted exactly.
-    drift : Drift
-        Estimated momentum at the sampling instant, with slope and imbalance.
+    momentum : ndarray, shape (3,)
+        Estimated momentum, also without a fresh pose [rad/s; world frame].
+    disturbance : Disturbance
+        Estimated slope and imbalance.
     no_progress : str
         For how long the sphere has stood away from its goal, and why; empty where it has not.
     """
@@ -66,7 +68,8 @@ class Decision:
     goal: Vector | None = None
     pose_age: float = float("inf")
     covariance: Vector | None = None
-    drift: Drift = NO_DRIFT
+    momentum: Vector = field(default_factory=lambda: NO_MOMENTUM)
+    disturbance: Disturbance = UNDISTURBED
     no_progress: str = ""
 
     @cached_property

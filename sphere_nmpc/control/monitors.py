@@ -8,9 +8,22 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.model.drift import Drift, push_against, time_to_saturation
+from sphere_nmpc.model.disturbance import (
+    Disturbance,
+    after_rest,
+    push_against,
+    rest_speeds,
+    time_to_saturation,
+)
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, position_error, state_error
+from sphere_nmpc.model.state import (
+    MOMENTUM,
+    QUATERNION,
+    Vector,
+    angle_error,
+    position_error,
+    state_error,
+)
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 
@@ -197,12 +210,11 @@ def _excess(speeds: Vector, decision: Decision, time: float) -> float:
     A blocked sphere looks like one with the momentum that its rotors hold. Saturated rotors do not
     hold it, so that what stands then is not held by them, and all of their speed counts.
     """
-    drift, state = decision.drift, decision.state
-    saturated = decision.plan.status is PlanStatus.SATURATED
-    if drift.is_zero or state is None or saturated:
+    state = decision.state
+    if state is None or decision.plan.status is PlanStatus.SATURATED:
         return float(np.max(np.abs(speeds)))
-    turn = state[QUATERNION]
-    held = drift.after_rest(turn, time - decision.plan.hold.start).rest_speeds(turn)
+    turn, elapsed = state[QUATERNION], time - decision.plan.hold.start
+    held = rest_speeds(after_rest(state[MOMENTUM], decision.disturbance, turn, elapsed), turn)
     return float(np.max(np.abs(speeds - held)))
 
 
@@ -230,13 +242,15 @@ def impossible_step(
     )
 
 
-def rotor_reserve(drift: Drift, robot: RobotParameters, goal: Vector) -> dict[str, str]:
+def rotor_reserve(
+    momentum: Vector, disturbance: Disturbance, robot: RobotParameters, goal: Vector
+) -> dict[str, str]:
     """Return the warning about rotors that hold a momentum at the goal, by its kind; or none."""
     quaternion, limit = goal[QUATERNION], robot.max_rotor_speed
-    needed = float(np.max(np.abs(drift.rest_speeds(quaternion))))
+    needed = float(np.max(np.abs(rest_speeds(momentum, quaternion))))
     if needed < _NEAR * limit:
         return {}
-    x, y = push_against(robot, drift.momentum).tolist()
+    x, y = push_against(robot, momentum).tolist()
     push = f"a push of {math.hypot(x, y):.2g} N s towards {math.degrees(math.atan2(y, x)):.0f} deg"
     if needed >= limit:
         return {
@@ -244,7 +258,7 @@ def rotor_reserve(drift: Drift, robot: RobotParameters, goal: Vector) -> dict[st
             f"goal, expected at most {limit:.0f}; the sphere rolls until {push} or the opposite "
             "slope takes the momentum, which a level floor leaves as it is"
         }
-    left = time_to_saturation(drift, quaternion, limit)
+    left = time_to_saturation(momentum, disturbance, quaternion, limit)
     if left > _SOON:
         return {}
     return {

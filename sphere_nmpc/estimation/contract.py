@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -46,21 +46,21 @@ class Estimate:
 
     Attributes
     ----------
-    state : ndarray, shape (6,)
-        Predicted state.
+    state : ndarray, shape (9,)
+        Predicted state; its momentum is zero without evidence of any.
     plant : PlantEstimate
         Parameters of the plant.
     covariance : ndarray of shape (5, 5), or None
         Covariance of the error state: position [m; world frame], rotation vector [rad; body
         frame]. None where poses are trusted exactly.
-    drift : Drift
-        Momentum at the sampling instant, slope and imbalance; `NO_DRIFT` without evidence of any.
+    disturbance : Disturbance
+        Slope and imbalance; zero without evidence of any.
     """
 
     state: Vector
     plant: PlantEstimate
     covariance: Vector | None = None
-    drift: Drift = NO_DRIFT
+    disturbance: Disturbance = UNDISTURBED
 
     @property
     def uncertainty(self) -> float:
@@ -77,7 +77,7 @@ class Estimator(Protocol):
 
     @property
     def newest(self) -> tuple[float, Vector] | None:
-        """Control time [s] and state, shape (6,), of the newest pose; None without any."""
+        """Control time [s] of the newest pose, and the pose, shape (6,); None without any."""
         ...
 
     @property
@@ -91,8 +91,13 @@ class Estimator(Protocol):
         ...
 
     @property
-    def drift(self) -> Drift:
-        """Drift at the newest pose taken into account, kept where poses are forgotten."""
+    def momentum(self) -> Vector:
+        """Momentum at the newest pose taken into account, shape (3,); kept without poses."""
+        ...
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """Slope and imbalance as estimated so far."""
         ...
 
     def observe(self, time: float, pose: Vector) -> bool:
@@ -116,6 +121,6 @@ class Estimator(Protocol):
     def forget(self) -> None:
         """Discard all poses, as after a jump of the clock.
 
-        Estimated parameters and drift stay; the momentum may have changed meanwhile.
+        Estimated parameters and disturbance stay; the momentum may have changed meanwhile.
         """
         ...

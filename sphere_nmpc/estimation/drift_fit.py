@@ -12,6 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sphere_nmpc.estimation.drift import (
+    propagate_with_drift,
+    state_rates_with_drift,
+)
 from sphere_nmpc.estimation.drift_equations import (
     COMMON,
     ERROR,
@@ -33,13 +37,9 @@ from sphere_nmpc.estimation.plant_parameters import (
 )
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.error_state import (
-    error_between,
-    propagate_with_drift,
-    state_rates_with_drift,
-)
+from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.parameters import LumpedConstants
-from sphere_nmpc.model.state import Vector, angle_error
+from sphere_nmpc.model.state import POSE, Vector, angle_error, without_momentum
 from sphere_nmpc.solver.roll_out import roll_out
 
 _WINDOW = 12
@@ -347,7 +347,8 @@ class DriftFit:
         """
         durations, speeds = transition.window(self._scaling.lag(scaled))
         constants = self._scaling.constants(scaled)
-        end = roll_out(transition.start, speeds, durations, constants, _STEP)[-1]
+        start = without_momentum(transition.start)
+        end = roll_out(start, speeds, durations, constants, _STEP)[-1, POSE]
         return float(np.linalg.norm(error_between(transition.end, end)))
 
     def _predicted(self, transition: Transition, at: Vector) -> Prediction:

@@ -7,6 +7,8 @@ squares. For noisy poses an extended Kalman filter estimates both: one has the p
 has drift, which is used while it explains the poses better.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sphere_nmpc.estimation.contract import Estimate, Estimator, PlantEstimate
@@ -20,9 +22,10 @@ from sphere_nmpc.estimation.plant_parameters import (
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import DriftStateEstimator, StateEstimator
 from sphere_nmpc.estimation.transition import Transition
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.worker.contract import Worker
 
@@ -126,9 +129,14 @@ class ExactPoseEstimator:
         )
 
     @property
-    def drift(self) -> Drift:
-        """Drift of the last fit."""
-        return self._fit.result.drift
+    def momentum(self) -> Vector:
+        """Momentum of the last fit."""
+        return self._fit.result.drift.momentum
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """Disturbance of the last fit."""
+        return self._fit.result.drift.disturbance
 
     def observe(self, time: float, pose: Vector) -> bool:
         """Take a pose; False if it is not newer than the newest."""
@@ -148,10 +156,11 @@ class ExactPoseEstimator:
         # relative to the inputs the pose is older by the lag.
         constants, step = plant.constants.as_array(), self._settings.longest_step
         drift = self._drift(stamp, plant.lag, constants)
-        state, drift = self._sent.predict_with_drift(
-            pose, drift, stamp - plant.lag, time, constants, step
+        state, disturbance = np.concatenate((pose, drift.momentum)), drift.disturbance
+        state = self._sent.predict(
+            state, stamp - plant.lag, time, constants, step, disturbance
         )
-        return Estimate(state, plant, drift=drift)
+        return Estimate(state, plant, disturbance=disturbance)
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over changed settings; estimates that they do not concern are kept."""
@@ -181,11 +190,11 @@ class ExactPoseEstimator:
         if result.drift.is_zero or result.end is None or not self._connected:
             return result.drift
         known, pose = result.end
-        _, drift = self._sent.predict_with_drift(
-            pose, result.drift, known - lag, stamp - lag, constants,
-            self._settings.longest_step,
+        state = self._sent.predict(
+            np.concatenate((pose, result.drift.momentum)), known - lag, stamp - lag, constants,
+            self._settings.longest_step, result.drift.disturbance,
         )
-        return drift
+        return replace(result.drift, momentum=state[MOMENTUM].copy())
 
     def _learn(self, time: float, pose: Vector) -> None:
         """Fit the parameters to the motion since the last pose used for it."""
@@ -267,9 +276,14 @@ class NoisyPoseEstimator:
         return PlantEstimate(self._scaling.lumped(mean), lag, noise)
 
     @property
-    def drift(self) -> Drift:
-        """Drift after the newest pose, or before the poses were forgotten."""
-        return self._filter.drift
+    def momentum(self) -> Vector:
+        """Momentum after the newest pose, or before the poses were forgotten."""
+        return self._filter.drift.momentum
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """Disturbance after the newest pose, or before the poses were forgotten."""
+        return self._filter.drift.disturbance
 
     def observe(self, time: float, pose: Vector) -> bool:
         """Fuse a pose; False if it is known already or too old to be inserted."""
@@ -296,7 +310,9 @@ class NoisyPoseEstimator:
         predicted: FilterState | None = self._filter.predict(time)
         if predicted is None:
             return None
-        return Estimate(predicted.state, self.plant, predicted.covariance, predicted.drift)
+        drift = predicted.drift
+        state = np.concatenate((predicted.state, drift.momentum))
+        return Estimate(state, self.plant, predicted.covariance, drift.disturbance)
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over changed settings; estimates that they do not concern are kept."""

@@ -11,6 +11,13 @@ from typing import TypeVar
 import numpy as np
 
 from sphere_nmpc.estimation import plant_parameters
+from sphere_nmpc.estimation.drift import (
+    ERROR_SIZE,
+    propagate,
+    propagate_with_drift,
+    state_rates,
+    state_rates_with_drift,
+)
 from sphere_nmpc.estimation.plant_parameters import (
     LAG_PRIOR,
     PRIOR_DEVIATION,
@@ -19,15 +26,7 @@ from sphere_nmpc.estimation.plant_parameters import (
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.drift import DRIFT_SIZE, IMBALANCE, NO_DRIFT, SLOPE, Drift
-from sphere_nmpc.model.error_state import (
-    ERROR_SIZE,
-    apply_error,
-    error_between,
-    propagate,
-    propagate_with_drift,
-    state_rates,
-    state_rates_with_drift,
-)
+from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 SIZE = ERROR_SIZE + plant_parameters.SIZE

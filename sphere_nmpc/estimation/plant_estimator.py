@@ -31,7 +31,7 @@ from sphere_nmpc.estimation.plant_parameters import (
 )
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.parameters import LumpedConstants
-from sphere_nmpc.model.state import Vector, nearer_sign
+from sphere_nmpc.model.state import POSE, Vector, nearer_sign, without_momentum
 from sphere_nmpc.solver.roll_out import roll_out
 
 LEAST_NOISE = 1e-5
@@ -290,7 +290,8 @@ class PlantEstimator:
         scaled = unknowns[:SIZE]
         durations, inputs = driven.window(self._scaling.lag(scaled))
         constants = self._scaling.constants(scaled)
-        predicted = roll_out(driven.start, inputs, durations, constants, _STEP)[-1]
+        start = without_momentum(driven.start)
+        predicted = roll_out(start, inputs, durations, constants, _STEP)[-1, POSE]
         difference: Vector = predicted - nearer_sign(driven.end, predicted)
         return difference
 

@@ -6,15 +6,14 @@ import math
 from array import array
 from bisect import bisect_left, bisect_right
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, Vector
+from sphere_nmpc.solver.roll_out import roll_out
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
@@ -122,45 +121,28 @@ class SentInputs:
         end: float,
         constants: Vector,
         max_step: float = DEFAULT_MAX_STEP,
+        disturbance: Disturbance = UNDISTURBED,
     ) -> Vector:
-        """Return the state at `end`, shape (6,), predicted from that at `start` [s].
+        """Return the state at `end`, shape (9,), predicted from that at `start` [s].
 
-        It is returned unchanged if `end` is not later; for `constants` and `max_step` see
-        `sphere_nmpc.solver.roll_out.roll_out`.
+        It is returned unchanged if `end` is not later; for the other arguments see
+        `sphere_nmpc.solver.roll_out.roll_out`. With momentum the sphere also moves before the
+        first hold, with its rotors at rest.
         """
-        times, speeds = self._knots(start, end)
-        if not times:
-            return state
-        predicted: Vector = roll_out(
-            state, np.array(speeds), np.diff(times), constants, max_step
-        )[-1]
-        return predicted
-
-    def predict_with_drift(
-        self,
-        state: Vector,
-        drift: Drift,
-        start: float,
-        end: float,
-        constants: Vector,
-        max_step: float = DEFAULT_MAX_STEP,
-    ) -> tuple[Vector, Drift]:
-        """Return state and drift at `end`, predicted from those at `start`; see `predict`.
-
-        With momentum the sphere also moves before the first hold, with its rotors at rest.
-        """
-        if drift.is_zero:
-            return self.predict(state, start, end, constants, max_step), drift
         if end <= start:
-            return state, drift
+            return state
         times, speeds = self._knots(start, end)
-        if not times or times[0] > start:
+        idles = not times or times[0] > start
+        if idles and not is_zero(state[MOMENTUM], disturbance):
             idle = [start, times[0] if times else end]
             times, speeds = [*idle, *times], [np.zeros(INPUT_SIZE)] * 2 + speeds
-        states, momenta = roll_out_with_momentum(
-            state, drift, np.array(speeds), np.diff(times), constants, max_step
+        if not times:
+            return state
+        states = roll_out(
+            state, np.array(speeds), np.diff(times), constants, max_step, disturbance
         )
-        return states[-1], replace(drift, momentum=momenta[-1].copy())
+        predicted: Vector = states[-1]
+        return predicted
 
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
         """Return the speeds sent between two times [s] as straight pieces.

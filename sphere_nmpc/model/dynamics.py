@@ -12,15 +12,15 @@ solved for omega by the Sherman-Morrison formula, so that only the four lumped c
 the momentum over I1 in body axes: the rotors act as if their speeds were lower by h_b. A centre of
 mass at c adds Mt Rs (2 (k.c) 1 - c k^T - k c^T) to the inertia. Divided by It1 + m this needs no
 further constant: I1 becomes c1, D becomes diag(1, 1, r1 / r3), m becomes r1, and Mt Rs c becomes
-c1 Rs a / g with the imbalance a = Mt g c / I1. `sphere_nmpc.model.drift` has the equations of the
-momentum. The paper's Eqs. (4) and (12) carry misprints; see ``msg_docs/conventions.md``.
+c1 Rs a / g with the imbalance a = Mt g c / I1. `sphere_nmpc.model.disturbance` has the equations
+of the momentum. The paper's Eqs. (4) and (12) carry misprints; see ``msg_docs/conventions.md``.
 
 Every function takes and returns CasADi expressions (SX, MX or DM columns).
 """
 
 import casadi as ca
 
-from sphere_nmpc.model.drift import GRAVITY
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product, rotation_matrix
 
 
@@ -46,7 +46,7 @@ def world_rate_with_momentum(
 
     The balance of the momentum is solved in world axes, in which the vertical is constant.
     q, u and p are as in `body_rate`, momentum is h [rad/s; world frame], shape (3,), imbalance
-    a [rad/s^2; body frame], shape (3,), of `sphere_nmpc.model.drift`.
+    a [rad/s^2; body frame], shape (3,), of `sphere_nmpc.model.disturbance`.
     """
     radius, c1, r1, r3 = p[0], p[1], p[2], p[3]
     turn = rotation_matrix(q)
@@ -73,7 +73,7 @@ def world_rate_with_momentum(
 def momentum_rate(
     q: Expression, world: Expression, shell_radius: Expression, torques: Expression
 ) -> Expression:
-    """Return dh/dt [rad/s^2; world frame], shape (3,); `sphere_nmpc.model.drift` has the equation.
+    """Return dh/dt [rad/s^2; world frame], shape (3,); see `sphere_nmpc.model.disturbance`.
 
     `world` is the angular velocity of the shell [rad/s; world frame], `torques`, shape (5,), are
     [s, a]: of the slope [rad/s^2; world frame] and the imbalance [rad/s^2; body frame].
@@ -96,9 +96,25 @@ def rolling_velocity(world: Expression, shell_radius: Expression) -> Expression:
     return shell_radius * ca.vertcat(world[1], -world[0])
 
 
+def rates(
+    q: Expression, momentum: Expression, u: Expression, p: Expression, torques: Expression
+) -> tuple[Expression, Expression, Expression]:
+    """Return body rate [rad/s; body frame], velocity of the centre [m/s] and dh/dt [rad/s^2].
+
+    q is the unit quaternion wxyz, body to world, momentum h [rad/s; world frame], shape (3,), u
+    are the rotor speeds relative to the shell [rad/s], shape (2,), p the lumped constants [Rs, c1,
+    r1, r3], and torques, shape (5,), [s, a] of `sphere_nmpc.model.disturbance`.
+    """
+    if momentum.is_zero() and torques.is_zero():
+        body = body_rate(q, u, p)
+        world = ca.mtimes(rotation_matrix(q), body)
+    else:
+        world = world_rate_with_momentum(q, u, p, momentum, torques[2:5])
+        body = ca.mtimes(rotation_matrix(q).T, world)
+    return body, rolling_velocity(world, p[0]), momentum_rate(q, world, p[0], torques)
+
+
 def state_rate(x: Expression, u: Expression, p: Expression) -> Expression:
-    """Return dx/dt = G(x) u, shape (6,) (Eq. 15)."""
-    q = x[2:6]
-    rate = body_rate(q, u, p)
-    turn = 0.5 * quaternion_product(q, ca.vertcat(0, rate))
-    return ca.vertcat(rolling_velocity(ca.mtimes(rotation_matrix(q), rate), p[0]), turn)
+    """Return dx/dt = G(x) u of a pose, shape (6,), without momentum and torques (Eq. 15)."""
+    body, velocity, _ = rates(x[2:6], ca.SX.zeros(3), u, p, ca.SX.zeros(5))
+    return ca.vertcat(velocity, 0.5 * quaternion_product(x[2:6], ca.vertcat(0, body)))

@@ -1,9 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Layout and geometry of the state vector ``x = [x, y, q1, q2, q3, q4]``.
+"""Layout and geometry of the state ``x = [x, y, q1, q2, q3, q4, h1, h2, h3]`` and of poses.
 
 Position of the sphere's centre in the plane [m; world frame], then the unit quaternion **wxyz**
-(scalar first) that takes body vectors to world ones. Every slice of a state is named here.
+(scalar first) that takes body vectors to world ones, and the momentum h [rad/s; world frame] of
+`sphere_nmpc.model.disturbance`. Goals and measurements are poses, a state's first six numbers.
+Every slice of a state is named here.
 """
 
 import math
@@ -15,11 +17,17 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.rotation import NORM_TOLERANCE, Vector
 
-STATE_NAMES = ("x", "y", "q1", "q2", "q3", "q4")
-STATE_SIZE = 6
+POSE_NAMES = ("x", "y", "q1", "q2", "q3", "q4")
+POSE_SIZE = 6
+STATE_SIZE = 9
 INPUT_SIZE = 2
 POSITION = slice(0, 2)
 QUATERNION = slice(2, 6)
+POSE = slice(0, 6)
+MOMENTUM = slice(6, 9)
+
+NO_MOMENTUM: Vector = np.zeros(3)
+NO_MOMENTUM.flags.writeable = False
 
 FARTHEST = 1e6
 """Largest coordinate of a position [m]; far beyond it sums and squares lose what is near."""
@@ -56,11 +64,16 @@ def make_state(position: ArrayLike, quaternion_wxyz: ArrayLike) -> Vector:
     return np.concatenate((place, turn / norm))
 
 
+def without_momentum(pose: Vector) -> Vector:
+    """Return the state, shape (9,), of a pose, or of another state, without momentum."""
+    return np.concatenate((pose[POSE], NO_MOMENTUM))
+
+
 def as_state(values: ArrayLike) -> Vector:
     """Check and normalise a flat state [x, y, qw, qx, qy, qz], shape (6,); see `make_state`."""
     flat = np.asarray(values, dtype=float)
-    if flat.shape != (STATE_SIZE,):
-        raise InvalidStateError("state", flat.shape, f"the shape ({STATE_SIZE},)")
+    if flat.shape != (POSE_SIZE,):
+        raise InvalidStateError("state", flat.shape, f"the shape ({POSE_SIZE},)")
     return make_state(flat[POSITION], flat[QUATERNION])
 
 
@@ -94,7 +107,7 @@ def flipped_sign(goal: Vector) -> Vector:
 
 def state_error(state: Vector, goal: Vector) -> float:
     """Return ||x - x_d|| in R^6 with the goal's quaternion sign that is nearer [mixed units]."""
-    difference = state - nearer_sign(goal, state)
+    difference = state[POSE] - nearer_sign(goal, state)
     return math.sqrt(difference.dot(difference))
 
 
@@ -111,6 +124,6 @@ def angle_error(state: Vector, goal: Vector) -> float:
 def contact_points(states: Vector, shell_radius: float) -> Vector:
     """Return the contact points on the shell [m; body frame], shape (..., 3) (Eq. 18).
 
-    `states`, shape (..., 6), is one state, or one a row; `shell_radius` is in m.
+    `states`, shape (..., 6) or (..., 9), is one pose or state, or one a row; the radius is in m.
     """
     return -shell_radius * rotation.vertical(states[..., QUATERNION])

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.model.drift import MOMENTUM
-from sphere_nmpc.model.integrator import steps_for, tangent_drift_step_function
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.model.disturbance import Disturbance, is_zero
+from sphere_nmpc.model.integrator import steps_for, tangent_step_function
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSE, QUATERNION, Vector
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 
 MIN_DAMPING = 1e-12
@@ -24,6 +24,8 @@ BOUND_PASSES = 4
 
 _CARRIED = 7
 """Quaternion and momentum: the numbers at the start of an interval that affect its motion."""
+_BY_KNOTS = ("q", "momentum", "u_start", "u_end")
+_BY_PLANT = ("q", "momentum", "p", "torques")
 
 
 class Motion(NamedTuple):
@@ -31,36 +33,32 @@ class Motion(NamedTuple):
 
     Attributes
     ----------
-    states : ndarray, shape (N + 1, 6)
+    states : ndarray, shape (N + 1, 9)
         At the knots.
-    momenta : ndarray, shape (N + 1, 3)
-        At the knots [rad/s; world frame].
     derivatives : ndarray, shape (N + 1, 9, 2 N)
-        d [x_m, h_m] / d (u_1, ..., u_N), per rad/s; zero where they are not asked for.
+        d x_m / d (u_1, ..., u_N), per rad/s; zero where they are not asked for.
     """
 
     states: Vector
-    momenta: Vector
     derivatives: Vector
 
 
 def shoot(
-    state: Vector, drift: Vector, inputs: Vector, durations: Vector, constants: Vector,
-    max_step: float, left_out: Vector | None = None, derive: bool = False,
+    state: Vector, disturbance: Disturbance, inputs: Vector, durations: Vector,
+    constants: Vector, max_step: float, left_out: Vector | None = None, derive: bool = False,
 ) -> Motion:
     """Predict the motion along a first-order hold, differentiated by the knots if asked for.
 
-    Parameters as for `sphere_nmpc.solver.roll_out.roll_out`, with the drift as an array (8,).
-    `left_out`, shape (N,), is the time [s] in each interval that is not integrated, but adds to
-    the way in proportion.
+    Parameters as for `sphere_nmpc.solver.roll_out.roll_out`. `left_out`, shape (N,), is the time
+    [s] in each interval that is not integrated, but adds to the way in proportion.
     """
     n = durations.size
     # Directions of an interval: quaternion and momentum at its start, and its two knots.
     seeds = np.eye(_CARRIED + 4) if derive else np.zeros((_CARRIED + 4, 0))
     first, second = seeds[_CARRIED : _CARRIED + 2], seeds[_CARRIED + 2 :]
-    step = _Step(seeds.shape[1])
+    step, torques = _Step(seeds.shape[1], _BY_KNOTS), disturbance.as_array()
     ends, derivatives = np.empty((n + 1, 9)), np.zeros((n + 1, 9, 2 * n))
-    ends[0] = np.concatenate((state, drift[MOMENTUM]))
+    ends[0] = state
     for m in range(n):
         duration, scale = float(durations[m]), 1.0
         if left_out is not None and left_out[m] != 0.0:
@@ -75,7 +73,7 @@ def shoot(
             a, b = i / steps, (i + 1) / steps
             moved, q, momentum, d_moved, dq, d_momentum = step(
                 y[:4], y[4:], start + a * change, start + b * change, duration / steps,
-                constants, drift[3:], dy[:4], dy[4:],
+                constants, torques, dy[:4], dy[4:],
                 (1.0 - a) * first + a * second, (1.0 - b) * first + b * second,
             )
             way, dway = way + moved.ravel(), dway + d_moved
@@ -88,19 +86,79 @@ def shoot(
             if m > 0:
                 after[:, 2 * m - 2 : 2 * m] += local[:, _CARRIED : _CARRIED + 2]
             after[:, 2 * m : 2 * m + 2] += local[:, _CARRIED + 2 :]
-    return Motion(ends[:, :6], ends[:, 6:], derivatives)
+    return Motion(ends, derivatives)
+
+
+class Propagation(NamedTuple):
+    """State at the end of a motion, with the derivatives of its error.
+
+    Errors are those of `sphere_nmpc.model.error_state`.
+
+    Attributes
+    ----------
+    state : ndarray, shape (9,)
+    by_start : ndarray, shape (8, 8)
+        By the error at the start.
+    by_constants : ndarray, shape (8, 4)
+    by_torques : ndarray, shape (8, 5)
+        By [slope, imbalance].
+    """
+
+    state: Vector
+    by_start: Vector
+    by_constants: Vector
+    by_torques: Vector
+
+    @classmethod
+    def of(cls, state: Vector, derivatives: Vector) -> "Propagation":
+        """Return it from derivatives by rotation, momentum, constants and torques, (8, 15)."""
+        by_start = np.zeros((8, 8))
+        by_start[0, 0] = by_start[1, 1] = 1.0
+        by_start[:, 2:] = derivatives[:, :6]
+        return cls(state, by_start, derivatives[:, 6:10], derivatives[:, 10:])
+
+
+def propagate(
+    state: Vector, disturbance: Disturbance, inputs: Vector, durations: Vector,
+    constants: Vector, max_step: float,
+) -> Propagation:
+    """Return the end of a first-order hold with its derivatives; see `shoot`."""
+    seeds = np.eye(15)
+    way: Vector = state[:2]
+    dway: Vector = np.zeros((2, 15))
+    y: Vector = state[2:]
+    dy: Vector = np.zeros((_CARRIED, 15))
+    # q exp(r / 2) to first order.
+    dy[:4, :3], dy[4:] = 0.5 * _right_product(y[:4])[:, 1:], seeds[3:6]
+    step, torques = _Step(15, _BY_PLANT), disturbance.as_array()
+    for duration, start, end in zip(durations, inputs[:-1], inputs[1:], strict=True):
+        steps = steps_for(float(duration), max_step)
+        for i in range(steps):
+            moved, q, momentum, d_moved, dq, d_momentum = step(
+                y[:4], y[4:], start + (end - start) * (i / steps),
+                start + (end - start) * ((i + 1) / steps), duration / steps, constants, torques,
+                dy[:4], dy[4:], seeds[6:10], seeds[10:],
+            )
+            way, dway = way + moved.ravel(), dway + d_moved
+            y, dy = np.concatenate((q, momentum)).ravel(), np.vstack((dq, d_momentum))
+    turn = 2.0 * _right_product(y[:4])[:, 1:].T @ dy[:4]
+    return Propagation.of(np.concatenate((way, y)), np.vstack((dway, turn, dy[4:])))
+
+
+def _right_product(q: Vector) -> Vector:
+    """Return the matrix M of q p = M p, of which the transpose belongs to the conjugate of q."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
 
 
 class _Step:
-    """`tangent_drift_step_function` with arrays of its own for arguments and results.
+    """`tangent_step_function` with arrays of its own for arguments and results.
 
     Without a conversion of arguments, within which CasADi would lose an interrupt by Ctrl-C.
     """
 
-    def __init__(self, directions: int) -> None:
-        function = tangent_drift_step_function(
-            directions, ("q", "momentum", "u_start", "u_end")
-        )
+    def __init__(self, directions: int, varied: tuple[str, ...]) -> None:
+        function = tangent_step_function(directions, varied)
         # CasADi stores matrices by columns: each array is the transpose of one.
         self._given = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
         self._found = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
@@ -151,7 +209,7 @@ def expand(problem: HoldProblem, v: Vector) -> Expansion:
     left_out = np.zeros(problem.intervals)
     left_out[problem.steady_interval] = problem.whole_turns
     motion = shoot(
-        problem.state, problem.drift, inputs, problem.durations, problem.constants,
+        problem.state, problem.disturbance, inputs, problem.durations, problem.constants,
         problem.max_step, left_out, derive=True,
     )
     cost, gradient, hessian = 0.0, np.zeros(v.size), np.zeros((v.size, v.size))
@@ -172,13 +230,16 @@ def _residuals(
     weights = np.full(problem.intervals, problem.stage_weight)
     weights[-1] = problem.terminal_weight
     terms = [
-        (weight, scale * (states[m] - problem.goal), scale[:, None] * by_v[m, :6])
+        (weight, scale * (states[m, POSE] - problem.goal), scale[:, None] * by_v[m, POSE])
         for m, weight in enumerate(weights, start=1)
     ]
     if not problem.stage_weight > 0.0:
         row = problem.momentum_row[None]
-        terms.append((problem.terminal_weight, row @ motion.momenta[-1], row @ by_v[-1, 6:]))
-        if problem.steady_interval > 0 and not problem.drift.any():
+        terms.append(
+            (problem.terminal_weight, row @ states[-1, MOMENTUM], row @ by_v[-1, MOMENTUM])
+        )
+        paper = is_zero(problem.state[MOMENTUM], problem.disturbance)
+        if problem.steady_interval > 0 and paper:
             m = problem.steady_interval
             tilt, by_quaternion = _tilt(problem.steady_axis, states[m, QUATERNION])
             terms.append((problem.terminal_weight, tilt, by_quaternion @ by_v[m, QUATERNION]))
@@ -253,8 +314,9 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
     inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
     elapsed = time.perf_counter() - began
-    states, momenta, _ = here.motion
-    return HoldSolution(inputs, states, momenta, here.cost, status, iterations, residual, elapsed)
+    return HoldSolution(
+        inputs, here.motion.states, here.cost, status, iterations, residual, elapsed
+    )
 
 
 def _bounded_step(here: Expansion, damping: float, down: Vector, up: Vector) -> Vector | None:

@@ -7,16 +7,12 @@ from enum import Enum
 
 import numpy as np
 
-from sphere_nmpc.model.drift import DRIFT_SIZE
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, NO_MOMENTUM, Vector
 
-_NO_DRIFT: Vector = np.zeros(DRIFT_SIZE)
-_NO_DRIFT.flags.writeable = False
 _ZERO_INPUT: Vector = np.zeros(INPUT_SIZE)
 _ZERO_INPUT.flags.writeable = False
-_NO_MOMENTUM_ROW: Vector = np.zeros(3)
-_NO_MOMENTUM_ROW.flags.writeable = False
 
 
 # Treated as immutable, but not frozen: that would take as long as a third of an iteration.
@@ -38,10 +34,10 @@ class HoldProblem:
 
     Attributes
     ----------
-    state : ndarray, shape (6,)
+    state : ndarray, shape (9,)
         x_0, the state at the start.
     goal : ndarray, shape (6,)
-        x_d; q and -q of its orientation are different targets.
+        x_d, a pose; q and -q of its orientation are different targets.
     input_in_force : ndarray, shape (2,)
         u_0 [rad/s].
     durations : ndarray, shape (N,)
@@ -60,11 +56,11 @@ class HoldProblem:
         Longest integration step [s].
     position_scale : float
         s [1/m], what a position's error counts in the cost over that of a quaternion component.
-    drift : ndarray, shape (8,)
-        Drift at the start as an array, `sphere_nmpc.model.drift.Drift.as_array`.
+    disturbance : Disturbance
+        Slope and imbalance.
     momentum_row : ndarray, shape (3,)
         r_h [s/rad; world frame], weighs a component of the momentum at the end; has no effect
-        with a stage cost, nor without drift.
+        with a stage cost, nor where the model is the paper's, without momentum and disturbance.
     input_reference : ndarray, shape (2,)
         u_ref [rad/s]: rotor speeds that cost nothing.
     steady_interval : int
@@ -72,8 +68,9 @@ class HoldProblem:
         0 without one.
     steady_axis : ndarray, shape (2,)
         a, the direction of these speeds times a weight. The tilt t = a . k at the start of the
-        interval, k the vertical in body axes, is a residual (not with a stage cost, nor with
-        drift): with t = 0 the sphere rolls straight on at a constant rate.
+        interval, k the vertical in body axes, is a residual (not with a stage cost, and only
+        where the model is the paper's): with t = 0 the sphere rolls straight on at a constant
+        rate.
     whole_turns : float
         Time in that interval [s] that is not integrated, a multiple of what a turn of the shell
         takes: it leaves the orientation as it is and adds to the way in proportion.
@@ -94,9 +91,9 @@ class HoldProblem:
     max_acceleration: float = np.inf
     max_step: float = DEFAULT_MAX_STEP
     position_scale: float = 1.0
-    drift: Vector = field(default_factory=lambda: _NO_DRIFT)
+    disturbance: Disturbance = UNDISTURBED
     input_reference: Vector = field(default_factory=lambda: _ZERO_INPUT)
-    momentum_row: Vector = field(default_factory=lambda: _NO_MOMENTUM_ROW)
+    momentum_row: Vector = field(default_factory=lambda: NO_MOMENTUM)
     steady_interval: int = 0
     steady_axis: Vector = field(default_factory=lambda: _ZERO_INPUT)
     whole_turns: float = 0.0
@@ -160,10 +157,8 @@ class HoldSolution:
     ----------
     inputs : ndarray, shape (N + 1, 2)
         u_0 (in force) to u_N [rad/s].
-    states : ndarray, shape (N + 1, 6)
+    states : ndarray, shape (N + 1, 9)
         x_0 to x_N.
-    momenta : ndarray, shape (N + 1, 3)
-        h at the knots [rad/s; world frame]; zero without drift.
     cost : float
         Value of the objective of `HoldProblem`.
     status : SolveStatus
@@ -178,7 +173,6 @@ class HoldSolution:
 
     inputs: Vector
     states: Vector
-    momenta: Vector
     cost: float
     status: SolveStatus
     iterations: int

@@ -3,12 +3,14 @@
 """Contract between a strategy and the control loop, and strategies by name."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from typing import Protocol, runtime_checkable
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.worker.contract import Worker
@@ -22,7 +24,7 @@ class Situation:
     ----------
     time : float
         Sampling instant, control time [s].
-    state : ndarray, shape (6,)
+    state : ndarray, shape (9,)
         State at that instant, predicted from the newest measurement.
     goal : ndarray, shape (6,)
         Goal state.
@@ -36,8 +38,8 @@ class Situation:
         Standard deviation of the error of `state` in R^6.
     time_budget : float
         Wall time that planning may take [s]; a strategy then returns the best plan found.
-    drift : Drift
-        Estimated momentum at that instant, with slope and imbalance.
+    disturbance : Disturbance
+        Estimated slope and imbalance.
     acceleration : float
         Rotor acceleration that the drives attain [rad/s^2], where less than their limit.
     """
@@ -50,8 +52,13 @@ class Situation:
     noise: float = 0.0
     uncertainty: float = 0.0
     time_budget: float = float("inf")
-    drift: Drift = NO_DRIFT
+    disturbance: Disturbance = UNDISTURBED
     acceleration: float = float("inf")
+
+    @cached_property
+    def drift(self) -> Drift:
+        """Momentum, slope and imbalance."""
+        return Drift.of(self.state[MOMENTUM], self.disturbance)
 
 
 class Strategy(Protocol):

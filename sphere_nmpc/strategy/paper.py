@@ -24,7 +24,7 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import (
@@ -151,7 +151,8 @@ class PaperStrategy:
         self._followed = answer.followed
         capped = solution.status is not SolveStatus.CONVERGED
         settings = self._settings
-        error = settings.units.scaled(situation.state) - settings.units.scaled(situation.goal)
+        pose, goal = situation.state[POSE], situation.goal
+        error = settings.units.scaled(pose) - settings.units.scaled(goal)
         return Plan(
             PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
             FirstOrderHold(times, solution.inputs),
@@ -236,7 +237,7 @@ class PaperStrategy:
         upper[0] = np.minimum(np.maximum(in_force + reach, -limit), limit)
         lower[0] = np.minimum(np.maximum(in_force - reach, -limit), limit)
         return HoldProblem(
-            state=situation.state,
+            state=without_momentum(situation.state),
             goal=situation.goal,
             input_in_force=in_force,
             durations=durations,

@@ -35,7 +35,7 @@ class Plan:
         Origin and quality of the plan.
     hold : FirstOrderHold
         Rotor speeds [rad/s]; knot times in control time [s], the first at the sampling instant.
-    states : ndarray, shape (K, 6)
+    states : ndarray, shape (K, 9)
         Predicted states at the knots of `hold`.
     arrival : float
         Control time at which the goal is reached [s]; nan where the strategy does not predict it.

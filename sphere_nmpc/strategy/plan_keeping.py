@@ -73,7 +73,10 @@ class PlanKeepingStrategy(PaperStrategy):
             return problem
         end, limit = self._drift_at_end(situation), self._robot.max_rotor_speed
         rest = speeds_of_rest(end, situation.goal[QUATERNION], limit)
-        return replace(problem, drift=situation.drift.as_array(), input_reference=rest)
+        return replace(
+            problem, state=situation.state, disturbance=situation.disturbance,
+            input_reference=rest,
+        )
 
     def _drift_at_end(self, situation: Situation) -> Drift:
         """Return the drift at the end of the horizon."""

@@ -26,7 +26,7 @@ import numpy as np
 
 import sphere_sim
 from sphere_nmpc.child import python_command
-from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
 from sphere_sim.benchmark.problem import (
     HORIZON,
     INPUT_WEIGHT,
@@ -37,7 +37,7 @@ from sphere_sim.benchmark.problem import (
     predicted,
 )
 
-REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * STATE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
+REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * POSE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
 SQP, RTI = "sqp", "rti"
 _OPTIONS: dict[str, dict[str, Any]] = {
     SQP: {"nlp_solver_type": "SQP", "qp_solver": "FULL_CONDENSING_QPOASES",
@@ -118,22 +118,22 @@ def build(kind: str, folder: Path) -> Any:
     """
     template = _template(folder)
     ocp = template.AcadosOcp()
-    x, v = ca.SX.sym("x", STATE_SIZE + INPUT_SIZE), ca.SX.sym("v", INPUT_SIZE)
+    x, v = ca.SX.sym("x", POSE_SIZE + INPUT_SIZE), ca.SX.sym("v", INPUT_SIZE)
     ocp.model.name = f"sphere_{kind}"
     ocp.model.x, ocp.model.u = x, v
-    state = predicted(x[:STATE_SIZE], LIMIT * x[STATE_SIZE:], LIMIT * v)
+    state = predicted(x[:POSE_SIZE], LIMIT * x[POSE_SIZE:], LIMIT * v)
     ocp.model.disc_dyn_expr = ca.vertcat(state, v)
     ocp.dims.N = HORIZON
-    cost, size = ocp.cost, STATE_SIZE + INPUT_SIZE
+    cost, size = ocp.cost, POSE_SIZE + INPUT_SIZE
     cost.cost_type = cost.cost_type_e = "LINEAR_LS"
-    cost.Vx = np.diag([1.0] * STATE_SIZE + [0.0] * INPUT_SIZE)
-    cost.Vu = np.eye(size)[:, STATE_SIZE:]
-    cost.Vx_e = np.eye(size)[:STATE_SIZE]
+    cost.Vx = np.diag([1.0] * POSE_SIZE + [0.0] * INPUT_SIZE)
+    cost.Vu = np.eye(size)[:, POSE_SIZE:]
+    cost.Vx_e = np.eye(size)[:POSE_SIZE]
     # acados halves its squares.
     effort = [2.0 * INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT] * INPUT_SIZE
-    cost.W = np.diag([2.0 / TERMINAL_WEIGHT] * STATE_SIZE + effort)
-    cost.W_e = 2.0 * np.eye(STATE_SIZE)
-    cost.yref, cost.yref_e = np.zeros(size), np.zeros(STATE_SIZE)
+    cost.W = np.diag([2.0 / TERMINAL_WEIGHT] * POSE_SIZE + effort)
+    cost.W_e = 2.0 * np.eye(POSE_SIZE)
+    cost.yref, cost.yref_e = np.zeros(size), np.zeros(POSE_SIZE)
     ocp.constraints.lbu, ocp.constraints.ubu = -np.ones(INPUT_SIZE), np.ones(INPUT_SIZE)
     ocp.constraints.idxbu = np.arange(INPUT_SIZE)
     ocp.constraints.x0 = np.zeros(size)
@@ -144,7 +144,7 @@ def build(kind: str, folder: Path) -> Any:
     ocp.code_export_directory = str(folder / "code")
     solver = template.AcadosOcpSolver(ocp, json_file=str(folder / "ocp.json"))
     # The first state of the horizon is given and, as in the other problems, has no cost.
-    solver.cost_set(0, "W", np.diag([0.0] * STATE_SIZE + effort))
+    solver.cost_set(0, "W", np.diag([0.0] * POSE_SIZE + effort))
     return solver
 
 
@@ -206,7 +206,7 @@ class Loop:
             inputs, states = np.zeros_like(inputs), np.tile(x0, (HORIZON + 1, 1))
         self._inputs[:-1], self._inputs[-1] = inputs[1:], 0.0
         self._states[:-1], self._states[-1] = states[1:], states[-1]
-        self._states[-1, STATE_SIZE:] = 0.0
+        self._states[-1, POSE_SIZE:] = 0.0
         return status, inputs[0]
 
 

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
-from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
 from sphere_sim.benchmark.problem import (
     HORIZON,
     INPUT_WEIGHT,
@@ -40,7 +40,7 @@ _SQP: dict[str, Any] = {
 @cache
 def nonlinear_program() -> dict[str, Any]:
     """Return the problem in CasADi's form: x = scaled knots, p = [state, goal, input in force]."""
-    v, p = ca.MX.sym("v", SIZE), ca.MX.sym("p", 2 * STATE_SIZE + INPUT_SIZE)
+    v, p = ca.MX.sym("v", SIZE), ca.MX.sym("p", 2 * POSE_SIZE + INPUT_SIZE)
     x, goal, u = p[0:6], p[6:12], p[12:14]
     cost = INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT * ca.sumsqr(v)
     for m in range(HORIZON):

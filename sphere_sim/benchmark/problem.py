@@ -10,7 +10,7 @@ import numpy as np
 
 from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, Vector, without_momentum
 from sphere_nmpc.model.symbolic_rotation import Expression
 from sphere_nmpc.solver.problem import HoldProblem
 
@@ -33,18 +33,19 @@ _DURATIONS = np.full(HORIZON, SAMPLE_PERIOD)
 def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> HoldProblem:
     """Return OCP_N of the paper (Eq. 34) with its cost divided by beta.
 
-    Its arguments are the current and the desired state, (6,), and the rotor speeds, (2,) [rad/s].
+    Its arguments are the current and the desired pose, (6,), and the rotor speeds, (2,) [rad/s].
     """
     return HoldProblem(
-        state=state, goal=goal, input_in_force=input_in_force, durations=_DURATIONS,
-        constants=CONSTANTS, lower=_MINUS_BOUND, upper=_BOUND, input_scale=LIMIT,
+        state=without_momentum(state), goal=goal, input_in_force=input_in_force,
+        durations=_DURATIONS, constants=CONSTANTS, lower=_MINUS_BOUND, upper=_BOUND,
+        input_scale=LIMIT,
         terminal_weight=1.0, stage_weight=1.0 / TERMINAL_WEIGHT,
         input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT, max_step=INTEGRATION_STEP,
     )
 
 
 def predicted(state: Expression, start: Expression, end: Expression) -> Expression:
-    """Return the state, (6,), a sample period later; inputs ramp from `start` to `end` [rad/s]."""
+    """Return the pose, (6,), a sample period later; inputs ramp from `start` to `end` [rad/s]."""
     steps = steps_for(SAMPLE_PERIOD, INTEGRATION_STEP)
     for i in range(steps):
         step_start = start + (end - start) * (i / steps)

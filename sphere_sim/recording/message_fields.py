@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.model.drift import Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.disturbance import Disturbance, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
@@ -71,16 +71,17 @@ def reported_momentum(values: Mapping[str, str]) -> Vector:
     return np.array([number(values, f"momentum_{axis}") for axis in "xyz"])
 
 
-def reported_drift(values: Mapping[str, str], robot: RobotParameters) -> Drift | None:
-    """Return the drift that a status of the controller of this robot reports; None without one."""
+def reported_disturbance(
+    values: Mapping[str, str], robot: RobotParameters
+) -> Disturbance | None:
+    """Return the disturbance in a status of the controller of this robot; None without one."""
     direction = math.radians(number(values, "slope_direction_deg"))
     offset = np.array([number(values, f"mass_offset_{axis}_mm") for axis in "xyz"])
-    drift = Drift(
-        reported_momentum(values) / robot.rotor_axial_inertia,
+    disturbance = Disturbance(
         slope_torque(robot, math.radians(number(values, "slope_deg")), direction),
         imbalance_of_offset(robot, 1e-3 * offset),
     )
-    return drift if np.all(np.isfinite(drift.as_array())) else None
+    return disturbance if np.all(np.isfinite(disturbance.as_array())) else None
 
 
 def number(values: Mapping[str, str], key: str) -> float:

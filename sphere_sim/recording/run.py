@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
@@ -52,15 +52,15 @@ class Momentum:
     ----------
     times, values : ndarray, shapes (m,) and (m, 3)
         Times of the reports [s], and momentum [N m s; world frame]; zero where none was found.
-    drifts : tuple of Drift, length m
-        The same in the units of the model, with slope and imbalance.
+    disturbances : tuple of Disturbance, length m
+        Slope and imbalance in the units of the model.
     push_times, impulses : ndarray, shapes (p,) and (p, 2)
         Times at which the simulated sphere was pushed [s], and impulses [N s; world frame].
     """
 
     times: Vector = field(default_factory=lambda: np.empty(0))
     values: Vector = field(default_factory=lambda: np.empty((0, 3)))
-    drifts: tuple[Drift, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
     push_times: Vector = field(default_factory=lambda: np.empty(0))
     impulses: Vector = field(default_factory=lambda: np.empty((0, 2)))
 
@@ -74,16 +74,16 @@ class Momentum:
         index = newest(self.times, time)
         return np.full(3, np.nan) if index < 0 else np.array(self.values[index])
 
-    def drift_at(self, time: float) -> Drift:
-        """Return the newest drift reported at a time [s]."""
+    def disturbance_at(self, time: float) -> Disturbance:
+        """Return the newest disturbance reported at a time [s]."""
         index = newest(self.times, time)
-        return self.drifts[index] if index >= 0 else NO_DRIFT
+        return self.disturbances[index] if index >= 0 else UNDISTURBED
 
     def between(self, start: float, end: float) -> "Momentum":
         """Return the reports and pushes from `start` until before `end` [s], likewise."""
         kept, pushed = _between(self.times, start, end), _between(self.push_times, start, end)
         return Momentum(
-            self.times[kept] - start, self.values[kept], tuple(self.drifts[i] for i in kept),
+            self.times[kept] - start, self.values[kept], tuple(self.disturbances[i] for i in kept),
             self.push_times[pushed] - start, self.impulses[pushed],
         )
 

@@ -27,7 +27,7 @@ from sphere_sim.recording.message_fields import (
     NANOSECONDS,
     known,
     number,
-    reported_drift,
+    reported_disturbance,
     reported_momentum,
     reported_solve,
     stamp_of,
@@ -318,8 +318,9 @@ class _TopicReader:
         The parameters are those of the controller, which define the units of the model.
         """
         reports = [
-            (time, reported_momentum(values), drift) for time, values in self._statuses()
-            if (drift := reported_drift(values, parameters)) is not None
+            (time, reported_momentum(values), disturbance) for time, values in self._statuses()
+            if (disturbance := reported_disturbance(values, parameters)) is not None
+            and np.all(np.isfinite(reported_momentum(values)))
         ]
         pushes = [
             (self._clock.time_of_message(stamp_of(message), received),
@@ -332,7 +333,7 @@ class _TopicReader:
         return Momentum(
             np.array([time for time, _, _ in reports]),
             np.array([momentum for _, momentum, _ in reports]).reshape(-1, 3),
-            tuple(drift for _, _, drift in reports),
+            tuple(disturbance for _, _, disturbance in reports),
             pushed[:, 0],
             pushed[:, 1:],
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sphere_nmpc.model.state import STATE_NAMES, Vector
+from sphere_nmpc.model.state import POSE_NAMES, Vector
 from sphere_sim.evaluation.metrics import Metrics, angle_errors, position_errors, state_errors
 from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.bag_files import BagError
@@ -18,7 +18,7 @@ from sphere_sim.recording.run import Run
 
 COLUMNS = (
     "goal", "time_s", "duration_s",
-    *(f"{which}_{name}" for which in ("start", "goal") for name in STATE_NAMES),
+    *(f"{which}_{name}" for which in ("start", "goal") for name in POSE_NAMES),
     *(field.name for field in dataclasses.fields(Metrics)),
 )
 """Columns of the table of goals: its number, when it came into force and for how long, the states
@@ -98,7 +98,7 @@ def motion_table(run: Run) -> dict[str, Vector]:
     interpolated at the poses; nan where not recorded.
     """
     table = {"time_s": run.times}
-    table.update({name: run.states[:, i] for i, name in enumerate(STATE_NAMES)})
+    table.update({name: run.states[:, i] for i, name in enumerate(POSE_NAMES)})
     goals = run.goals_in_force
     table["error"] = state_errors(run.states, goals)
     table["position_error_m"] = position_errors(run.states, goals)

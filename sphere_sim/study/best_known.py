@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from sphere_nmpc.control.goal_memory import cache_folder
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import nearer_sign, state_error
+from sphere_nmpc.model.state import MOMENTUM, POSE, nearer_sign, state_error, without_momentum
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -54,10 +54,10 @@ _STEP = 0.0625
 """Longest integration step of the final motion [s]."""
 _ITERATIONS = 40
 """Cap on the iterations of a solve on a finer grid."""
-_DRIFT_STEPS = 16
-"""Steps in which the drift is raised."""
-_DRIFT_VERSION = 1
-"""As `SEARCH_VERSION`, for times with drift alone."""
+_MOMENTUM_STEPS = 16
+"""Steps in which momentum and disturbance are raised."""
+_MOMENTUM_VERSION = 1
+"""As `SEARCH_VERSION`, for times with momentum alone."""
 _STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
 """Factors of the duration that are tried in turn on a finer grid [-]."""
 _RESOLUTION = 0.01
@@ -91,7 +91,7 @@ def best_known_time(
     robot = within_torque(robot)
     goal = nearer_sign(motion.goal, motion.start)
     situation = Situation(
-        0.0, motion.start, goal, motion.speeds, robot.lumped, drift=motion.drift
+        0.0, motion.start, goal, motion.speeds, robot.lumped, disturbance=motion.disturbance
     )
     earliest: Arrival | None = None
     for seed in range(SEARCHES):
@@ -115,15 +115,14 @@ def _settling(arrival: Arrival, situation: Situation) -> float:
     suffice, also of a motion with whole turns, which its solution does not integrate.
     """
     hold = arrival.hold
-    knot = max(0, (settling_index(state_errors(arrival.states, arrival.goal)) or 0) - 1)
+    knot = max(0, (settling_index(state_errors(arrival.states[:, POSE], arrival.goal)) or 0) - 1)
     times = np.arange(hold.times[knot], hold.end, _RESOLUTION)
     times = np.unique(np.concatenate((times, hold.times[knot:])))
     states = roll_out(
         arrival.states[knot], np.array([hold.at(time) for time in times]), np.diff(times),
-        situation.constants.as_array(), _STEP,
-        replace(situation.drift, momentum=arrival.momenta[knot]),
+        situation.constants.as_array(), _STEP, situation.disturbance,
     )
-    index = settling_index(state_errors(states, arrival.goal))
+    index = settling_index(state_errors(states[:, POSE], arrival.goal))
     return hold.end if index is None else float(times[index])
 
 
@@ -133,7 +132,7 @@ def _searched(
     """Return the earliest arrival that a search finds on the coarsest grid.
 
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
-    without drift, from which the drift is raised in steps.
+    without, from which momentum and disturbance are raised in steps.
     """
     if situation.drift.is_zero:
         grid = KnotGrid(GRIDS[0], _TUNING)
@@ -142,13 +141,19 @@ def _searched(
     search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
     arrival = search.improve(work)
     if state_error(situation.state, situation.goal) < SETTLED_ERROR:
-        return arrival  # without drift it would be there in no time
-    raised = _searched(replace(situation, drift=NO_DRIFT), robot, seed, work)
+        return arrival  # without momentum it would be there in no time
+    still = replace(
+        situation, state=without_momentum(situation.state), disturbance=UNDISTURBED
+    )
+    raised = _searched(still, robot, seed, work)
     solver = ArrivalSolver(robot, GRIDS[0], _accuracy(2 * _ITERATIONS), _TUNING)
-    for step in range(1, _DRIFT_STEPS + 1):
+    for step in range(1, _MOMENTUM_STEPS + 1):
         if raised is not None:
-            drift = Drift.from_array(step / _DRIFT_STEPS * situation.drift.as_array())
-            raised = _stretched(solver, raised, GRIDS[0], replace(situation, drift=drift))
+            share, state = step / _MOMENTUM_STEPS, still.state.copy()
+            state[MOMENTUM] = share * situation.state[MOMENTUM]
+            disturbance = Disturbance.from_array(share * situation.disturbance.as_array())
+            between = replace(situation, state=state, disturbance=disturbance)
+            raised = _stretched(solver, raised, GRIDS[0], between)
     if raised is not None:
         search.start_from(raised)
     return search.improve(work)
@@ -217,9 +222,10 @@ def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
     """Return a key of all that the best known times depend on, to nine digits."""
     limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
     search = (SEARCH_VERSION, SEARCHES, round(factor * EFFORT), *GRIDS)
-    numbers = [*motion.start, *motion.goal, *robot.lumped.as_array(), *limits, *search]
-    if motion.speeds.any() or not motion.drift.is_zero:
-        numbers += [*motion.speeds, *motion.drift.as_array(), _DRIFT_STEPS, _DRIFT_VERSION]
+    numbers = [*motion.start[POSE], *motion.goal, *robot.lumped.as_array(), *limits, *search]
+    if not motion.starts_in_model_of_paper:
+        numbers += [*motion.speeds, *motion.start[MOMENTUM], *motion.disturbance.as_array()]
+        numbers += [_MOMENTUM_STEPS, _MOMENTUM_VERSION]
     text = " ".join(f"{float(number):.9g}" for number in numbers)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 

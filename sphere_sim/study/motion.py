@@ -7,9 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.disturbance import (
+    UNDISTURBED,
+    Disturbance,
+    imbalance_of_offset,
+    in_body,
+    is_zero,
+    slope_torque,
+)
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, QUATERNION, Vector, without_momentum
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.lower_bound import lower_bound
 from sphere_sim.study.record import RunRecord
@@ -22,39 +29,40 @@ AT_REST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """States at start and goal of a motion; it ends at rest, with the momentum in the rotors.
+    """State at the start, shape (9,), and goal, shape (6,), of a motion.
 
-    `speeds` are those of the rotors at the start [rad/s], shape (2,), and `drift` has the momentum
-    at the start, slope and imbalance.
+    It ends at rest, with the momentum in the rotors. `speeds` are those at its start [rad/s].
     """
 
     start: Vector
     goal: Vector
     speeds: Vector = field(default_factory=lambda: np.zeros(INPUT_SIZE))
-    drift: Drift = NO_DRIFT
+    disturbance: Disturbance = UNDISTURBED
 
     def lower_bound(self, robot: RobotParameters) -> float:
         """Return a time [s] in which no motion is possible; nan where no bound is known.
 
-        `sphere_sim.study.lower_bound` has the bound, which holds without drift and from rest.
+        `sphere_sim.study.lower_bound` has the bound, which holds from rest without momentum.
         """
-        if self.speeds.any() or not self.drift.is_zero:
+        if not self.starts_in_model_of_paper:
             return math.nan
         return lower_bound(self.start, self.goal, robot)
 
     @property
+    def starts_in_model_of_paper(self) -> bool:
+        """Whether the rotors are at rest, without momentum, slope and imbalance."""
+        return not self.speeds.any() and is_zero(self.start[MOMENTUM], self.disturbance)
+
+    @property
     def starts_at_rest(self) -> bool:
         """Whether the sphere is at rest at the start, but for what the rotors end at once."""
-        excess = self.drift.in_body(self.start[QUATERNION]) - [*self.speeds, 0.0]
+        excess = in_body(self.start[MOMENTUM], self.start[QUATERNION]) - [*self.speeds, 0.0]
         return bool(np.max(np.abs(excess)) < AT_REST)
 
 
-def drift_of(
-    settings: DisturbanceSettings, robot: RobotParameters, momentum: Vector = NO_DRIFT.momentum
-) -> Drift:
-    """Return the drift of a robot with a momentum h [rad/s; world frame], shape (3,)."""
-    return Drift(
-        momentum,
+def disturbance_of(settings: DisturbanceSettings, robot: RobotParameters) -> Disturbance:
+    """Return slope and imbalance in the units of the model of a robot."""
+    return Disturbance(
         slope_torque(robot, settings.slope, settings.slope_direction),
         imbalance_of_offset(robot, np.array(settings.mass_offset)),
     )
@@ -68,9 +76,10 @@ def motion_of(
     The robot has no errors of its parameters; the scenario's disturbances replace the settings.
     """
     settings = replace(settings, **scenario.disturbances)
-    drift = drift_of(settings, robot)
+    disturbance = disturbance_of(settings, robot)
     if not record.at_push.size:
-        return Motion(scenario.start, scenario.goal, drift=drift)
-    state, speeds, momentum = np.split(record.at_push, (6, 8))
-    drift = replace(drift, momentum=momentum / robot.rotor_axial_inertia)
-    return Motion(state, scenario.goal, speeds, drift)
+        start = without_momentum(scenario.start)
+        return Motion(start, scenario.goal, disturbance=disturbance)
+    pose, speeds, momentum = np.split(record.at_push, (6, 8))
+    state = np.concatenate((pose, momentum / robot.rotor_axial_inertia))
+    return Motion(state, scenario.goal, speeds, disturbance)

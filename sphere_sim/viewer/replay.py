@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector, are_states
+from sphere_nmpc.model.state import POSE, Vector, are_states
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.recording.message_fields import HOLDING
 from sphere_sim.recording.run import Run, newest
@@ -130,10 +130,12 @@ class Replay:
             return self._plan
         hold = plans[index]
         times = hold.times[hold.times < hold.start + _LONGEST_PLAN]
+        run = self._run
+        momentum = np.nan_to_num(run.momentum.at(hold.start)) / run.robot.rotor_axial_inertia
+        pose = run.states[max(0, newest(run.times, hold.start))]
         plan = roll_out(
-            self._run.states[max(0, newest(self._run.times, hold.start))],
-            hold.speeds[: times.size], np.diff(times), self._constants,
-            drift=self._run.momentum.drift_at(hold.start),
-        )
+            np.concatenate((pose, momentum)), hold.speeds[: times.size], np.diff(times),
+            self._constants, disturbance=run.momentum.disturbance_at(hold.start),
+        )[:, POSE]
         self._plan = plan[np.logical_and.accumulate(are_states(plan))]
         return self._plan

@@ -11,7 +11,7 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
 
 _DEFAULT = RobotParameters()
 DEFAULT_RADIUS = _DEFAULT.shell_radius
@@ -80,7 +80,7 @@ class Frame:
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Vector | None = None
-    plan: Vector = field(default_factory=lambda: np.empty((0, STATE_SIZE)))
+    plan: Vector = field(default_factory=lambda: np.empty((0, POSE_SIZE)))
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")

@@ -5,7 +5,7 @@
 import math
 from dataclasses import dataclass
 
-from sphere_nmpc.model.drift import GRAVITY
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.quantity import quantity, validate
 
 

@@ -6,14 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.solver.problem import HoldProblem
 
 U_MAX = 100.0  # rad/s
 
-DRIFT = np.array([30.0, -20.0, 15.0, 20.0, -5.0, 3.0, 4.0, -8.0])
-"""Drift as after a push of about 1 N s, on a slope of about 1 degree, centre of mass 2 mm off."""
+MOMENTUM = np.array([30.0, -20.0, 15.0])
+"""Momentum [rad/s] as after a push of about 1 N s."""
+DISTURBANCE = Disturbance(np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
+"""A slope of about 1 degree, and the centre of mass 2 mm off."""
 
 KINDS: dict[str, dict[str, Any]] = {
     "paper": {"intervals": 4, "stage_weight": 1e-8, "input_weight": 5e-5},
@@ -35,21 +38,23 @@ KINDS: dict[str, dict[str, Any]] = {
     },
     "stages alone": {"intervals": 3, "stage_weight": 1.0, "terminal_weight": 0.0},
     "one interval": {"intervals": 1, "input_weight": 1e-6},
-    "drift": {
+    "momentum": {
         "intervals": 9,
         "input_weight": 1e-4,
         "slew_weight": 10.0,
         "max_acceleration": 150.0,
-        "drift": DRIFT,
+        "momentum": MOMENTUM,
+        "disturbance": DISTURBANCE,
         "input_reference": np.array([30.0, -20.0]),
         "momentum_row": np.array([0.01, -0.02, 0.015]),
         "position_scale": 2.5,
     },
-    "drift and stages": {
+    "momentum and stages": {
         "intervals": 4,
         "stage_weight": 0.3,
         "input_weight": 1e-4,
-        "drift": DRIFT,
+        "momentum": MOMENTUM,
+        "disturbance": DISTURBANCE,
         "input_reference": np.array([30.0, -20.0]),
         "position_scale": 2.5,
     },
@@ -82,11 +87,11 @@ def make_problem() -> Callable[..., HoldProblem]:
     ) -> HoldProblem:
         rng = np.random.default_rng(seed)
         settings = {**KINDS[kind], **changes}
-        n = settings.pop("intervals")
+        n, momentum = settings.pop("intervals"), settings.pop("momentum", np.zeros(3))
         turn = rng.normal(size=(2, 4))
         turn /= np.linalg.norm(turn, axis=1)[:, None]
         defaults: dict[str, Any] = {
-            "state": as_state([*rng.uniform(-1.0, 1.0, 2), *turn[0]]),
+            "state": np.concatenate((as_state([*rng.uniform(-1.0, 1.0, 2), *turn[0]]), momentum)),
             "goal": as_state([0.0, 0.0, *turn[1]]),
             "input_in_force": rng.uniform(-50.0, 50.0, 2),
             "durations": rng.uniform(0.05, 0.5, n) if unequal else np.full(n, 0.5),

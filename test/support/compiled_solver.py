@@ -22,7 +22,7 @@ def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | f
     """Return the quadratic model of the compiled solver at `start` [rad/s].
 
     It has ``cost``; ``gradient`` (2 N,) and ``hessian`` (2 N, 2 N) by scaled inputs; ``states``
-    (N + 1, 6); ``sensitivities`` (N + 1, 6, 2 N) per rad/s.
+    (N + 1, 9); ``sensitivities`` (N + 1, 6, 2 N) per rad/s.
     """
     n = problem.intervals
     slot = Slot(compiled(), n)

@@ -4,12 +4,7 @@
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import (
-    DEFAULT_MAX_STEP,
-    parts_of_ramp,
-    step_function,
-    steps_for,
-)
+from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, step_function, steps_for
 from sphere_nmpc.model.state import Vector
 
 
@@ -21,14 +16,15 @@ def integrate(
     constants: Vector,
     max_step: float = DEFAULT_MAX_STEP,
 ) -> Vector:
-    """Return the state after one interval of a first-order hold (Eq. 20 with Eq. 21).
+    """Return the pose after one interval of a first-order hold (Eq. 20 with Eq. 21).
 
-    From a state, shape (6,), with the rotor speeds at both ends [rad/s], shape (2,), over
+    From a pose, shape (6,), with the rotor speeds at both ends [rad/s], shape (2,), over
     `duration` [s] in steps of `max_step` [s] at most; `constants` are [Rs, c1, r1, r3].
     """
     steps = steps_for(duration, max_step)
     step, h = step_function(), duration / steps
     x: Vector = state
-    for here, there in parts_of_ramp(u_start, u_end, steps):
+    for i in range(steps):
+        here, there = (u_start + (u_end - u_start) * (k / steps) for k in (i, i + 1))
         x = np.array(step(x, here, there, h, constants)).ravel()
     return x

@@ -1,20 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loop of a strategy on the ideal plant, with the drift known exactly."""
+"""Closed loop of a strategy on the ideal plant, with momentum and disturbance known exactly."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from sphere_nmpc.control.link import Commands
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_sim.study.motion import drift_of
+from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -55,10 +55,14 @@ class MomentumLoop:
         return self.samples * self.period
 
     @property
-    def drift(self) -> Drift:
-        """True drift of the plant."""
-        momentum = self.plant.momentum / self.robot.rotor_axial_inertia
-        return drift_of(self.world, self.robot, momentum)
+    def momentum(self) -> Vector:
+        """True momentum h of the plant [rad/s; world frame], shape (3,)."""
+        return self.plant.momentum / self.robot.rotor_axial_inertia
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """True disturbance of the plant."""
+        return disturbance_of(self.world, self.robot)
 
     @property
     def error(self) -> float:
@@ -78,8 +82,10 @@ class MomentumLoop:
     def situation(self) -> Situation:
         """Return the situation of now, with nothing to be estimated."""
         in_force = self.commands.sent.at(self.time)
+        state = np.concatenate((self.plant.state, self.momentum))
         return Situation(
-            self.time, self.plant.state, self.goal, in_force, self.robot.lumped, drift=self.drift
+            self.time, state, self.goal, in_force, self.robot.lumped,
+            disturbance=self.disturbance,
         )
 
     def run(self, duration: float) -> list[Plan]:
@@ -87,7 +93,7 @@ class MomentumLoop:
         before = len(self.plans)
         for _ in range(round(duration / self.period)):
             self.errors.append(self.error)
-            self.momenta.append(self.drift.momentum)
+            self.momenta.append(self.momentum)
             plan = self.strategy.plan(self.situation())
             hold = self.commands.joined(plan.hold, self.time, self.period)
             self.commands.sent.record(hold)

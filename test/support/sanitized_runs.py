@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 from compiled_solver import compiled, expand_compiled
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import Vector, without_momentum
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.native import library
 from sphere_nmpc.solver.native.codegen import kernel_source
 from sphere_nmpc.solver.native.layout import problem_header
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
-from sphere_nmpc.solver.roll_out import roll_out_with_momentum
+from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 HORIZONS = (1, 2, 3, 4, 12)
 WEIGHTS: tuple[dict[str, float], ...] = (
@@ -35,7 +35,7 @@ WEIGHTS: tuple[dict[str, float], ...] = (
     {"stage_weight": 0.3, "slew_weight": 1.0, "max_acceleration": 150.0},
 )
 
-DRIFT = Drift(np.array([30.0, -20.0, 15.0]), np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
+DISTURBANCE = Disturbance(np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
 
 
 def make_problem(n: int, **changes: float) -> HoldProblem:
@@ -44,7 +44,8 @@ def make_problem(n: int, **changes: float) -> HoldProblem:
     q = rng.normal(size=(2, 4))
     q /= np.linalg.norm(q, axis=1)[:, None]
     return HoldProblem(
-        np.concatenate((rng.uniform(-1.0, 1.0, 2), q[0])), np.concatenate(([0.0, 0.0], q[1])),
+        without_momentum(np.append(rng.uniform(-1.0, 1.0, 2), q[0])),
+        np.concatenate(([0.0, 0.0], q[1])),
         rng.uniform(-50.0, 50.0, 2), rng.uniform(0.05, 0.5, n),
         RobotParameters().lumped.as_array(), np.full((n, 2), -100.0), np.full((n, 2), 100.0),
         100.0, **changes,
@@ -59,16 +60,17 @@ def random_start(n: int) -> Vector:
 def ordinary_calls(n: int) -> None:
     """Solve, expand and predict over N intervals with every kind of cost, and steady rolling."""
     rolling = {"steady_axis": np.array([0.6, -0.8]), "whole_turns": -4.0}
-    for weights, drift in product(WEIGHTS, (NO_DRIFT, DRIFT)):
-        problem = replace(make_problem(n, **weights), drift=drift.as_array())
+    for weights, disturbance in product(WEIGHTS, (UNDISTURBED, DISTURBANCE)):
+        problem = replace(make_problem(n, **weights), disturbance=disturbance)
         steady = (replace(problem, steady_interval=k, **rolling) for k in range(1, n))
         for one in (problem, *steady):
             HoldSolver(SolverSettings(max_iterations=12)).solve(one, random_start(n))
             expand_compiled(one, random_start(n))
-        roll_out_with_momentum(
-            problem.state, DRIFT, random_start(n + 1), problem.durations,
-            problem.constants, problem.max_step,
-        )
+        for predict in (roll_out, propagate):
+            predict(
+                problem.state, random_start(n + 1), problem.durations, problem.constants,
+                problem.max_step, disturbance,
+            )
 
 
 def edge_cases(n: int) -> None:
@@ -80,9 +82,7 @@ def edge_cases(n: int) -> None:
         part = np.where(np.arange(n)[:, None] == n - 1, 0.0, problem.upper)
         for upper in (np.zeros((n, 2)), part, np.full((n, 2), np.inf)):
             solver.solve(replace(problem, lower=-upper, upper=upper), start)
-        for name in (
-            "state", "goal", "input_in_force", "durations", "constants", "lower", "drift",
-        ):
+        for name in ("state", "goal", "input_in_force", "durations", "constants", "lower"):
             for value in (np.nan, np.inf) if name != "durations" else (np.nan, 0.0):
                 odd = {name: np.full_like(getattr(problem, name), value)}
                 solver.solve(replace(problem, **odd), start)
@@ -92,8 +92,8 @@ def edge_cases(n: int) -> None:
         HoldSolver(SolverSettings(max_iterations=0)).solve(problem, start)
     state, constants = problem.state, problem.constants
     inputs = np.vstack((problem.input_in_force, start))
-    roll_out_with_momentum(state, DRIFT, inputs, np.zeros(n), constants, 0.1)
-    roll_out_with_momentum(state, DRIFT, inputs * np.nan, problem.durations, constants, 0.1)
+    roll_out(state, inputs, np.zeros(n), constants, 0.1, DISTURBANCE)
+    roll_out(state, inputs * np.nan, problem.durations, constants, 0.1, DISTURBANCE)
 
 
 FAULTY = ("workspace.h", "take(base, &used, m + 2)", "take(base, &used, m)")

@@ -209,7 +209,9 @@ class ControllerReports:
         if goal is None or not decision.solved:
             return {}
         missing = {_NO_PROGRESS: decision.no_progress} if decision.no_progress else {}
-        return missing | rotor_reserve(decision.drift, self._robot, goal)
+        return missing | rotor_reserve(
+            decision.momentum, decision.disturbance, self._robot, goal
+        )
 
     def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about solve times and failures."""

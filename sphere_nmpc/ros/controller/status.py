@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of the controller's status: decision, plant, drift, stability, controllability."""
+"""Values of the controller's status: decision, plant, momentum, stability, controllability."""
 
 import math
 from typing import Any
@@ -12,14 +12,15 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
-from sphere_nmpc.model.drift import (
-    Drift,
+from sphere_nmpc.model.disturbance import (
+    Disturbance,
     angle_of_slope,
     offset_of_imbalance,
+    rest_speeds,
     time_to_saturation,
 )
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5
@@ -68,7 +69,7 @@ class ControllerStatus:
         if decision.state is not None and time >= self._evaluated_at + _CONTROLLABILITY_EVERY:
             self._evaluated_at = time
             constants = self._controller.estimator.plant.constants
-            self._controllability = controllability(decision.state, constants)
+            self._controllability = controllability(decision.state[POSE], constants)
 
     def values(self, decision: Decision, time: float, duration: float, missed: int) -> dict[
         str, Any
@@ -99,7 +100,9 @@ class ControllerStatus:
             "command_delay_s": controller.rotor_feedback.delay,
             "command_loss": controller.rotor_feedback.loss,
             **self._plant_values(),
-            **drift_values(decision.drift, self._robot, controller.goal),
+            **momentum_values(
+                decision.momentum, decision.disturbance, self._robot, controller.goal
+            ),
             "giving_up": plan.given_up,
             "no_progress": decision.no_progress,
             **self._stability_values(),
@@ -137,7 +140,7 @@ class ControllerStatus:
             return
         self._stability = self._monitor.update(
             Sample(
-                time, settings.units.scaled(state), settings.units.scaled(goal),
+                time, settings.units.scaled(state[POSE]), settings.units.scaled(goal),
                 decision.plan.cost,
                 decision.plan.hold.at(time + settings.period),
                 settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
@@ -145,23 +148,27 @@ class ControllerStatus:
         )
 
 
-def drift_values(drift: Drift, robot: RobotParameters, goal: Vector | None) -> dict[str, float]:
-    """Return the status values of an estimated drift.
+def momentum_values(
+    momentum: Vector, disturbance: Disturbance, robot: RobotParameters, goal: Vector | None
+) -> dict[str, float]:
+    """Return the status values of the estimated momentum and of what changes it.
 
     Speeds and saturation of the resting rotors are those at the goal, shape (6,); nan without one.
     """
-    momentum = robot.rotor_axial_inertia * drift.momentum
-    offset = 1e3 * offset_of_imbalance(robot, drift.imbalance)
+    offset = 1e3 * offset_of_imbalance(robot, disturbance.imbalance)
     speeds, saturation = (math.nan, math.nan), math.nan
     if goal is not None:
-        first, second = drift.rest_speeds(goal[QUATERNION]).tolist()
+        first, second = rest_speeds(momentum, goal[QUATERNION]).tolist()
         speeds = first, second
-        saturation = time_to_saturation(drift, goal[QUATERNION], robot.max_rotor_speed)
+        saturation = time_to_saturation(
+            momentum, disturbance, goal[QUATERNION], robot.max_rotor_speed
+        )
+    in_newton = robot.rotor_axial_inertia * momentum
     return {
         **{f"momentum_{axis}": value
-           for axis, value in zip("xyz", momentum.tolist(), strict=True)},
-        "slope_deg": math.degrees(angle_of_slope(robot, drift.slope)),
-        "slope_direction_deg": math.degrees(_downhill(drift.slope)),
+           for axis, value in zip("xyz", in_newton.tolist(), strict=True)},
+        "slope_deg": math.degrees(angle_of_slope(robot, disturbance.slope)),
+        "slope_direction_deg": math.degrees(_downhill(disturbance.slope)),
         **{f"mass_offset_{axis}_mm": value
            for axis, value in zip("xyz", offset.tolist(), strict=True)},
         "rest_speed_1": speeds[0],

@@ -158,8 +158,7 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
 }
 
 /* Minimise the damped model within the bounds; 0 where the factorisation fails. */
-static int bounded_step(const problem *p, workspace *w, double damping, const double *states,
-                        const double *momenta)
+static int bounded_step(const problem *p, workspace *w, double damping, const double *states)
 {
     const int64_t size = 2 * p->intervals;
     int any = 0;
@@ -174,8 +173,7 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     for (int pass = 0; pass < BOUND_PASSES && any; pass++) {
         int crossed = 0;
         if (!(is_dense(p) ? dense_step(w, damping, size)
-                          : sparse_step(p, w, damping, states,
-                                        seventh_residual(p, states, momenta), size)))
+                          : sparse_step(p, w, damping, states, seventh_residual(p, states), size)))
             return 0;
         any = 0;
         for (int64_t i = 0; i < size; i++) {
@@ -233,8 +231,7 @@ static double projected_gradient(const workspace *w, int64_t size)
 static void prepare(problem *p, workspace *w)
 {
     divide(w, p->workspace, p->intervals);
-    p->drifts = is_nonzero(p->drift);
-    memset(p->momenta, 0, (size_t)(3 * p->intervals + 3) * sizeof *p->momenta);
+    p->disturbed = is_disturbed(p->state, p->torques);
     for (int64_t i = 0; i < 2 * p->intervals; i++) {
         w->lower[i] = p->lower[i] / p->input_scale;
         w->upper[i] = p->upper[i] / p->input_scale;

@@ -9,40 +9,25 @@ is made of sums, products and quotients alone, and a derivative is linear in its
 is only ever added to a tangent or scaled by a number. ``vectors.h`` defines the tangents.
 """
 
-from collections.abc import Callable
-from functools import partial
-
 import casadi as ca
 
-from sphere_nmpc.model.integrator import tangent_drift_step_function, tangent_step_function
+from sphere_nmpc.model.integrator import tangent_step_function
 
 _PLACES = {
     "q": ("y", 0), "momentum": ("y", 4), "u_start": ("u_start", 0), "u_end": ("u_end", 0),
-    "h": ("h", 0), "p": ("p", 0), "torques": ("torques", 0),
-    "dp": ("dp", 0), "dtorques": ("dtorques", 0), "dq": ("dy", 0), "dmomentum": ("dy", 4), "du_start": ("du_start", 0), "du_end": ("du_end", 0),
-    "dxy": ("dxy", 0), "q_end": ("y_end", 0), "momentum_end": ("y_end", 4),
-    "ddxy": ("ddxy", 0), "dq_end": ("dy_end", 0), "dmomentum_end": ("dy_end", 4),
+    "h": ("h", 0), "p": ("p", 0), "torques": ("torques", 0), "dxy": ("dxy", 0),
+    "q_end": ("y_end", 0), "momentum_end": ("y_end", 4),
+    "dq": ("dy", 0), "dmomentum": ("dy", 4), "du_start": ("du_start", 0), "du_end": ("du_end", 0),
+    "dp": ("dp", 0), "dtorques": ("dtorques", 0), "ddxy": ("ddxy", 0),
+    "dq_end": ("dy_end", 0), "dmomentum_end": ("dy_end", 4),
 }
-"""Array in C, and first index in it, of each argument and result of the steps of
-`sphere_nmpc.model.integrator`: y holds the quaternion and the momentum if there is one."""
+"""Array in C, and first index in it, of each argument and result of the step: y holds the
+quaternion and the momentum if there is one."""
 
-_SEED_NAMES = ("dq", "dmomentum", "du_start", "du_end", "dp", "dtorques")
-
-_STEP = ("q", "u_start", "u_end", "h", "p", "dq", "du_start", "du_end"), (
-    "dxy", "q_end", "ddxy", "dq_end",
-)
-_DRIFT_STEP = (
-    ("q", "momentum", "u_start", "u_end", "h", "p", "torques",
-     "dq", "dmomentum", "du_start", "du_end"),
-    ("dxy", "q_end", "momentum_end", "ddxy", "dq_end", "dmomentum_end"),
-)
-_FITTED_STEP = (
-    ("q", "momentum", "u_start", "u_end", "h", "p", "torques",
-     "dq", "dmomentum", "dp", "dtorques"),
-    _DRIFT_STEP[1],
-)
-"""Arguments and results of `tangent_step_function` and `tangent_drift_step_function`, the last
-ones with the derivatives that an estimator needs."""
+_BY_KNOTS = ("q", "u_start", "u_end")
+_BY_START_AND_KNOTS = ("q", "momentum", "u_start", "u_end")
+_BY_PLANT = ("q", "momentum", "p", "torques")
+"""What a step is differentiated by: for a solve without and with momentum, for an estimator."""
 
 _SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}
@@ -51,62 +36,56 @@ _INPUTS = (
     "const double *restrict y, const double *restrict u_start, const double *restrict u_end, "
     "double h, const double *restrict p, const double *restrict torques"
 )
-_SEEDS = "const {0} *restrict dy, const {0} *restrict du_start, const {0} *restrict du_end"
 _OUTPUTS = "double *restrict dxy, double *restrict y_end"
-_TANGENTS = "{0} *restrict ddxy, {0} *restrict dy_end"
-
-Names = tuple[tuple[str, ...], tuple[str, ...]]
-"""Names of the arguments and of the results of a function."""
 
 Operands = list[tuple[str, bool]]
 """Name of each operand, and whether it is a tangent."""
 
 
 def kernel_source() -> str:
-    """Return the C functions of a step: alone and with derivatives, without and with drift.
+    """Return the C functions of a step: alone and with derivatives, without and with momentum.
 
     The last one, ``fitted_step``, has the derivatives that an estimator needs.
     """
-    by_inputs = partial(tangent_drift_step_function, varied=("q", "momentum", "u_start", "u_end"))
-    by_plant = tangent_drift_step_function(1, ("q", "momentum", "p", "torques"))
-    plant_seeds = "const fitted *restrict dy, const fitted *restrict dp, " \
-        "const fitted *restrict dtorques"
     return (
-        _kernels("without_drift", "tangent", tangent_step_function, _STEP)
-        + _kernels("with_drift", "wide_tangent", by_inputs, _DRIFT_STEP)
-        + _kernel("fitted_step", "fitted", by_plant, _FITTED_STEP, plant_seeds)
+        _nominal("nominal_step_undisturbed", tangent_step_function(0, _BY_KNOTS, undisturbed=True))
+        + _kernel("tangent_step_undisturbed", "tangent", _BY_KNOTS, undisturbed=True)
+        + _nominal("nominal_step_disturbed", tangent_step_function(0, _BY_START_AND_KNOTS))
+        + _kernel("tangent_step_disturbed", "wide_tangent", _BY_START_AND_KNOTS)
+        + _kernel("fitted_step", "fitted", _BY_PLANT)
     )
 
 
-def _kernels(
-    model: str, tangent: str, step_function: Callable[[int], ca.Function], names: Names
-) -> str:
-    value = _body(_without_repetition(step_function(0)), names)
-    seeds = _SEEDS.format(tangent)
-    return (
-        f"static void nominal_step_{model}({_INPUTS}, {_OUTPUTS})\n{{\n{value}}}\n\n"
-        + _kernel(f"tangent_step_{model}", tangent, step_function(1), names, seeds)
-    )
+def _nominal(name: str, function: ca.Function) -> str:
+    return f"static void {name}({_INPUTS}, {_OUTPUTS})\n{{\n{_body(function)}}}\n\n"
 
 
-def _kernel(name: str, tangent: str, function: ca.Function, names: Names, seeds: str) -> str:
-    body = _body(_without_repetition(function), names)
-    tangents = _TANGENTS.format(tangent)
+def _kernel(name: str, tangent: str, varied: tuple[str, ...], undisturbed: bool = False) -> str:
+    function = tangent_step_function(1, varied, undisturbed)
+    arrays = dict.fromkeys(_PLACES[f"d{name}"][0] for name in varied)
+    seeds = "".join(f", const {tangent} *restrict {array}" for array in arrays)
+    tangents = f"{tangent} *restrict ddxy, {tangent} *restrict dy_end"
     return (
-        f"static void {name}({_INPUTS}, {seeds}, {_OUTPUTS}, {tangents})\n{{\n{body}}}\n\n"
+        f"static void {name}({_INPUTS}{seeds}, {_OUTPUTS}, {tangents})\n"
+        f"{{\n{_body(function)}}}\n\n"
     )
 
 
 def _without_repetition(function: ca.Function) -> ca.Function:
     """Return the function with common subexpressions, which differentiation repeats, once each."""
     arguments = function.sx_in()
-    return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))
+    return ca.Function(
+        function.name(), arguments, ca.cse(function.call(arguments)), function.name_in(),
+        function.name_out(),
+    )
 
 
-def _body(function: ca.Function, arguments_and_results: Names) -> str:
+def _body(function: ca.Function) -> str:
     """Translate CasADi's instructions, one statement each."""
     # CasADi reuses its work vector; here every instruction gets a name of its own.
-    arguments, results = arguments_and_results
+    function = _without_repetition(function)
+    arguments, results = function.name_in(), function.name_out()
+    seeds = [name for name in arguments if name[0] == "d"]
     names: dict[int, str] = {}
     is_tangent: dict[int, bool] = {}
     lines: list[str] = []
@@ -123,7 +102,7 @@ def _body(function: ca.Function, arguments_and_results: Names) -> str:
         if operation == ca.OP_INPUT:
             argument = arguments[sources[0]]
             place = _place(argument, sources[1])
-            is_tangent[target] = argument in _SEED_NAMES
+            is_tangent[target] = argument in seeds
             lines.append(
                 f"TANGENT_COPY({name}, {place})" if is_tangent[target]
                 else f"const double {name} = {place};"

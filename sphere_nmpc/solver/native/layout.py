@@ -36,11 +36,11 @@ class Field(NamedTuple):
 
 
 FIELDS = (
-    Field("double", "state", 6, "x_0"),
+    Field("double", "state", 9, "x_0"),
     Field("double", "goal", 6, "x_d"),
     Field("double", "input_in_force", 2, "u_0 [rad/s]"),
     Field("double", "constants", 4, "Rs, c1, r1, r3"),
-    Field("double", "drift", 8, "h [rad/s], s and a [rad/s^2]"),
+    Field("double", "torques", 5, "s and a [rad/s^2]"),
     Field("double", "input_reference", 2, "u_ref [rad/s]"),
     Field("double", "momentum_row", 3, "r_h [s/rad]"),
     Field("double", "steady_axis", 2, "a"),
@@ -67,14 +67,13 @@ FIELDS = (
     Field("int64_t", "status", 1, "result, as is the next one"),
     Field("int64_t", "iterations", 1, ""),
     Field("int64_t", "steady_interval", 1, "that of steady rolling; 0 without"),
-    Field("int64_t", "drifts", 1, "whether the drift is not zero; result"),
+    Field("int64_t", "disturbed", 1, "whether there are momentum or torques; result"),
     Field("const double *", "durations", 1, "N [s]"),
     Field("const double *", "lower", 1, "N x 2 [rad/s]"),
     Field("const double *", "upper", 1, "N x 2 [rad/s]"),
     Field("const double *", "start", 1, "N x 2 [rad/s], the initial guess"),
     Field("double *", "inputs", 1, "(N + 1) x 2 [rad/s], result"),
-    Field("double *", "states", 1, "(N + 1) x 6, result"),
-    Field("double *", "momenta", 1, "(N + 1) x 3 [rad/s], result; zero without drift"),
+    Field("double *", "states", 1, "(N + 1) x 9, result"),
     Field("double *", "workspace", 1, "hold_workspace(N) doubles"),
 )
 

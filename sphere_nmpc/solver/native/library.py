@@ -63,8 +63,8 @@ def _loaded() -> ctypes.CDLL:
     address, count, number = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
     for name, result, arguments in (
         ("hold_solve", None, [address]),
-        ("hold_roll_out", None, [count, number, *[address] * 7]),
-        ("hold_propagate", None, [count, number, *[address] * 7]),
+        ("hold_roll_out", None, [count, number, *[address] * 5]),
+        ("hold_propagate", None, [count, number, *[address] * 6]),
         ("hold_expand", None, [address] * 4),
         ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 7]),
         ("hold_workspace", count, [count]),
@@ -97,13 +97,12 @@ class Slot:
         self._integers = self._words.view(np.int64)
         self._durations = np.zeros(n)
         self._lower, self._upper, self._start = np.zeros((3, n, 2))
-        self._inputs, self._states = np.zeros((n + 1, 2)), np.zeros((n + 1, 6))
-        self._momenta = np.zeros((n + 1, 3))
+        self._inputs, self._states = np.zeros((n + 1, 2)), np.zeros((n + 1, 9))
         self._workspace = np.zeros(int(solver.hold_workspace(n)))
         self._integers[index("intervals")] = n
         arrays = (
             self._durations, self._lower, self._upper, self._start, self._inputs, self._states,
-            self._momenta, self._workspace,
+            self._workspace,
         )
         pointers = [array.ctypes.data for array in arrays]
         self._integers[span("durations", "workspace")] = pointers
@@ -122,8 +121,9 @@ class Slot:
     def write(self, problem: HoldProblem, start: Vector, time_budget: float) -> None:
         """Write a problem, the initial guess (N, 2) [rad/s] and the wall time of the solve [s]."""
         vectors = (
-            problem.state, problem.goal, problem.input_in_force, problem.constants, problem.drift,
-            problem.input_reference, problem.momentum_row, problem.steady_axis,
+            problem.state, problem.goal, problem.input_in_force, problem.constants,
+            problem.disturbance.slope, problem.disturbance.imbalance, problem.input_reference,
+            problem.momentum_row, problem.steady_axis,
         )
         np.concatenate(vectors, out=self._vectors)
         self._scalars[:] = (
@@ -142,7 +142,7 @@ class Slot:
         """Return the solution, in arrays of its own."""
         words, integers = self._words, self._integers
         return HoldSolution(
-            self._inputs.copy(), self._states.copy(), self._momenta.copy(), words.item(_COST),
+            self._inputs.copy(), self._states.copy(), words.item(_COST),
             STATUSES[integers.item(_STATUS)], integers.item(_ITERATIONS),
             words.item(_KKT_RESIDUAL), words.item(_SOLVE_TIME),
         )

@@ -1,8 +1,8 @@
 /* Copyright 2026 sphere_nmpc contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The two models, without and with momentum: shooting.h is included for each, and the functions
- * at the end select. Without drift the first one gives the same results in less time.
+ * Two instances of the model: shooting.h is included for each, and the functions at the end
+ * select. Without momentum and torques the first one gives the same results in less time.
  */
 static int64_t steps_for(double duration, double max_step)
 {
@@ -10,7 +10,7 @@ static int64_t steps_for(double duration, double max_step)
     return steps > 1.0 ? (int64_t)steps : 1;
 }
 
-#define NAME(function) function##_without_drift
+#define NAME(function) function##_undisturbed
 #define TANGENT tangent
 #define CARRIED 4 /* the quaternion */
 #include "shooting.h"
@@ -18,7 +18,7 @@ static int64_t steps_for(double duration, double max_step)
 #undef TANGENT
 #undef CARRIED
 
-#define NAME(function) function##_with_drift
+#define NAME(function) function##_disturbed
 #define TANGENT wide_tangent
 #define CARRIED 7 /* quaternion and momentum */
 #include "shooting.h"
@@ -26,43 +26,37 @@ static int64_t steps_for(double duration, double max_step)
 #undef TANGENT
 #undef CARRIED
 
-/* Whether a drift, [h, s, a], is not zero; true for a NaN. */
-static int is_nonzero(const double *drift)
+/* Whether there is momentum in a state, or a torque that changes it; true for a NaN. */
+static int is_disturbed(const double *state, const double *torques)
 {
     int any = 0;
-    for (int i = 0; i < 8; i++)
-        any |= drift[i] != 0.0;
+    for (int i = 6; i < STATE; i++)
+        any |= state[i] != 0.0;
+    for (int i = 0; i < 5; i++)
+        any |= torques[i] != 0.0;
     return any;
 }
 
-/* States, (N + 1) x 6, and momenta, (N + 1) x 3, at the knots of `inputs`, (N + 1) x 2 [rad/s],
- * from `state` and `drift` on. */
+/* `states`, (N + 1) x STATE, at the knots of `inputs`, (N + 1) x 2 [rad/s]; the first is given. */
 void hold_roll_out(int64_t intervals, double max_step, const double *constants,
-                   const double *durations, const double *state, const double *drift,
-                   const double *inputs, double *states, double *momenta)
+                   const double *torques, const double *durations, const double *inputs,
+                   double *states)
 {
-    if (is_nonzero(drift)) {
-        roll_out_with_drift(intervals, max_step, constants, durations, state, drift, inputs,
-                               states, momenta);
-        return;
-    }
-    memset(momenta, 0, (size_t)(3 * intervals + 3) * sizeof *momenta);
-    roll_out_without_drift(intervals, max_step, constants, durations, state, drift, inputs, states,
-                     momenta);
+    (is_disturbed(states, torques) ? roll_out_disturbed : roll_out_undisturbed)(
+        intervals, max_step, constants, torques, durations, inputs, states);
 }
 
-static void shoot(const problem *p, const double *inputs, double *states, double *momenta,
-                  double *jacobians)
+static void shoot(const problem *p, const double *inputs, double *states, double *jacobians)
 {
-    (p->drifts ? shoot_with_drift : shoot_without_drift)(p, inputs, states, momenta, jacobians);
+    (p->disturbed ? shoot_disturbed : shoot_undisturbed)(p, inputs, states, jacobians);
 }
 
 static void terminal_rows(const problem *p, workspace *w)
 {
-    (p->drifts ? terminal_rows_with_drift : terminal_rows_without_drift)(p, w);
+    (p->disturbed ? terminal_rows_disturbed : terminal_rows_undisturbed)(p, w);
 }
 
 static void advance_chain(const problem *p, workspace *w, int64_t m)
 {
-    (p->drifts ? advance_chain_with_drift : advance_chain_without_drift)(p, w, m);
+    (p->disturbed ? advance_chain_disturbed : advance_chain_undisturbed)(p, w, m);
 }

@@ -32,12 +32,12 @@ static double input_excess(const problem *p, const double *v, int64_t i)
 }
 
 /* Residual of the momentum at the end, h_N, or of the tilt; 0 without either. */
-static double seventh_residual(const problem *p, const double *states, const double *momenta)
+static double seventh_residual(const problem *p, const double *states)
 {
-    const double *row = p->momentum_row, *end = momenta + 3 * p->intervals;
-    if (p->drifts)
+    const double *row = p->momentum_row, *end = states + STATE * p->intervals + 6;
+    if (p->disturbed)
         return row[0] * end[0] + row[1] * end[1] + row[2] * end[2];
-    return has_tilt(p) ? tilt(p, states + 6 * p->steady_interval + 2) : 0.0;
+    return has_tilt(p) ? tilt(p, states + STATE * p->steady_interval + 2) : 0.0;
 }
 
 /* Factor on the error of a component of the state. */
@@ -49,11 +49,11 @@ static double state_scale(const problem *p, int component)
 /* Scaled error of a component of the state at knot m. */
 static double state_residual(const problem *p, const double *states, int64_t m, int component)
 {
-    return state_scale(p, component) * (states[6 * m + component] - p->goal[component]);
+    return state_scale(p, component) * (states[STATE * m + component] - p->goal[component]);
 }
 
 static double cost_of(const problem *p, const double *v, const double *inputs,
-                      const double *states, const double *momenta)
+                      const double *states)
 {
     const int64_t n = p->intervals;
     double terminal = 0.0, stages = 0.0, effort = 0.0, slew = 0.0;
@@ -62,7 +62,7 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
         terminal += error * error;
     }
     if (!is_dense(p)) {
-        const double error = seventh_residual(p, states, momenta);
+        const double error = seventh_residual(p, states);
         terminal += error * error;
     }
     if (p->stage_weight > 0.0)
@@ -84,22 +84,21 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
            + p->slew_weight * slew;
 }
 
-/* Cost, states, momenta and the derivatives of the intervals at v; the results of `expand` are
- * kept. */
+/* Cost, states and the derivatives of the intervals at v; the results of `expand` are kept. */
 static double evaluate(const problem *p, const double *v, double *inputs, double *states,
-                       double *momenta, double *jacobians)
+                       double *jacobians)
 {
     memcpy(inputs, p->input_in_force, sizeof p->input_in_force);
     for (int64_t i = 0; i < 2 * p->intervals; i++)
         inputs[i + 2] = p->input_scale * v[i];
-    shoot(p, inputs, states, momenta, jacobians);
-    return cost_of(p, v, inputs, states, momenta);
+    shoot(p, inputs, states, jacobians);
+    return cost_of(p, v, inputs, states);
 }
 
 static void dense_states_part(const problem *p, workspace *w, const double *states)
 {
     const int64_t n = p->intervals, size = 2 * n;
-    memset(w->chain, 0, (size_t)(LARGEST_STATE * size) * sizeof *w->chain);
+    memset(w->chain, 0, (size_t)(STATE * size) * sizeof *w->chain);
     memset(w->hessian, 0, (size_t)(size * size) * sizeof *w->hessian);
     for (int64_t m = 0; m < n; m++) {
         const double weight = 2.0 * (m == n - 1 ? p->terminal_weight : p->stage_weight);
@@ -130,7 +129,7 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
 /* Gradient and Gauss-Newton Hessian from the intervals' derivatives; the form of the Hessian
  * depends on `is_dense`. */
 static void expand(const problem *p, workspace *w, const double *v, const double *inputs,
-                   const double *states, const double *momenta)
+                   const double *states)
 {
     const int64_t size = 2 * p->intervals;
     for (int64_t i = 0; i < size; i++) {
@@ -160,7 +159,7 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     double error[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
         error[l] = 2.0 * p->terminal_weight * state_residual(p, states, p->intervals, l);
-    error[6] = 2.0 * p->terminal_weight * seventh_residual(p, states, momenta);
+    error[6] = 2.0 * p->terminal_weight * seventh_residual(p, states);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;
         for (int l = 0; l < ROW; l++)

@@ -16,17 +16,16 @@ static fitted fitted_unit(int d)
     return t;
 }
 
-/* Move `state` (6) and `momentum` (3) in place over the intervals between the knots of `inputs`.
- * `derivative`, 8 x VARIED, is that of the error of position, rotation and momentum at the end. */
+/* Move `state` in place over the intervals between the knots of `inputs`. `derivative`, 8 x VARIED,
+ * is that of the error of position, rotation and momentum at the end. */
 void hold_propagate(int64_t intervals, double max_step, const double *constants,
                     const double *torques, const double *durations, const double *inputs,
-                    double *state, double *momentum, double *derivative)
+                    double *state, double *derivative)
 {
     double y[7], rows[9][sizeof(fitted) / sizeof(double)] = {{0.0}};
     double *const q = y, *const end = derivative;
     fitted dy[7], dp[4], dtorques[5], dxy[2];
-    memcpy(y, state + 2, 4 * sizeof *y);
-    memcpy(y + 4, momentum, 3 * sizeof *y);
+    memcpy(y, state + 2, sizeof y);
     /* q exp(r / 2) to first order. */
     const double turned[4][3] = {
         {-q[1], -q[2], -q[3]}, {q[0], -q[3], q[2]}, {q[3], q[0], -q[1]}, {-q[2], q[1], q[0]}};
@@ -64,8 +63,7 @@ void hold_propagate(int64_t intervals, double max_step, const double *constants,
             }
         }
     }
-    memcpy(state + 2, y, 4 * sizeof *y);
-    memcpy(momentum, y + 4, 3 * sizeof *y);
+    memcpy(state + 2, y, sizeof y);
     memcpy(rows, dxy, sizeof dxy);
     memcpy(rows + 2, dy, sizeof dy);
     for (int c = 0; c < VARIED; c++) {

@@ -13,35 +13,32 @@
  */
 #define DIRECTIONS ((int)(sizeof(TANGENT) / sizeof(double)))
 #define DERIVATIVE ((2 + CARRIED) * DIRECTIONS)
-#define MOMENTUM_BYTES ((CARRIED - 4) * sizeof(double))
+#define Y_BYTES (CARRIED * sizeof(double))
 
 static void NAME(roll_out)(int64_t intervals, double max_step, const double *constants,
-                           const double *durations, const double *state, const double *drift,
-                           const double *inputs, double *states, double *momenta)
+                           const double *torques, const double *durations,
+                           const double *inputs, double *states)
 {
-    memcpy(states, state, 6 * sizeof *states);
-    memcpy(momenta, drift, MOMENTUM_BYTES);
     for (int64_t m = 0; m < intervals; m++) {
-        const double *u = inputs + 2 * m, *x = states + 6 * m;
+        const double *u = inputs + 2 * m, *x = states + STATE * m;
         const int64_t steps = steps_for(durations[m], max_step);
         const double h = durations[m] / (double)steps;
         const double slope[2] = {u[2] - u[0], u[3] - u[1]};
         double xy[2] = {x[0], x[1]}, y[CARRIED];
-        memcpy(y, x + 2, 4 * sizeof *y);
-        memcpy(y + 4, momenta + 3 * m, MOMENTUM_BYTES);
+        memcpy(y, x + 2, Y_BYTES);
         for (int64_t i = 0; i < steps; i++) {
             const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
             const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
             const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
             double moved[2], y_end[CARRIED];
-            NAME(nominal_step)(y, here, there, h, constants, drift + 3, moved, y_end);
+            NAME(nominal_step)(y, here, there, h, constants, torques, moved, y_end);
             xy[0] += moved[0];
             xy[1] += moved[1];
             memcpy(y, y_end, sizeof y);
         }
-        memcpy(states + 6 * m + 6, xy, sizeof xy);
-        memcpy(states + 6 * m + 8, y, 4 * sizeof *y);
-        memcpy(momenta + 3 * m + 3, y + 4, MOMENTUM_BYTES);
+        memcpy(states + STATE * (m + 1), xy, sizeof xy);
+        memset(states + STATE * (m + 1) + 6, 0, 3 * sizeof *states);
+        memcpy(states + STATE * (m + 1) + 2, y, Y_BYTES);
     }
 }
 
@@ -67,10 +64,9 @@ static void NAME(input_seeds)(const TANGENT *first, const TANGENT *second, doubl
     }
 }
 
-/* Move state `x` and `momentum` over interval m and write the derivatives [knots: per rad/s]. */
+/* Move state `x` over interval m and write the derivatives [knots: per rad/s]. */
 static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, const double *x,
-                                 const double *momentum, double *x_end, double *momentum_end,
-                                 double *jacobian)
+                                 double *x_end, double *jacobian)
 {
     const double duration = p->durations[m] - (m == p->steady_interval ? p->whole_turns : 0.0);
     const int64_t steps = steps_for(duration, p->max_step);
@@ -83,8 +79,7 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
     double xy[2] = {0.0, 0.0}, y[CARRIED];
     for (int k = 0; k < CARRIED; k++)
         dy[k] = NAME(unit)(k);
-    memcpy(y, x + 2, 4 * sizeof *y);
-    memcpy(y + 4, momentum, MOMENTUM_BYTES);
+    memcpy(y, x + 2, Y_BYTES);
     for (int64_t i = 0; i < steps; i++) {
         const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
         const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
@@ -93,7 +88,7 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
         TANGENT d_here[2], d_there[2], d_moved[2], dy_end[CARRIED];
         NAME(input_seeds)(first, second, a, d_here);
         NAME(input_seeds)(first, second, b, d_there);
-        NAME(tangent_step)(y, here, there, h, p->constants, p->drift + 3, dy, d_here, d_there,
+        NAME(tangent_step)(y, here, there, h, p->constants, p->torques, dy, d_here, d_there,
                            moved, y_end, d_moved, dy_end);
         memcpy(y, y_end, sizeof y);
         memcpy(dy, dy_end, sizeof dy);
@@ -110,22 +105,20 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
         TANGENT_SCALED(scaled, scale, dxy[c])
         dxy[c] = scaled;
     }
-    memcpy(x_end + 2, y, 4 * sizeof *y);
-    memcpy(momentum_end, y + 4, MOMENTUM_BYTES);
+    memset(x_end + 6, 0, 3 * sizeof *x_end);
+    memcpy(x_end + 2, y, Y_BYTES);
     memcpy(jacobian, dxy, sizeof dxy);
     memcpy(jacobian + 2 * DIRECTIONS, dy, sizeof dy);
 }
 
-/* States and momenta at the knots and the derivatives of all intervals. That takes half as much
+/* States at the knots and the derivatives of all intervals. That takes half as much
  * time again as the states alone, but most trial steps are accepted and then need them. */
-static void NAME(shoot)(const problem *p, const double *inputs, double *states, double *momenta,
-                        double *jacobians)
+static void NAME(shoot)(const problem *p, const double *inputs, double *states, double *jacobians)
 {
     memcpy(states, p->state, sizeof p->state);
-    memcpy(momenta, p->drift, MOMENTUM_BYTES);
     for (int64_t m = 0; m < p->intervals; m++)
-        NAME(shoot_interval)(p, m, inputs + 2 * m, states + 6 * m, momenta + 3 * m,
-                             states + 6 * m + 6, momenta + 3 * m + 3, jacobians + m * DERIVATIVE);
+        NAME(shoot_interval)(p, m, inputs + 2 * m, states + STATE * m, states + STATE * (m + 1),
+                             jacobians + m * DERIVATIVE);
 }
 
 /* rows_i = d [scaled x_N, residual of h_N or of the tilt] / d v_i, backwards: `sensitivity` is the
@@ -151,7 +144,7 @@ static void NAME(terminal_rows)(const problem *p, workspace *w)
         }
         memcpy(sensitivity, column, sizeof sensitivity);
         if (has_tilt(p) && m == p->steady_interval)
-            add_tilt_row(p, p->states + 6 * m + 2, sensitivity);
+            add_tilt_row(p, p->states + STATE * m + 2, sensitivity);
         for (int c = 0; c < 4; c++) {
             const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
             if (i < 0)
@@ -162,7 +155,7 @@ static void NAME(terminal_rows)(const problem *p, workspace *w)
     }
 }
 
-/* chain = d [x_{m+1}, h_{m+1}] / d v from that of m, in place, (2 + CARRIED) x 2 N. */
+/* chain = d x_{m+1} / d v from that of m, in place, (2 + CARRIED) x 2 N. */
 static void NAME(advance_chain)(const problem *p, workspace *w, int64_t m)
 {
     const int64_t size = 2 * p->intervals;
@@ -186,4 +179,4 @@ static void NAME(advance_chain)(const problem *p, workspace *w, int64_t m)
 
 #undef DIRECTIONS
 #undef DERIVATIVE
-#undef MOMENTUM_BYTES
+#undef Y_BYTES

@@ -64,12 +64,12 @@ void hold_solve(problem *p)
     p->status = CAPPED;
     p->iterations = 0;
     p->kkt_residual = INFINITY;
-    p->cost = evaluate(p, w.v, p->inputs, p->states, p->momenta, w.interval);
+    p->cost = evaluate(p, w.v, p->inputs, p->states, w.interval);
     if (!isfinite(p->cost))
         p->status = NOT_FINITE;
     while (p->status != NOT_FINITE) {
         if (!expanded) {
-            expand(p, &w, w.v, p->inputs, p->states, p->momenta);
+            expand(p, &w, w.v, p->inputs, p->states);
             expanded = 1;
             p->kkt_residual = projected_gradient(&w, size);
             if (!isfinite(p->kkt_residual)) {
@@ -89,10 +89,10 @@ void hold_solve(problem *p)
         }
         p->iterations++;
         double value = NAN;
-        if (bounded_step(p, &w, damping, p->states, p->momenta)) {
+        if (bounded_step(p, &w, damping, p->states)) {
             for (int64_t i = 0; i < size; i++)
                 w.trial[i] = clip(w.v[i] + w.step[i], w.lower[i], w.upper[i]);
-            value = evaluate(p, w.trial, w.inputs, w.states, w.momenta, w.interval);
+            value = evaluate(p, w.trial, w.inputs, w.states, w.interval);
         }
         const double decrease = p->cost - value;
         if (isfinite(value) && decrease > 0.0) {
@@ -104,9 +104,7 @@ void hold_solve(problem *p)
             growth = 2.0;
             memcpy(w.v, w.trial, (size_t)size * sizeof *w.v);
             memcpy(p->inputs, w.inputs, (size_t)(size + 2) * sizeof *w.inputs);
-            memcpy(p->states, w.states, (size_t)(6 * p->intervals + 6) * sizeof *w.states);
-            if (p->drifts)
-                memcpy(p->momenta, w.momenta, (size_t)(3 * p->intervals + 3) * sizeof *w.momenta);
+            memcpy(p->states, w.states, (size_t)(STATE * (p->intervals + 1)) * sizeof *w.states);
             p->cost = value;
             expanded = 0;
         } else {
@@ -131,8 +129,8 @@ void hold_expand(problem *p, double *gradient, double *hessian, double *sensitiv
     workspace w;
     const int64_t size = 2 * p->intervals, block = 6 * size;
     prepare(p, &w);
-    p->cost = evaluate(p, w.v, p->inputs, p->states, p->momenta, w.interval);
-    expand(p, &w, w.v, p->inputs, p->states, p->momenta);
+    p->cost = evaluate(p, w.v, p->inputs, p->states, w.interval);
+    expand(p, &w, w.v, p->inputs, p->states);
     p->kkt_residual = projected_gradient(&w, size);
     memcpy(gradient, w.gradient, (size_t)size * sizeof *gradient);
     for (int64_t j = 0; j < size; j++) {
@@ -150,7 +148,7 @@ void hold_expand(problem *p, double *gradient, double *hessian, double *sensitiv
             hessian[i * size + j] = sum;
         }
     }
-    memset(w.chain, 0, (size_t)(LARGEST_STATE * size) * sizeof *w.chain);
+    memset(w.chain, 0, (size_t)(STATE * size) * sizeof *w.chain);
     memset(sensitivities, 0, (size_t)block * sizeof *sensitivities);
     for (int64_t m = 0; m < p->intervals; m++) {
         advance_chain(p, &w, m);

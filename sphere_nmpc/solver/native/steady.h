@@ -6,7 +6,7 @@
  */
 static int has_tilt(const problem *p)
 {
-    return p->steady_interval > 0 && !p->drifts;
+    return p->steady_interval > 0 && !p->disturbed;
 }
 
 /* The tilt at quaternion `q`. */

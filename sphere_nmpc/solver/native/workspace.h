@@ -3,18 +3,18 @@
  *
  * Memory that a solve works in. The caller allocates it, hold_workspace(N) doubles.
  */
-#define LARGEST_STATE 9 /* position, quaternion, momentum */
-#define LARGEST_DERIVATIVE (LARGEST_STATE * sizeof(wide_tangent) / sizeof(double))
+#define STATE 9 /* position, quaternion, momentum */
+#define LARGEST_DERIVATIVE (STATE * sizeof(wide_tangent) / sizeof(double))
 
 typedef struct {
     double *lower, *upper, *v, *trial, *step, *gradient; /* 2 N, scaled */
     double *diagonal, *subdiagonal; /* 2 N: diagonal and subdiagonal of D, without damping */
     double *partial_gradient; /* 2 N: gradient without the part of the terminal cost */
     double *pivot, *ratio, *right; /* 2 N */
-    double *inputs, *states, *momenta; /* of the trial */
+    double *inputs, *states; /* of the trial */
     double *rows, *solved; /* 2 N x ROW: terminal Jacobian transposed; D^-1 of it */
     double *interval; /* N x LARGEST_DERIVATIVE: derivatives of each interval */
-    double *chain; /* LARGEST_STATE x 2 N, only with a stage cost: sensitivities of one state */
+    double *chain; /* STATE x 2 N, only with a stage cost: sensitivities of one state */
     double *hessian, *factor; /* 2 N x 2 N, only with a stage cost */
     uint8_t *free; /* 2 N: 1 where the step is not fixed at a bound */
 } workspace;
@@ -59,12 +59,11 @@ static int64_t divide(workspace *w, double *base, int64_t n)
     for (size_t i = 0; i < sizeof vectors / sizeof vectors[0]; i++)
         *vectors[i] = take(base, &used, m);
     w->inputs = take(base, &used, m + 2);
-    w->states = take(base, &used, 6 * (n + 1));
-    w->momenta = take(base, &used, 3 * (n + 1));
+    w->states = take(base, &used, STATE * (n + 1));
     w->rows = take(base, &used, m * ROW);
     w->solved = take(base, &used, m * ROW);
     w->interval = take(base, &used, n * (int64_t)LARGEST_DERIVATIVE);
-    w->chain = take(base, &used, LARGEST_STATE * m);
+    w->chain = take(base, &used, STATE * m);
     w->hessian = take(base, &used, m * m);
     w->factor = take(base, &used, m * m);
     w->free = (uint8_t *)take(base, &used, m);

@@ -16,10 +16,17 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, flipped_sign
+from sphere_nmpc.model.state import (
+    INPUT_SIZE,
+    MOMENTUM,
+    QUATERNION,
+    Vector,
+    flipped_sign,
+    without_momentum,
+)
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
-from sphere_nmpc.solver.roll_out import roll_out, roll_out_with_momentum
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -43,7 +50,7 @@ class Arrival:
     ----------
     hold : FirstOrderHold
         Knots from time 0 (now) to the arrival [s].
-    states : ndarray, shape (K, 6)
+    states : ndarray, shape (K, 9)
         Predicted states at the knots.
     goal : ndarray, shape (6,)
         Goal with the quaternion sign that is aimed at.
@@ -58,8 +65,6 @@ class Arrival:
         Iterations times intervals: cost of the solve, the same on every machine.
     drift : Drift
         Predicted drift at the arrival.
-    momenta : ndarray, shape (K, 3)
-        Predicted momentum at the knots [rad/s; world frame].
     turns : int
         Whole turns of steady rolling that were left out of the problem.
     """
@@ -72,7 +77,6 @@ class Arrival:
     kkt_residual: float
     work: int
     drift: Drift
-    momenta: Vector
     turns: int = 0
 
     @property
@@ -186,7 +190,7 @@ class ArrivalSolver:
             iterations += solution.iterations
             if situation.drift.is_zero or not situation.drift.imbalance.any():
                 break
-            drift = replace(situation.drift, momentum=solution.momenta[-1])
+            drift = replace(situation.drift, momentum=solution.states[-1, MOMENTUM])
             ended = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
             if np.max(np.abs(ended - rest)) <= self._rest_speed:
                 break
@@ -198,15 +202,15 @@ class ArrivalSolver:
         return Arrival(
             FirstOrderHold(times, solution.inputs), solution.states, goal,
             error, iterations, solution.kkt_residual,
-            _CALL_WORK + (iterations + 1) * problem.intervals, drift, solution.momenta,
-            turns,
+            _CALL_WORK + (iterations + 1) * problem.intervals, drift, turns,
         )
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
         """Return the speeds that hold the momentum along knots u_1 ... u_N [rad/s], (N, 2)."""
         inputs = np.vstack((situation.input_in_force, knots))
         states = roll_out(
-            situation.state, inputs, durations, situation.constants.as_array(), self._max_step
+            without_momentum(situation.state), inputs, durations,
+            situation.constants.as_array(), self._max_step,
         )
         drift, times = situation.drift, np.cumsum(durations)
         return np.array([
@@ -219,11 +223,11 @@ class ArrivalSolver:
         drift = situation.drift
         if not drift.is_zero and drift.imbalance.any():
             inputs = np.vstack((situation.input_in_force, knots))
-            _, momenta = roll_out_with_momentum(
-                situation.state, drift, inputs, durations, situation.constants.as_array(),
-                self._max_step,
+            states = roll_out(
+                situation.state, inputs, durations, situation.constants.as_array(),
+                self._max_step, situation.disturbance,
             )
-            return replace(drift, momentum=momenta[-1])
+            return replace(drift, momentum=states[-1, MOMENTUM])
         return drift.after_slope(float(np.sum(durations)))
 
     def _momentum_row(self, situation: Situation, goal: Vector) -> Vector:
@@ -288,7 +292,7 @@ class ArrivalSolver:
             slew_weight=self._settings.slew_weight,
             max_acceleration=self._acceleration,
             max_step=self._max_step,
-            drift=situation.drift.as_array(),
+            disturbance=situation.disturbance,
             momentum_row=self._momentum_row(situation, goal),
         )
 

@@ -15,11 +15,18 @@ import dataclasses
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import NO_DRIFT
+from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign, state_error
+from sphere_nmpc.model.state import (
+    POSE,
+    QUATERNION,
+    Vector,
+    nearer_sign,
+    state_error,
+    without_momentum,
+)
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
@@ -79,7 +86,10 @@ class RestAtGoal:
         in_force = situation.input_in_force - drift.rest_speeds(turn)
         goal = self._tilted(situation)
         plan = self._corrections.plan(
-            dataclasses.replace(situation, goal=goal, input_in_force=in_force, drift=NO_DRIFT)
+            dataclasses.replace(
+                situation, state=without_momentum(situation.state), goal=goal,
+                input_in_force=in_force, disturbance=UNDISTURBED,
+            )
         )
         times = plan.hold.times
         held = [drift.after_rest(turn, float(time) - now).rest_speeds(turn) for time in times]
@@ -100,7 +110,7 @@ class RestAtGoal:
         _, c1, r1, r3 = situation.constants.as_array()
         square = rotation.vertical(goal[QUATERNION])[2] ** 2
         gain = c1 * r3 / r1 * (1.0 + r3 * square / (1.0 - r1 * (1.0 - square) - r3 * square))
-        turned = float(error_between(goal, situation.state)[4])
+        turned = float(error_between(goal, situation.state[POSE])[4])
         uncertainty = situation.uncertainty
         time = tuning.noisy_turning_time if uncertainty > 0.0 else tuning.turning_time
         wanted = -turned / (time * gain)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, Vector, flipped_sign
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, flipped_sign
 from sphere_nmpc.solver.half_motions import (
     Drives,
     Floats,
@@ -82,7 +82,7 @@ def meeting_guesses(
     work : int
         Effort of finding them, in microseconds or so.
     """
-    start, goal, period = situation.state, situation.goal, drives.period
+    start, goal, period = situation.state[POSE], situation.goal, drives.period
     speed = SteadyRolling.of(situation.constants, drives.limit).speed
     first, last = max(2, int(durations[0] / period)), int(durations[1] / period)
     levels = (last + 1) // 2

@@ -16,7 +16,14 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import FARTHEST, INPUT_SIZE, POSITION, flipped_sign, state_error
+from sphere_nmpc.model.state import (
+    FARTHEST,
+    INPUT_SIZE,
+    POSE,
+    POSITION,
+    flipped_sign,
+    state_error,
+)
 from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -272,8 +279,8 @@ class ArrivalSearch:
             )[-1]
             for factor in (1.0, 1.0 + _SCALING)
         )
-        missing = arrival.goal - arrival.states[-1]
-        along = float(missing @ (faster - end)) / (_SCALING * arrival.duration)
+        missing = arrival.goal - arrival.states[-1, POSE]
+        along = float(missing @ (faster - end)[POSE]) / (_SCALING * arrival.duration)
         return max(self._settings.least_rate, along / float(np.linalg.norm(missing)))
 
     def _keep(self, arrival: Arrival) -> None:

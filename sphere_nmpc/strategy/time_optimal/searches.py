@@ -17,7 +17,7 @@ import numpy as np
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, nearer_sign
-from sphere_nmpc.solver.roll_out import roll_out_with_momentum
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, DistantSearch, KnotGrid
@@ -201,8 +201,8 @@ class WorkerSearch:
 
 
 def _where(situation: Situation) -> tuple[Vector, ...]:
-    drift = situation.drift.as_array()
-    return situation.state, situation.input_in_force, situation.constants.as_array(), drift
+    torques = situation.disturbance.as_array()
+    return situation.state, situation.input_in_force, situation.constants.as_array(), torques
 
 
 class SearchesBeside:
@@ -297,11 +297,8 @@ def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: flo
     knots = hold.times[(hold.times > now) & (hold.times < time)]
     times = np.concatenate(([now], knots, [time]))
     speeds = np.array([hold.at(float(t)) for t in times])
-    states, momenta = roll_out_with_momentum(
-        situation.state, situation.drift, speeds, np.diff(times),
-        situation.constants.as_array(), max_step,
-    )
-    drift = situation.drift
-    if not drift.is_zero:
-        drift = replace(drift, momentum=momenta[-1].copy())
-    return replace(situation, time=time, state=states[-1], input_in_force=speeds[-1], drift=drift)
+    state = roll_out(
+        situation.state, speeds, np.diff(times), situation.constants.as_array(), max_step,
+        situation.disturbance,
+    )[-1]
+    return replace(situation, time=time, state=state, input_in_force=speeds[-1])

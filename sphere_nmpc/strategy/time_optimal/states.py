@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import QUATERNION, STATE_SIZE, Vector
+from sphere_nmpc.model.state import MOMENTUM, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
@@ -81,14 +81,13 @@ class Following:
         """Return the time from `now` to the arrival [s]."""
         return self.arrival.duration - (now - self.planned_at)
 
-    def prediction(self, now: float) -> tuple[Vector, Drift]:
-        """Return the state, shape (6,), and the drift that the plan has predicted for `now`."""
+    def prediction(self, now: float) -> Vector:
+        """Return the state, shape (9,), that the plan has predicted for `now`."""
         arrival, elapsed = self.arrival, now - self.planned_at
-        rows = np.hstack((arrival.states, arrival.momenta)).T
-        found = np.array([np.interp(elapsed, arrival.hold.times, row) for row in rows])
-        state, momentum = found[:STATE_SIZE], found[STATE_SIZE:]
+        rows = arrival.states.T
+        state = np.array([np.interp(elapsed, arrival.hold.times, row) for row in rows])
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
-        return state, replace(arrival.drift, momentum=momentum)
+        return state
 
     def rest(self, now: float) -> FirstOrderHold:
         """Return what remains of the plan at `now` [s], from time 0 (now) on."""
@@ -142,7 +141,7 @@ def replan(
         return None
     rest, plan = plan.rest(now), replace(plan, work=0)
     if not situation.drift.is_zero:
-        change = situation.drift.momentum - plan.prediction(now)[1].momentum
+        change = (situation.state - plan.prediction(now))[MOMENTUM]
         if np.max(np.abs(change)) > tuning.large_change_of_momentum:
             changed = _after_change(plan, situation, rest, left, deadline)
             if changed is None:
@@ -180,19 +179,19 @@ def _after_change(
 ) -> Arrival | None:
     """Return an arrival with a momentum that is not the predicted one; None where none is found.
 
-    Continuation: from the state and the drift that the plan has predicted for now those that are
-    estimated are approached in steps, each solved from the arrival of the one before.
+    Continuation: from the state that the plan has predicted for now, and its disturbance, those
+    that are estimated are approached in steps, each solved from the arrival of the one before.
     """
     planner, tuning = plan.planner, plan.planner.tuning
-    state, drift = plan.prediction(situation.time)
+    state, known = plan.prediction(situation.time), plan.arrival.drift.disturbance.as_array()
     away = error_between(state, situation.state)
-    known, change = drift.as_array(), situation.drift.as_array() - drift.as_array()
+    change = situation.disturbance.as_array() - known
     arrival: Arrival | None = None
     goal, hold, duration = plan.arrival.goal, rest, left
     for share in np.linspace(0.0, 1.0, tuning.momentum_steps + 1)[1:]:
         between = replace(
             situation, state=apply_error(state, float(share) * away),
-            drift=Drift.from_array(known + float(share) * change),
+            disturbance=Disturbance.from_array(known + float(share) * change),
         )
         for delay in tuning.momentum_delays:
             if time.perf_counter() > deadline:

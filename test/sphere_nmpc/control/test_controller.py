@@ -13,10 +13,10 @@ from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
 from sphere_nmpc.estimation.contract import Estimate
 from sphere_nmpc.estimation.estimators import ExactPoseEstimator
-from sphere_nmpc.model.drift import slope_torque
+from sphere_nmpc.model.disturbance import slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import POSE, Vector, as_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -105,7 +105,7 @@ def test_without_pose_or_goal_nothing_is_sent() -> None:
     controller.observe(0.0, START)
     decision = controller.decide(0.1)
     assert decision.mode is Mode.NO_GOAL and np.isnan(decision.angle_error)
-    np.testing.assert_array_equal(decision.state, START)
+    np.testing.assert_array_equal(decision.state[POSE], START)
     assert controller.commit(decision, 0.1) is None
 
 
@@ -143,12 +143,12 @@ def test_pose_out_of_order_or_from_the_future_is_dropped(controller: Controller)
     assert controller.late_poses == 2
     decision = controller.decide(1.0)
     assert decision.mode is Mode.TRACKING
-    np.testing.assert_array_equal(decision.state, START)
+    np.testing.assert_array_equal(decision.state[POSE], START)
 
 
 UNUSABLE: dict[str, Any] = {
     "error": RuntimeError("no plan"),
-    "states": np.full((5, 6), np.nan),
+    "states": np.full((5, 9), np.nan),
     "plan": lambda situation: None,
 }
 
@@ -271,7 +271,7 @@ def test_estimated_slope_saturates_the_rotors_and_is_reported() -> None:
     for hold in found.holds:
         within_limits(hold)
     expected = slope_torque(ROBOT, world.slope, world.slope_direction)
-    np.testing.assert_allclose(found.decisions[-1].drift.slope, expected, atol=0.3)
+    np.testing.assert_allclose(found.decisions[-1].disturbance.slope, expected, atol=0.3)
     # One rotor takes cos 0.5 of 24.4 rad/s^2: it is full after 4.7 s.
     modes = [decision.mode for decision in found.decisions]
     first = modes.index(Mode.SATURATED) * settings.period

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
@@ -121,7 +122,7 @@ def test_lost_commands_are_no_other_plant_and_cost_little_time(
     built = ROBOT.lumped.as_array()
     np.testing.assert_allclose(estimator.plant.constants.as_array(), built, rtol=1e-3)
     assert estimator.plant.noise < LARGEST_NOISE
-    assert estimator.drift.is_zero
+    assert is_zero(estimator.momentum, estimator.disturbance)
     assert 0.02 < loop.controller.rotor_feedback.window < 0.3
     # Without a link 5 s.
     assert took < 12.0

@@ -18,10 +18,10 @@ from sphere_nmpc.control.monitors import (
     impossible_step,
     rotor_reserve,
 )
-from sphere_nmpc.model.drift import Drift, momentum_of_push, push_against
+from sphere_nmpc.model.disturbance import Disturbance, momentum_of_push, push_against
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, make_state, state_error
+from sphere_nmpc.model.state import Vector, make_state, state_error, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -156,7 +156,7 @@ def missing(poses: list[Vector], **settings: float) -> list[str]:
     chosen = ControllerSettings(strategy="paper", **settings)  # type: ignore[arg-type]
     plan = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, AT_REST), START[None, :])
     for k, pose in enumerate(poses):
-        decision = Decision(Mode.TRACKING, plan, pose, GOAL, 0.0)
+        decision = Decision(Mode.TRACKING, plan, without_momentum(pose), GOAL, 0.0)
         found.append(progress.update(0.5 * k, pose, GOAL, AT_REST, decision, chosen))
     return found
 
@@ -226,7 +226,7 @@ def test_simulator_that_is_reset_on_the_way_is_taken_for_no_momentum() -> None:
             if hold is not None:
                 simulator.follower.follow_trajectory(hold)
             modes.add(decision.mode)
-            largest = max(largest, float(np.max(np.abs(decision.drift.momentum))))
+            largest = max(largest, float(np.max(np.abs(decision.momentum))))
     assert controller.pose_jumps == 1
     assert modes == {Mode.POSE_JUMPED, Mode.TRACKING, Mode.AT_GOAL}
     assert largest < 1.0, "no momentum was ever there [rad/s]"
@@ -242,8 +242,8 @@ def test_simulator_that_is_reset_on_the_way_is_taken_for_no_momentum() -> None:
     ],
 )
 def test_time_that_rotors_have_left_is_told_where_it_is_short(momentum, slope, expected) -> None:
-    drift = Drift(np.array([0.0, momentum, 0.0]), np.array([0.0, slope]))
-    found = rotor_reserve(drift, ROBOT, START)
+    held = np.array([0.0, momentum, 0.0])
+    found = rotor_reserve(held, Disturbance(np.array([0.0, slope])), ROBOT, START)
     assert [text.startswith(expected) for text in found.values()] == [True] * bool(expected)
-    against = momentum_of_push(ROBOT, push_against(ROBOT, drift.momentum))
-    np.testing.assert_allclose(against, -drift.momentum)
+    against = momentum_of_push(ROBOT, push_against(ROBOT, held))
+    np.testing.assert_allclose(against, -held)

@@ -17,7 +17,7 @@ from sphere_nmpc.estimation.estimators import (
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import POSE, Vector, as_state, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 
 LUMPED = RobotParameters().lumped
@@ -42,11 +42,11 @@ def sent() -> SentInputs:
 def track(estimator: Estimator, sent: SentInputs, until: float = DURATION) -> None:
     """Pass the poses of a robot with a larger input gain and a lag; estimate at each of them."""
     constants = LUMPED.as_array() * np.array([1.0, GAIN, 1.0, 1.0])
-    state, newest = START, estimator.newest
+    state, newest = without_momentum(START), estimator.newest
     for time in np.arange(0.0, until + 1e-9, PERIOD).tolist():
         state = sent.predict(state, time - PERIOD - LAG, time - LAG, constants, 0.02)
         if newest is None or time > newest[0]:
-            assert estimator.observe(time, state)
+            assert estimator.observe(time, state[POSE])
             assert estimator.estimate(time) is not None
 
 

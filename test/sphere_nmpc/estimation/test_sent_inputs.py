@@ -2,23 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
-from dataclasses import replace
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import as_state
+from sphere_nmpc.model.state import POSE, as_state, without_momentum
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
 P = ROBOT.lumped.as_array()
 START = as_state([1.0, -2.0, 0.1, 0.7, -0.1, 0.7])
+STATE = without_momentum(START)
 
 
 def ramp(start: float, first: list[float], last: list[float], length: float) -> FirstOrderHold:
@@ -77,31 +77,23 @@ def test_prediction_agrees_with_the_plant_driven_by_the_same_speeds(
         if there > here:
             plant.advance(sent.at(there), there - here)
         here = there
-    predicted = sent.predict(START, start, end, P, max_step=0.0125)
+    predicted = sent.predict(STATE, start, end, P, max_step=0.0125)
     # The error of each method is below 1e-6 in a second at full speed.
-    np.testing.assert_allclose(predicted, plant.state, atol=2e-6)
-    middle = sent.predict(START, start, 0.5 * (start + end), P, max_step=0.0125)
+    np.testing.assert_allclose(predicted[POSE], plant.state, atol=2e-6)
+    middle = sent.predict(STATE, start, 0.5 * (start + end), P, max_step=0.0125)
     in_two = sent.predict(middle, 0.5 * (start + end), end, P, max_step=0.0125)
-    np.testing.assert_allclose(in_two, plant.state, atol=2e-6)
-    assert sent.predict_with_drift(START, NO_DRIFT, start, end, P)[1] is NO_DRIFT
+    np.testing.assert_allclose(in_two[POSE], plant.state, atol=2e-6)
 
 
-def test_prediction_with_drift_also_covers_the_time_before_the_first_hold() -> None:
+def test_prediction_with_momentum_also_covers_the_time_before_the_first_hold() -> None:
     sent = SentInputs()
     sent.record(FirstOrderHold(np.array([1.0, 2.0]), np.array([[0.0, 0.0], [40.0, -20.0]])))
-    drift = Drift(np.array([5.0, -3.0, 0.5]), np.array([2.0, 1.0]), np.array([0.5, -1.0, 2.0]))
-    start = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
-    state, after = sent.predict_with_drift(start, drift, 0.5, 2.0, P, 0.05)
-    rest = np.zeros(2)
-    before = integrate_with_drift(start, drift, rest, rest, 0.5, P, 0.05)
-    end = integrate_with_drift(
-        before[0], replace(drift, momentum=before[1]), rest, np.array([40.0, -20.0]), 1.0,
-        P, 0.05,
-    )
-    # The same integrator and steps: rounding.
-    np.testing.assert_allclose(state, end[0], atol=1e-9)
-    np.testing.assert_allclose(after.momentum, end[1], atol=1e-8)
-    np.testing.assert_array_equal(after.as_array()[3:], drift.as_array()[3:])
+    disturbance = Disturbance(np.array([2.0, 1.0]), np.array([0.5, -1.0, 2.0]))
+    start = np.array([0.3, -0.2, 0.5, 0.5, 0.5, 0.5, 5.0, -3.0, 0.5])
+    found = sent.predict(start, 0.5, 2.0, P, 0.05, disturbance)
+    speeds = np.array([[0.0, 0.0], [0.0, 0.0], [40.0, -20.0]])
+    expected = roll_out(start, speeds, np.array([0.5, 1.0]), P, 0.05, disturbance)[-1]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:

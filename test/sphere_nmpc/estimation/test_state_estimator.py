@@ -11,7 +11,7 @@ from sphere_nmpc.estimation.state_estimator import AGREEING_OUTLIERS, HISTORY, S
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import POSE, Vector, as_state, without_momentum
 
 LUMPED = RobotParameters().lumped
 START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
@@ -32,11 +32,11 @@ def sent_inputs(rng: np.random.Generator) -> SentInputs:
 def truths(sent: SentInputs) -> dict[float, Vector]:
     """Return the states of the robot at the times of the poses."""
     constants = LUMPED.as_array()
-    states, state, time = {}, START, 0.0
+    states, state, time = {}, without_momentum(START), 0.0
     for k in range(round(DURATION / PERIOD) + 1):
         state = sent.predict(state, time, k * PERIOD, constants, 0.02)
         time = k * PERIOD
-        states[time] = state
+        states[time] = state[POSE]
     return states
 
 

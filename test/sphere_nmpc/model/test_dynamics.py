@@ -10,8 +10,8 @@ import pytest
 from robots import HEAVY_ROTORS
 from scipy.spatial.transform import Rotation
 
-from sphere_nmpc.model.drift import imbalance_of_offset
-from sphere_nmpc.model.dynamics import state_rate, world_rate_with_momentum
+from sphere_nmpc.model.disturbance import imbalance_of_offset
+from sphere_nmpc.model.dynamics import rates, state_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, contact_points
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -109,8 +109,10 @@ def test_rate_with_momentum_satisfies_the_balance_of_all_bodies() -> None:
     rng, spin_inertia = np.random.default_rng(12), robot.rotor_axial_inertia
 
     def world_rate(x: Vector, u: Vector, momentum: Vector, imbalance: Vector) -> Vector:
-        q = ca.DM(x[2:6])
-        return np.array(world_rate_with_momentum(q, ca.DM(u), p, momentum, imbalance)).ravel()
+        torques = ca.DM([0.0, 0.0, *imbalance])
+        body, _, _ = rates(ca.DM(x[2:6]), ca.DM(momentum), ca.DM(u), ca.DM(p), torques)
+        found: Vector = to_world(x) @ np.array(body).ravel()
+        return found
 
     for x, u in draws(50, 13):
         plain = world_rate(x, u, np.zeros(3), np.zeros(3))

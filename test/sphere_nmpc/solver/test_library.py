@@ -20,7 +20,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem
 problem = HoldProblem(
-    np.array([0.3, -0.2, 1.0, 0, 0, 0]), np.array([0, 0, 1.0, 0, 0, 0]), np.zeros(2),
+    np.array([0.3, -0.2, 1.0, 0, 0, 0, 0, 0, 0]), np.array([0, 0, 1.0, 0, 0, 0]), np.zeros(2),
     np.full(4, 0.5), RobotParameters().lumped.as_array(), np.full((4, 2), -100.0),
     np.full((4, 2), 100.0), 100.0, input_weight=5e-5,
 )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import without_momentum
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan
@@ -15,7 +16,7 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 
 ROBOT = RobotParameters()
 CASE = PAPER_CASES[1]
-FIRST = Situation(0.0, CASE.start, CASE.goal, np.zeros(2), ROBOT.lumped)
+FIRST = Situation(0.0, without_momentum(CASE.start), CASE.goal, np.zeros(2), ROBOT.lumped)
 
 
 def situation_after(plan: Plan, time: float) -> Situation:

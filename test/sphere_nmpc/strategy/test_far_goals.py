@@ -9,7 +9,14 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import FARTHEST, POSITION, Vector, make_state, state_error
+from sphere_nmpc.model.state import (
+    FARTHEST,
+    POSITION,
+    Vector,
+    make_state,
+    state_error,
+    without_momentum,
+)
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -70,7 +77,7 @@ def planned(distance: float, seed: int) -> tuple[Situation, DistantSearch]:
     rng = np.random.default_rng(seed)
     start = make_state((0.0, 0.0), random_quaternion(rng))
     goal = make_state(distance * DIRECTION, random_quaternion(rng))
-    beginning = Situation(0.0, start, goal, np.zeros(2), ROBOT.lumped)
+    beginning = Situation(0.0, without_momentum(start), goal, np.zeros(2), ROBOT.lumped)
     planner = ArrivalPlanner(ROBOT, 0.25, KnotGrid(0.25, TUNING), iter(range(9)), TUNING)
     return beginning, DistantSearch(planner, beginning, new_plan=True)
 

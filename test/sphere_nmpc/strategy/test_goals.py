@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.disturbance import imbalance_of_offset, slope_torque
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
 from sphere_nmpc.strategy.contract import Situation
@@ -28,7 +29,10 @@ LOADING = np.array([0.0, 1.0, 0.0])
 
 def situation(goal: Vector, drift: Drift, state: Vector | None = None) -> Situation:
     here = goal if state is None else state
-    return Situation(0.0, here, goal, np.zeros(2), ROBOT.lumped, drift=drift)
+    return Situation(
+        0.0, np.append(here, drift.momentum), goal, np.zeros(2), ROBOT.lumped,
+        disturbance=drift.disturbance,
+    )
 
 
 def out_of_balance(momentum: float, slope: Vector | None = None) -> Drift:

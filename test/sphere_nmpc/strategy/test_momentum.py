@@ -8,10 +8,17 @@ import pytest
 from momentum_loop import ROBOT, MomentumLoop, statuses
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import NO_DRIFT, Drift, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.disturbance import (
+    UNDISTURBED,
+    Disturbance,
+    imbalance_of_offset,
+    rest_speeds,
+    slope_torque,
+)
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
+from sphere_nmpc.model.state import MOMENTUM, QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_nmpc.strategy.plan import PlanStatus
@@ -51,7 +58,7 @@ def test_sphere_that_is_pushed_arrives_and_stays(start: Vector, latest: float) -
     # At the goal half a second after the push was measured.
     assert 1.0 < settling_time(loop) < latest
     # Momentum of the push: 0.94 N s of 37.5 rad/s each.
-    held = loop.drift.rest_speeds(ORIGIN[QUATERNION])
+    held = rest_speeds(loop.momentum, ORIGIN[QUATERNION])
     assert np.linalg.norm(held) == pytest.approx(37.5 * np.hypot(0.8, 0.5), rel=1e-12)
     np.testing.assert_allclose(loop.plant.rotor_speeds, held, atol=0.01)
     loop.check_limits()
@@ -62,7 +69,7 @@ def test_sphere_on_a_slope_settles_and_stays_while_the_momentum_grows() -> None:
     loop = MomentumLoop(NEAR, ORIGIN, world)
     loop.run(10.0)
     assert settling_time(loop) < 5.0 and loop.error < 1e-3
-    held = loop.drift.rest_speeds(ORIGIN[QUATERNION])
+    held = rest_speeds(loop.momentum, ORIGIN[QUATERNION])
     assert np.linalg.norm(held) == pytest.approx(10.0 * 24.4 * 0.2, rel=0.01)
     # A command holds it exactly while it grows, but for what corrects the error.
     np.testing.assert_allclose(loop.plant.rotor_speeds, held, atol=0.1)
@@ -103,7 +110,7 @@ def test_saturated_rotors_stay_at_their_limits_until_the_momentum_can_be_held_ag
     loop.tilt(0.0)
     assert statuses(loop.run(0.5)) == {PlanStatus.SATURATED}
     now = loop.situation()
-    held = np.clip(now.drift.rest_speeds(now.state[QUATERNION]), -LIMIT, LIMIT)
+    held = np.clip(rest_speeds(now.state[MOMENTUM], now.state[QUATERNION]), -LIMIT, LIMIT)
     np.testing.assert_allclose(loop.strategy.plan(now).hold.speeds[-1], held, rtol=1e-12)
     loop.tilt(np.radians(1.0), 0.5 - np.pi)
     loop.run(2.0)
@@ -124,7 +131,7 @@ def test_plan_keeping_settles_with_momentum_and_reports_what_it_cannot_hold() ->
     loop.run(10.0)
     # 1e-3 was measured; with the speeds of rest of now, not of the end of the horizon, 0.1.
     assert max(loop.errors[-5:]) < SETTLED
-    held = loop.drift.rest_speeds(ORIGIN[QUATERNION])
+    held = rest_speeds(loop.momentum, ORIGIN[QUATERNION])
     np.testing.assert_allclose(loop.plant.rotor_speeds, held, atol=2.0)
     loop.push_momentum(np.array([0.0, 200.0, 0.0]))
     plan = loop.run(0.5)[0]
@@ -138,26 +145,29 @@ def test_plan_keeping_settles_at_the_nearest_goal_that_can_be_held() -> None:
     plans = loop.run(12.0)
     assert all(plan.given_up.startswith("orientation by 8.") for plan in plans)
     # 1e-3 was measured; aiming at the goal itself leaves 9e-2.
-    assert state_error(loop.plant.state, holdable_goal(TILTED, loop.drift)) < SETTLED
+    held = holdable_goal(TILTED, Drift.of(loop.momentum, loop.disturbance))
+    assert state_error(loop.plant.state, held) < SETTLED
 
 
-DRIFT = Drift(
-    np.array([20.0, -10.0, 0.0]),
+DISTURBANCE = Disturbance(
     slope_torque(ROBOT, np.radians(0.1), 2.0),
     imbalance_of_offset(ROBOT, np.array([5e-4, 0.0, 3e-4])),
 )
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
-def test_only_the_paper_ignores_momentum_and_none_is_none_to_the_bit(name: str) -> None:
-    def speeds(drift: Drift) -> Vector:
+def test_only_the_paper_ignores_momentum(name: str) -> None:
+    def speeds(momentum: Vector, disturbance: Disturbance) -> Vector:
         settings = ControllerSettings(strategy=name, planning_effort=20_000)
-        now = Situation(0.0, NEAR, ORIGIN, np.array([5.0, -3.0]), ROBOT.lumped, drift=drift)
+        now = Situation(
+            0.0, np.append(NEAR, momentum), ORIGIN, np.array([5.0, -3.0]), ROBOT.lumped,
+            disturbance=disturbance,
+        )
         return make_strategy(settings, ROBOT).plan(now).hold.speeds
 
-    without = speeds(NO_DRIFT)
-    np.testing.assert_array_equal(speeds(Drift.from_array(np.zeros(8))), without)
-    assert np.array_equal(speeds(DRIFT), without) is (name == "paper")
+    without = speeds(np.zeros(3), UNDISTURBED)
+    disturbed = speeds(np.array([20.0, -10.0, 0.0]), DISTURBANCE)
+    assert np.array_equal(disturbed, without) is (name == "paper")
 
 
 def test_turn_about_the_vertical_is_corrected_by_the_momentum() -> None:
@@ -165,7 +175,7 @@ def test_turn_about_the_vertical_is_corrected_by_the_momentum() -> None:
     start, turn = upright(0.0, 0.0, 5e-3), 5e-3
     loop = MomentumLoop(start, ORIGIN)
     loop.push_momentum(np.array([0.0, 30.0, 0.0]))
-    speeds = loop.drift.rest_speeds(start[QUATERNION])  # which hold the momentum already
+    speeds = rest_speeds(loop.momentum, start[QUATERNION])  # which hold the momentum already
     loop.commands.sent.record(FirstOrderHold.constant(0.0, speeds))
     loop.plant.advance(speeds, 1e-9)
     loop.plant.displace(start)

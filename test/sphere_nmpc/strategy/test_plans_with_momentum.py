@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import (
-    Drift,
+from sphere_nmpc.model.disturbance import (
     imbalance_of_offset,
     momentum_of_push,
+    rest_speeds,
     slope_torque,
 )
+from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
+from sphere_nmpc.model.state import MOMENTUM, POSE, QUATERNION, Vector, make_state, state_error
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival
 from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, KnotGrid
@@ -49,7 +50,10 @@ def planner() -> ArrivalPlanner:
 
 
 def situation(drift: Drift) -> Situation:
-    return Situation(0.0, START, GOAL, np.array([8.0, -4.0]), ROBOT.lumped, drift=drift)
+    return Situation(
+        0.0, np.append(START, drift.momentum), GOAL, np.array([8.0, -4.0]), ROBOT.lumped,
+        disturbance=drift.disturbance,
+    )
 
 
 def arrival_at(goal_of: Situation) -> Arrival:
@@ -64,15 +68,10 @@ def arrival_at(goal_of: Situation) -> Arrival:
     return arrival
 
 
-def integrated(now: Situation, hold: FirstOrderHold) -> tuple[Vector, Drift]:
-    """Return state and drift at the end of a hold, in steps of 10 ms."""
-    state, drift, constants = now.state, now.drift, ROBOT.lumped.as_array()
-    for k, duration in enumerate(np.diff(hold.times)):
-        state, momentum = integrate_with_drift(
-            state, drift, hold.speeds[k], hold.speeds[k + 1], float(duration), constants, 0.01
-        )
-        drift = replace(drift, momentum=momentum)
-    return state, drift
+def integrated(now: Situation, hold: FirstOrderHold) -> Vector:
+    """Return the state at the end of a hold, in steps of 10 ms."""
+    durations, constants = np.diff(hold.times), ROBOT.lumped.as_array()
+    return roll_out(now.state, hold.speeds, durations, constants, 0.01, now.disturbance)[-1]
 
 
 @pytest.mark.parametrize("kind", DRIFTS)
@@ -80,29 +79,28 @@ def test_plan_ends_at_rest_at_the_goal_as_predicted_and_keeps_every_limit(kind: 
     now = situation(DRIFTS[kind])
     arrival = arrival_at(now)
     hold = arrival.hold
-    state, drift = integrated(now, hold)
+    state = integrated(now, hold)
     # What the plan may leave, 1e-4, and the integration error of its steps of 50 ms.
     assert state_error(state, GOAL) < 2e-4
-    rest = drift.rest_speeds(GOAL[QUATERNION])
+    rest = rest_speeds(state[MOMENTUM], GOAL[QUATERNION])
     assert np.linalg.norm(rest) > 1.0
     # Out of balance the speeds of rest may differ by `precise_rest_speed` from those of the
     # solution, whose turn of up to 1e-4 and steps of 50 ms hardly change the momentum.
-    allowed = 2.0 * TUNING.precise_rest_speed if now.drift.imbalance.any() else 1e-9
+    allowed = 2.0 * TUNING.precise_rest_speed if now.disturbance.imbalance.any() else 1e-9
     np.testing.assert_allclose(hold.speeds[-1], rest, atol=allowed)
-    np.testing.assert_allclose(arrival.drift.momentum, drift.momentum, atol=allowed)
-    np.testing.assert_allclose(arrival.momenta[-1], drift.momentum, atol=allowed)
+    np.testing.assert_allclose(arrival.drift.momentum, state[MOMENTUM], atol=allowed)
+    np.testing.assert_allclose(arrival.states[-1, MOMENTUM], state[MOMENTUM], atol=allowed)
     np.testing.assert_array_equal(hold.speeds[0], now.input_in_force)
     assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
     slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
     assert np.max(slopes) <= ROBOT.max_rotor_acceleration
     knots = len(hold.times) // 2 + 1
-    state, drift = integrated(now, FirstOrderHold(hold.times[:knots], hold.speeds[:knots]))
+    state = integrated(now, FirstOrderHold(hold.times[:knots], hold.speeds[:knots]))
     on_the_way = float(hold.times[knots - 1])
-    predicted, predicted_drift = Following(arrival, 0.0, planner()).prediction(on_the_way)
+    predicted = Following(arrival, 0.0, planner()).prediction(on_the_way)
     # Integration error of the plan's steps of 50 ms.
-    assert state_error(predicted, state) < 1e-4
-    np.testing.assert_allclose(predicted_drift.momentum, drift.momentum, atol=1e-2)
-    np.testing.assert_array_equal(predicted_drift.slope, now.drift.slope)
+    assert state_error(predicted, state[POSE]) < 1e-4
+    np.testing.assert_allclose(predicted[MOMENTUM], state[MOMENTUM], atol=1e-2)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -123,4 +121,5 @@ def test_first_and_last_ramp_keep_the_limit_of_any_solution(sign: float) -> None
     allowed = TUNING.acceleration_share * ROBOT.max_rotor_acceleration
     # Rounding of 100 rad/s in a tenth of a second.
     assert np.max(slopes[[0, -1]]) <= allowed + 1e-9
-    np.testing.assert_allclose(arrival.hold.speeds[-1], drift.rest_speeds(GOAL[QUATERNION]))
+    rest = rest_speeds(now.state[MOMENTUM], GOAL[QUATERNION])
+    np.testing.assert_allclose(arrival.hold.speeds[-1], rest)

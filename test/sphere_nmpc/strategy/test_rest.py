@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import (
-    NO_DRIFT,
-    Drift,
+from sphere_nmpc.model.disturbance import (
     imbalance_of_offset,
     momentum_of_push,
     slope_torque,
 )
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
@@ -22,7 +21,7 @@ from sphere_nmpc.strategy.rest import (
     hold_momentum,
     holdable_goal,
 )
-from sphere_sim.study.motion import drift_of
+from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -45,7 +44,7 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
 ) -> None:
     start = make_state(np.zeros(2), HEADING)
     plant = RollingPlant(ROBOT, start, world)
-    drift = drift_of(world, ROBOT)
+    drift = Drift.of(np.zeros(3), disturbance_of(world, ROBOT))
     at_rest = FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2)))
     hold = hold_momentum(at_rest, drift.after_rest(HEADING, 0.1), HEADING, LIMIT, 5.0)
     assert hold.end == pytest.approx(5.1)

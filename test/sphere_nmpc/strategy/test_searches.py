@@ -13,7 +13,7 @@ from robots import GIANT
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector, as_state, state_error
+from sphere_nmpc.model.state import POSITION, Vector, as_state, state_error, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -135,10 +135,10 @@ def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is(
     now = 0.0
     planner = TimeOptimalStrategy(ControllerSettings(control_rate=100.0), ROBOT)
     planner.search_beside(DelayedWorker(lambda: now, SEARCH))
-    begun = Situation(now, FIRST.start, FIRST.goal, np.zeros(2), ROBOT.lumped)
+    begun = Situation(now, without_momentum(FIRST.start), FIRST.goal, np.zeros(2), ROBOT.lumped)
     assert planner.plan(begun).status is PlanStatus.RAMP_TO_REST
     now = SEARCH
-    carried = FIRST.start.copy()
+    carried = without_momentum(FIRST.start)
     carried[POSITION] += 0.3
     plan = planner.plan(replace(begun, time=now, state=carried))
     assert plan.status is PlanStatus.SOLVED
@@ -164,9 +164,7 @@ def test_without_a_worker_to_be_had_it_is_searched_in_line(
 
 def test_robot_with_many_knots_gets_a_plan_after_searches_without_an_arrival() -> None:
     strategy = TimeOptimalStrategy(FOR_GIANT, GIANT)
-    statuses = [
-        strategy.plan(Situation(0.25 * k, START, GOAL, np.zeros(2), GIANT.lumped)).status
-        for k in range(5)
-    ]
+    now = Situation(0.0, without_momentum(START), GOAL, np.zeros(2), GIANT.lumped)
+    statuses = [strategy.plan(replace(now, time=0.25 * k)).status for k in range(5)]
     assert statuses[0] is PlanStatus.RAMP_TO_REST
     assert statuses[-1] is PlanStatus.SOLVED

@@ -13,7 +13,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, flipped_sign, state_error
+from sphere_nmpc.model.state import Vector, flipped_sign, state_error, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -37,7 +37,8 @@ AT_ORIGIN = np.array([0, 0, 1.0, 0, 0, 0])
 
 
 def situation(scenario: Scenario) -> Situation:
-    return Situation(0.0, scenario.start, scenario.goal, np.zeros(2), ROBOT.lumped)
+    start = without_momentum(scenario.start)
+    return Situation(0.0, start, scenario.goal, np.zeros(2), ROBOT.lumped)
 
 
 def run(

@@ -128,11 +128,11 @@ COUNTING = """
 import signal
 import time
 import numpy as np
-from sphere_nmpc.model.error_state import propagate
+from sphere_nmpc.model.integrator import step_function
 
 def main(argv):
     end = time.monotonic() + 600.0
-    state, speeds = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (np.zeros(2), np.ones(2))
+    state, speeds = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.ones(2)
     while time.monotonic() < end:
         # The next signal is sent once this line is read; it must not arrive before the `try`.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -140,7 +140,7 @@ def main(argv):
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             while time.monotonic() < end:
-                propagate(state, speeds, 0.25, np.array([0.145, 0.5, 0.1, 0.2]))
+                step_function()(state, speeds, speeds, 0.1, np.array([0.145, 0.5, 0.1, 0.2]))
         except KeyboardInterrupt:
             pass
 """

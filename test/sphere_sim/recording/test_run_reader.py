@@ -19,7 +19,7 @@ from recorded_bags import (
 )
 from rosbags.rosbag2 import Reader
 
-from sphere_nmpc.model.drift import imbalance_of_offset, momentum_of_push, slope_torque
+from sphere_nmpc.model.disturbance import UNDISTURBED, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
@@ -88,12 +88,13 @@ def test_momentum_and_pushes_are_read(tmp_path) -> None:
     np.testing.assert_allclose(momentum.values[3:], np.tile([0.075, 0.15, 0.0], (4, 1)))
     np.testing.assert_allclose(momentum.push_times, [1.0], atol=1e-9)
     np.testing.assert_allclose(momentum.impulses, [[0.5, -0.25]])
-    assert momentum.drift_at(-0.1).is_zero and momentum.drift_at(0.6).is_zero
-    drift, robot = momentum.drift_at(1.6), RobotParameters()
-    np.testing.assert_allclose(drift.momentum, momentum_of_push(robot, (0.5, -0.25)), rtol=1e-9)
+    assert momentum.disturbance_at(-0.1) is UNDISTURBED
+    assert not momentum.disturbance_at(0.6).as_array().any()
+    disturbance, robot = momentum.disturbance_at(1.6), RobotParameters()
     slope, offset = slope_torque(robot, np.radians(0.5), np.pi / 2), np.full(3, 1e-3)
-    np.testing.assert_allclose(drift.slope, slope, atol=1e-9)
-    np.testing.assert_allclose(drift.imbalance, imbalance_of_offset(robot, offset), rtol=1e-9)
+    np.testing.assert_allclose(disturbance.slope, slope, atol=1e-9)
+    imbalance = imbalance_of_offset(robot, offset)
+    np.testing.assert_allclose(disturbance.imbalance, imbalance, rtol=1e-9)
     assert np.all(np.isnan(momentum.at(-0.1)))
     assert momentum.at(1.6).tolist() == momentum.at(99.0).tolist() == [0.075, 0.15, 0.0]
 

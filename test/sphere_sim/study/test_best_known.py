@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.drift import (
-    Drift,
+from sphere_nmpc.model.disturbance import (
+    Disturbance,
     imbalance_of_offset,
     momentum_of_push,
+    rest_speeds,
     slope_torque,
 )
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import MOMENTUM, POSE, without_momentum
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import best_known
 from sphere_sim.study.best_known import BestKnownTimes, best_known_time, best_known_times
@@ -26,9 +28,11 @@ from sphere_sim.study.workers import Workers
 from sphere_sim.world.disturbances import DisturbanceSettings
 
 SCENARIOS = draw_scenarios(2, 11)
-MOTIONS = [Motion(scenario.start, scenario.goal) for scenario in SCENARIOS]
+MOTIONS = [Motion(without_momentum(scenario.start), scenario.goal) for scenario in SCENARIOS]
 ROBOT = RobotParameters()
-PUSHED = Drift(momentum=momentum_of_push(ROBOT, np.array([0.3, -0.4])))
+PUSH = momentum_of_push(ROBOT, np.array([0.3, -0.4]))
+PUSHED = np.concatenate((SCENARIOS[0].start, PUSH))
+SLOPE = Disturbance(slope_torque(ROBOT, 0.01, 1.0))
 
 
 def times(
@@ -87,7 +91,8 @@ def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
     [
         {"robot": {"shell_mass": 1.5}}, {"robot": {"max_rotor_torque": 1.6}},
         {"motion": {"goal": SCENARIOS[1].goal}}, {"motion": {"speeds": np.array([1.0, 0.0])}},
-        {"motion": {"drift": PUSHED}}, {"SEARCH_VERSION": -1}, {"EFFORT": 1000},
+        {"motion": {"start": PUSHED}}, {"motion": {"disturbance": SLOPE}},
+        {"SEARCH_VERSION": -1}, {"EFFORT": 1000},
     ],
     ids=str,
 )
@@ -109,26 +114,27 @@ def test_motion_of_a_run_begins_at_its_push() -> None:
     from_start = motion_of(scenario, RunRecord({}), ROBOT, settings)
     pushed = motion_of(scenario, RunRecord({}, at_push=at_push), ROBOT, settings)
     for motion, start in ((from_start, scenario.start), (pushed, SCENARIOS[1].start)):
-        np.testing.assert_array_equal(motion.start, start)
+        np.testing.assert_array_equal(motion.start[POSE], start)
         np.testing.assert_array_equal(motion.goal, scenario.goal)
-        np.testing.assert_array_equal(motion.drift.slope, slope_torque(ROBOT, 0.01, 1.0))
+        np.testing.assert_array_equal(motion.disturbance.slope, SLOPE.slope)
         expected = imbalance_of_offset(ROBOT, np.array([1e-3, 0.0, 0.0]))
-        np.testing.assert_array_equal(motion.drift.imbalance, expected)
+        np.testing.assert_array_equal(motion.disturbance.imbalance, expected)
     assert from_start.starts_at_rest and not pushed.starts_at_rest
     np.testing.assert_array_equal(pushed.speeds, [3.0, 4.0])
-    np.testing.assert_allclose(pushed.drift.momentum, [12.5, 25.0, 0.0])
+    np.testing.assert_allclose(pushed.start[MOMENTUM], [12.5, 25.0, 0.0])
 
 
 def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
     upright = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    held = Motion(upright, upright, PUSHED.rest_speeds(upright[2:]), PUSHED)
+    start = np.concatenate((upright, PUSH))
+    held = Motion(start, upright, rest_speeds(PUSH, upright[2:]))
     assert best_known_time(held, ROBOT) == (0.0, 0.0)
     # At 400 rad/s^2 the rotors take 15 / 400 s to hold 11 and 15 rad/s.
     seconds = best_known_time(replace(held, speeds=np.zeros(2)), ROBOT).duration
     assert 15.0 / 400.0 < seconds < 1.0
     # A search for a motion from rest to rest in place would never end.
-    slight = Drift(momentum=momentum_of_push(ROBOT, np.array([1e-4, 0.0])))
-    assert best_known_time(Motion(upright, upright, drift=slight), ROBOT) == (0.0, 0.0)
+    slight = np.concatenate((upright, momentum_of_push(ROBOT, np.array([1e-4, 0.0]))))
+    assert best_known_time(Motion(slight, upright), ROBOT) == (0.0, 0.0)
 
 
 def test_cache_that_cannot_be_used_is_one_warning(cache, searched, caplog) -> None:

@@ -169,7 +169,7 @@ def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) 
     with Workers() as workers:
         study = Study([at_goal, SCENARIOS[2]], SHORT, tmp_path, ("paper", "time_optimal"))
         study.run(workers, best_known)
-    assert [motion.drift.is_zero for motion in seen] == [False, True] * 2
+    assert [motion.starts_in_model_of_paper for motion in seen] == [False, True] * 2
     assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "1.0", "1.5", "2.0"]
     assert [row["ratio"] for row in rows(tmp_path / "time_optimal")] == ["0.0"] * 2
 

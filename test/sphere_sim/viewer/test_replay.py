@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.integrator import integrate_with_drift
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
+from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.recording.run import Momentum, Run, Solves
 from sphere_sim.viewer import replay as module
 from sphere_sim.viewer.replay import Replay
@@ -19,7 +19,7 @@ from sphere_sim.viewer.source import Pause, Reset, Seek, SetGoal, SetSpeed
 
 DURATION = 20.0
 MOMENTUM = np.array([0.0, 0.15, 0.0])
-DRIFT = Drift(MOMENTUM / RobotParameters().rotor_axial_inertia)
+ROBOT = RobotParameters()
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def replay(wall) -> Replay:
     run = Run(
         "run", Path("run"), times, states, times, np.ones((len(times), 2)),
         np.ones((len(times), 2)), np.array([1.0]), goal[None], (hold,), solves,
-        Momentum(np.array([4.5]), MOMENTUM[None], (DRIFT,)),
+        Momentum(np.array([4.5]), MOMENTUM[None], (UNDISTURBED,)),
     )
     return Replay(run)
 
@@ -77,11 +77,10 @@ def test_plan_solve_goal_and_momentum_are_those_at_the_time_of_the_frame(replay)
     replay.handle(Seek(5.2))
     frame = replay.frames()[-1]
     assert frame.plan.shape == (3, 6) and frame.plan[0, 0] == pytest.approx(5.0)
-    expected, _ = integrate_with_drift(
-        frame.plan[0], DRIFT, np.array([0.0, 0.0]), np.array([10.0, 0.0]), 0.5,
-        RobotParameters().lumped.as_array(),
-    )
-    np.testing.assert_allclose(frame.plan[1], expected, atol=1e-12)
+    start = np.concatenate((frame.plan[0], MOMENTUM / ROBOT.rotor_axial_inertia))
+    speeds = np.array([[0.0, 0.0], [10.0, 0.0]])
+    expected = roll_out(start, speeds, np.array([0.5]), ROBOT.lumped.as_array())
+    np.testing.assert_allclose(frame.plan[1], expected[1, :6], atol=1e-12)
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
     assert np.isnan(frame.to_go), "this solve reports no arrival"
     assert frame.goal[0] == DURATION and frame.momentum.tolist() == MOMENTUM.tolist()

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Status values of the controller: plant parameters and drift."""
+"""Status values of the controller: plant parameters and momentum."""
 
 import math
 import re
@@ -12,14 +12,14 @@ import pytest
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.link import PoseLink
-from sphere_nmpc.model.drift import (
-    Drift,
+from sphere_nmpc.model.disturbance import (
+    Disturbance,
     imbalance_of_offset,
     momentum_of_push,
     slope_torque,
 )
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.controller.status import ControllerStatus, drift_values
+from sphere_nmpc.ros.controller.status import ControllerStatus, momentum_values
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 ROOT = Path(__file__).parents[4]
@@ -57,15 +57,14 @@ def test_every_value_is_documented(strategy) -> None:
 
 
 @pytest.mark.parametrize("direction", [0.0, -2.0])
-def test_drift_is_reported_in_the_units_of_its_causes(direction) -> None:
+def test_momentum_is_reported_in_the_units_of_its_causes(direction) -> None:
     offset = np.array([0.5, -1.0, 2.0])
     impulse = 0.5 * np.array([math.cos(direction), math.sin(direction)])
-    drift = Drift(
-        momentum_of_push(ROBOT, impulse),
+    disturbance = Disturbance(
         slope_torque(ROBOT, math.radians(0.3), direction),
         imbalance_of_offset(ROBOT, 1e-3 * offset),
     )
-    values = drift_values(drift, ROBOT, None)
+    values = momentum_values(momentum_of_push(ROBOT, impulse), disturbance, ROBOT, None)
     names = "slope_deg", "slope_direction_deg", *(f"mass_offset_{axis}_mm" for axis in "xyz")
     expected = [0.3, math.degrees(direction), *offset]
     assert [values[name] for name in names] == pytest.approx(expected, rel=1e-9)

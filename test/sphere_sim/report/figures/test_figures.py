@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sphere_nmpc.model.drift import NO_DRIFT
+from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_sim.recording.run import Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
@@ -45,7 +45,7 @@ def make_run(full: bool = True) -> Run:
         solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
                       ("solved",) * k, np.full(k, np.nan)),
         momentum=Momentum(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0)),
-                          (NO_DRIFT,) * k, np.array([2.0]), np.array([[0.5, 0.0]])),
+                          (UNDISTURBED,) * k, np.array([2.0]), np.array([[0.5, 0.0]])),
     )
 
 

@@ -1,15 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Units of the drift, and the time until a rotor of a resting sphere is at its limit."""
+"""Units of momentum and disturbance, and the time until a rotor at rest is at its limit."""
 
 import math
 
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.drift import (
-    NO_DRIFT,
-    Drift,
+from sphere_nmpc.model.disturbance import (
+    UNDISTURBED,
+    Disturbance,
     angle_of_slope,
     imbalance_of_offset,
     momentum_of_push,
@@ -24,7 +24,8 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 ON_SIDE = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0])
 """Body z level and along -y."""
 ROBOT = RobotParameters()
-TORQUE = np.array([0.0, 10.0])
+SLOPE = Disturbance(np.array([0.0, 10.0]))
+OPPOSITE = Disturbance(np.array([0.0, -10.0]))
 
 
 def test_units_of_a_robot_and_their_inverses_agree_with_hand_calculation() -> None:
@@ -42,18 +43,20 @@ def test_units_of_a_robot_and_their_inverses_agree_with_hand_calculation() -> No
 
 
 @pytest.mark.parametrize(
-    ("drift", "quaternion", "expected"),
+    ("momentum", "disturbance", "quaternion", "expected"),
     [
-        (NO_DRIFT, UPRIGHT, math.inf),
-        (Drift(np.array([50.0, 0.0, 0.0])), UPRIGHT, math.inf),
+        ([0.0, 0.0, 0.0], UNDISTURBED, UPRIGHT, math.inf),
+        ([50.0, 0.0, 0.0], UNDISTURBED, UPRIGHT, math.inf),
         # At its limit or beyond, even where the torque takes from it.
-        (Drift(np.array([0.0, 100.0, 0.0]), -TORQUE), UPRIGHT, 0.0),
-        (Drift(np.array([0.0, -130.0, 0.0]), TORQUE), UPRIGHT, 0.0),
-        (Drift(np.array([0.0, -50.0, 0.0]), TORQUE), UPRIGHT, 15.0),
-        (Drift(np.array([0.0, 50.0, 0.0]), TORQUE), UPRIGHT, 5.0),
-        (Drift(slope=np.array([10.0, 0.0])), ON_SIDE, 10.0),
+        ([0.0, 100.0, 0.0], OPPOSITE, UPRIGHT, 0.0),
+        ([0.0, -130.0, 0.0], SLOPE, UPRIGHT, 0.0),
+        ([0.0, -50.0, 0.0], SLOPE, UPRIGHT, 15.0),
+        ([0.0, 50.0, 0.0], SLOPE, UPRIGHT, 5.0),
+        ([0.0, 0.0, 0.0], Disturbance(np.array([10.0, 0.0])), ON_SIDE, 10.0),
     ],
 )
-def test_time_to_saturation_agrees_with_hand_calculation(drift, quaternion, expected) -> None:
-    found = time_to_saturation(drift, quaternion, 100.0)
+def test_time_to_saturation_agrees_with_hand_calculation(
+    momentum, disturbance, quaternion, expected
+) -> None:
+    found = time_to_saturation(np.array(momentum), disturbance, quaternion, 100.0)
     assert found == pytest.approx(expected, rel=1e-12)

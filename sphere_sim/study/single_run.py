@@ -13,7 +13,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, measure, state_errors, stay_below
 from sphere_sim.scenario.perturbation import perturbed
@@ -168,7 +168,8 @@ def _value_decrease(
             continue
         report = monitor.update(
             Sample(
-                time=k * settings.control_period, state=settings.units.scaled(decision.state),
+                time=k * settings.control_period,
+                state=settings.units.scaled(decision.state[POSE]),
                 goal=settings.units.scaled(goal), value=decision.plan.cost,
                 next_input=decision.plan.hold.speeds[1], input_weight=settings.alpha,
                 terminal_weight=settings.terminal_weight,

@@ -2,11 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ideal plant: rolls without slipping, and its rotors follow their reference exactly.
 
+With the angular momentum H about the contact point and the centre of mass c, in world axes,
+
+    (J + m (1 - e3 e3^T) + Mt Rs (2 c3 1 - c e3^T - e3 c^T)) omega = H - I1 (u1 x + u2 y),
+    dH/dt = (Rs e3 + c) x Mt g - v x Mt (omega x c) - friction,
+
+J the inertia about the centre of the sphere, whatever c is, m = Mt Rs^2, x and y the axes of the
+rotors. The second term of dH/dt is there as the contact point moves with the velocity v of the
+centre. Exact but for the normal force in the friction, which is that at rest.
+
 Written independently of the controller's model on purpose, quaternion algebra included, as a test
 compares the two. The inertia about the contact point is the sum of the bodies' inertias (Eqs. 8
-to 11), the momentum balance is solved as a 3 x 3 system, the orientation follows Eqs. (3) and (7),
-and the integrator is the classical Runge-Kutta method with short steps. That is without angular
-momentum; `sphere_sim.world.plant.momentum_balance` has the equations with it.
+to 11), the balance is solved as a 3 x 3 system, and the integrator is the classical Runge-Kutta
+method with short steps.
 """
 
 import math
@@ -16,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import matrix
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.momentum_balance import MomentumBalance
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
@@ -31,79 +39,75 @@ _Numbers = tuple[float, ...]
 
 
 class RollingPlant:
-    """Ideal plant; for the arguments see `sphere_sim.world.plant.factory.make_plant`."""
+    """Ideal plant; for the arguments see `sphere_sim.world.plant.factory.make_plant`.
+
+    Where friction could stop the shell within the longest integration step, its torque falls in
+    proportion to the angular velocity, so that the sphere comes to rest.
+    """
 
     def __init__(
         self, robot: RobotParameters, state: Vector,
         disturbances: DisturbanceSettings | None = None,
     ) -> None:
-        self._robot = robot
         self._max_step = MAX_STEP * step_scale(robot)
         self._radius = robot.shell_radius
+        self._mass = robot.total_mass
         self._rotor_inertia = robot.rotor_axial_inertia
-        self._rolling_inertia = robot.total_mass * robot.shell_radius**2
-        self._central_inertia = _inertia_about_centre(robot)
+        self._inertia = _inertia_about_centre(robot)
+        self._stopped_in_a_step = self._max_step / min(self._inertia)
         self._disturb(DisturbanceSettings() if disturbances is None else disturbances)
         self.reset(state)
 
     def reset(self, state: Vector) -> None:
         """Put the sphere at rest at `state`, shape (6,)."""
-        self._y: _Numbers = tuple(float(value) for value in state)
+        self._y: _Numbers = (*(float(value) for value in state), 0.0, 0.0, 0.0)
+        """Position, quaternion wxyz and momentum H [m, -, N m s]."""
         self._speeds = (0.0, 0.0)
         self._acceleration = (0.0, 0.0)
         self._angles = (0.0, 0.0)
-        self._momentum: _Numbers = (0.0, 0.0, 0.0)
-        self._has_momentum = self._is_disturbed
 
     def displace(self, state: Vector) -> None:
         """Put the sphere at `state`, shape (6,), keeping its rotors and its momentum."""
-        self._y = tuple(float(value) for value in state)
+        self._y = (*(float(value) for value in state), *self._y[6:])
 
     def push(self, impulse: ArrayLike) -> None:
         """Apply a horizontal impulse [N s; world frame], shape (2,), at the centre."""
         east, north = (float(value) for value in np.asarray(impulse))
-        hx, hy, hz = self._momentum
-        self._momentum = (hx - self._radius * north, hy + self._radius * east, hz)
-        self._has_momentum = True
+        *pose, hx, hy, hz = self._y
+        self._y = (*pose, hx - self._radius * north, hy + self._radius * east, hz)
 
     def tilt(self, slope: float, direction: float) -> None:
         """Change the inclination of the floor and its downhill direction [rad]."""
         self._disturb(replace(self._disturbances, slope=slope, slope_direction=direction))
-        # Once there may be momentum it may stay on a level floor.
-        self._has_momentum = self._has_momentum or self._is_disturbed
 
     def _disturb(self, disturbances: DisturbanceSettings) -> None:
         self._disturbances = disturbances
-        self._balance = MomentumBalance(
-            self._robot, self._central_inertia, disturbances, self._max_step
-        )
-        self._is_disturbed = replace(disturbances, slope_direction=0.0) != DisturbanceSettings()
+        self._offset, self._gravity = disturbances.mass_offset, disturbances.gravity
+        normal = -self._mass * self._gravity[2]
+        self._rolling = disturbances.rolling_friction * normal
+        self._spinning = disturbances.torsional_friction * normal
 
     @property
     def state(self) -> Vector:
-        """State [m, -; world frame, body to world], shape (6,)."""
-        return np.array(self._y)
+        """Pose [m, -; world frame, body to world], shape (6,)."""
+        return np.array(self._y[:6])
 
     @property
     def body_rate(self) -> Vector:
         """Angular velocity of the shell [rad/s; body frame], shape (3,)."""
-        if self._has_momentum:
-            return np.array(self._balance.body_rate((*self._y, *self._momentum), *self._speeds))
-        return np.array(self._body_rate(self._y, self._speeds[0], self._speeds[1]))
+        rate = np.array(self._world_rate(self._y, *self._speeds))
+        found: Vector = matrix(self.state[2:]).T @ rate
+        return found
 
     @property
     def velocity(self) -> Vector:
         """Velocity of the centre [m/s; world frame], shape (3,)."""
-        if self._has_momentum:
-            rate = self._balance.rate((*self._y, *self._momentum), *self._speeds)
-        else:
-            rate = self._rate(self._y, self._speeds[0], self._speeds[1])
-        return np.array([rate[0], rate[1], 0.0])
+        return np.array([*self.rate(self._y, *self._speeds)[:2], 0.0])
 
     @property
     def momentum(self) -> Vector:
         """Angular momentum about the contact point [N m s; world frame], shape (3,)."""
-        return np.array(self._momentum)
+        return np.array(self._y[6:])
 
     @property
     def rotor_angles(self) -> Vector:
@@ -118,24 +122,27 @@ class RollingPlant:
     @property
     def rotor_torques(self) -> Vector:
         """Motor torques over the last step [N m], shape (2,) (Eq. 45)."""
-        if self._has_momentum:
-            y = (*self._y, *self._momentum)
-            shell = self._balance.angular_acceleration(y, self._speeds, self._acceleration)
-            torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
-            return torques
-        # The momentum balance differentiated once: the vertical turns in the body at k x omega.
-        k1, k2, k3 = self._vertical(self._y)
-        w1, w2, w3 = self._body_rate(self._y, *self._speeds)
-        a1, a2 = self._acceleration
-        gain = self._rolling_inertia * (k1 * w1 + k2 * w2 + k3 * w3)
-        inertia = self._rotor_inertia
-        g1 = gain * (k2 * w3 - k3 * w2) - inertia * a1
-        g2 = gain * (k3 * w1 - k1 * w3) - inertia * a2
-        g3 = gain * (k1 * w2 - k2 * w1)
-        c11, c12, c13, c22, c23, determinant = self._inverse(self._y)
-        shell1 = (c11 * g1 + c12 * g2 + c13 * g3) / determinant
-        shell2 = (c12 * g1 + c22 * g2 + c23 * g3) / determinant
-        return np.array([inertia * (shell1 + a1), inertia * (shell2 + a2)])
+        turn, up = matrix(self.state[2:]), np.array([0.0, 0.0, 1.0])
+        rate = np.array(self._world_rate(self._y, *self._speeds))
+        inertia = turn @ np.diag(self._inertia) @ turn.T
+        pull, c = self._mass * self._radius, turn @ np.array(self._offset)
+        # The balance differentiated once: all that is fixed to the body turns at omega.
+        spin = turn[:, :2] @ self._speeds
+        turning = inertia @ rate + self._rotor_inertia * spin
+        drifting = np.cross(rate, c)
+        change = (
+            np.array(self.rate(self._y, *self._speeds)[6:])
+            - self._rotor_inertia * (turn[:, :2] @ self._acceleration)
+            - np.cross(rate, turning)
+            - pull * (2.0 * drifting[2] * rate - drifting * rate[2] - up * (drifting @ rate))
+        )
+        about_contact = inertia + pull * (
+            (self._radius + 2.0 * c[2]) * np.eye(3) - np.outer(c, up) - np.outer(up, c)
+            - self._radius * np.outer(up, up)
+        )
+        shell = turn.T @ np.linalg.solve(about_contact, change)
+        torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
+        return torques
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step of `duration` [s]; the rotor speeds ramp to `speeds_end` [rad/s]."""
@@ -145,89 +152,107 @@ class RollingPlant:
         self._angles = (self._angles[0] + half * (a1 + b1), self._angles[1] + half * (a2 + b2))
         self._acceleration = ((b1 - a1) / duration, (b2 - a2) / duration)
         self._speeds = (b1, b2)
-        has_momentum = self._has_momentum
-        if not has_momentum and a1 == a2 == b1 == b2 == 0.0:
-            return  # without inputs and momentum the ideal sphere is at rest
+        if a1 == a2 == b1 == b2 == 0.0 and not any(self.rate(self._y, 0.0, 0.0)):
+            return  # an equilibrium, which costs no time
         steps = max(1, math.ceil(duration / self._max_step - 1e-9))
         h = duration / steps
-        step = self._balance.step if has_momentum else self._step
-        y = (*self._y, *self._momentum) if has_momentum else self._y
         for i in range(steps):
             here, there = i / steps, (i + 1) / steps
-            y = step(
-                y, a1 + (b1 - a1) * here, a2 + (b2 - a2) * here,
+            self._step(
+                a1 + (b1 - a1) * here, a2 + (b2 - a2) * here,
                 a1 + (b1 - a1) * there, a2 + (b2 - a2) * there, h,
             )
-        self._y = y[:6]
-        if has_momentum:
-            self._momentum = y[6:]
 
-    def _step(
-        self, y: _Numbers, a1: float, a2: float, b1: float, b2: float, h: float
-    ) -> _Numbers:
-        """Make a Runge-Kutta step; written out, as most time of a simulation is spent here.
-
-        The rotor speeds ramp from a to b; only the quaternion enters the rates.
-        """
-        m1, m2 = 0.5 * (a1 + b1), 0.5 * (a2 + b2)
-        half, sixth = 0.5 * h, h / 6.0
-        px, py, w, x, q3, z = y
-        k = self._rate(y, a1, a2)
-        at = (px, py, w + half * k[2], x + half * k[3], q3 + half * k[4], z + half * k[5])
-        n = self._rate(at, m1, m2)
-        at = (px, py, w + half * n[2], x + half * n[3], q3 + half * n[4], z + half * n[5])
-        o = self._rate(at, m1, m2)
-        at = (px, py, w + h * o[2], x + h * o[3], q3 + h * o[4], z + h * o[5])
-        p = self._rate(at, b1, b2)
-        w += sixth * (k[2] + 2.0 * n[2] + 2.0 * o[2] + p[2])
-        x += sixth * (k[3] + 2.0 * n[3] + 2.0 * o[3] + p[3])
-        q3 += sixth * (k[4] + 2.0 * n[4] + 2.0 * o[4] + p[4])
-        z += sixth * (k[5] + 2.0 * n[5] + 2.0 * o[5] + p[5])
+    def _step(self, a1: float, a2: float, b1: float, b2: float, h: float) -> None:
+        """Make a Runge-Kutta step of h [s] in which the rotor speeds ramp from a to b."""
+        m1, m2, half = 0.5 * (a1 + b1), 0.5 * (a2 + b2), 0.5 * h
+        y = self._y
+        k = self.rate(y, a1, a2)
+        n = self.rate(tuple([s + half * d for s, d in zip(y, k, strict=True)]), m1, m2)
+        o = self.rate(tuple([s + half * d for s, d in zip(y, n, strict=True)]), m1, m2)
+        p = self.rate(tuple([s + h * d for s, d in zip(y, o, strict=True)]), b1, b2)
+        sixth = h / 6.0
+        east, north, w, x, q3, z, *momentum = [
+            s + sixth * (first + 2.0 * second + 2.0 * third + last)
+            for s, first, second, third, last in zip(y, k, n, o, p, strict=True)
+        ]
         norm = math.sqrt(w**2 + x**2 + q3**2 + z**2)
+        self._y = (east, north, w / norm, x / norm, q3 / norm, z / norm, *momentum)
+
+    def rate(self, y: _Numbers, u1: float, u2: float) -> _Numbers:
+        """Return dy/dt of y = [x, y, qw, qx, qy, qz, Hx, Hy, Hz] at rotor speeds [rad/s]."""
+        _, _, w, x, q3, z, _, _, _ = y
+        o1, o2, o3 = self._world_rate(y, u1, u2)
+        v1, v2 = self._radius * o2, -self._radius * o1
+        c1, c2, c3 = self._centre(y)
+        g1, g2, g3 = self._gravity
+        lever, mass = self._radius + c3, self._mass
+        t1, t2, t3 = o2 * c3 - o3 * c2, o3 * c1 - o1 * c3, o1 * c2 - o2 * c1
+        f1, f2, f3 = self._friction(o1, o2, o3)
         return (
-            px + sixth * (k[0] + 2.0 * n[0] + 2.0 * o[0] + p[0]),
-            py + sixth * (k[1] + 2.0 * n[1] + 2.0 * o[1] + p[1]),
-            w / norm, x / norm, q3 / norm, z / norm,
+            v1,
+            v2,
+            0.5 * (-x * o1 - q3 * o2 - z * o3),
+            0.5 * (w * o1 + z * o2 - q3 * o3),
+            0.5 * (-z * o1 + w * o2 + x * o3),
+            0.5 * (q3 * o1 - x * o2 + w * o3),
+            mass * (c2 * g3 - lever * g2 - v2 * t3) + f1,
+            mass * (lever * g1 - c1 * g3 + v1 * t3) + f2,
+            mass * (c1 * g2 - c2 * g1 - v1 * t2 + v2 * t1) + f3,
         )
 
-    def _rate(self, y: _Numbers, u1: float, u2: float) -> _Numbers:
-        """Return the time derivative of the state."""
-        _, _, w, x, q3, z = y
-        b1, b2, b3 = self._body_rate(y, u1, u2)
-        dw = 0.5 * (-x * b1 - q3 * b2 - z * b3)
-        dx = 0.5 * (w * b1 - z * b2 + q3 * b3)
-        dy = 0.5 * (z * b1 + w * b2 - x * b3)
-        dz = 0.5 * (-q3 * b1 + x * b2 + w * b3)
-        # Eq. (7): the contact point has no velocity.
-        east = 2.0 * self._radius * (-q3 * dw + z * dx + w * dy - x * dz)
-        north = 2.0 * self._radius * (x * dw - w * dx + z * dy - q3 * dz)
-        return (east, north, dw, dx, dy, dz)
-
-    def _body_rate(self, y: _Numbers, u1: float, u2: float) -> tuple[float, float, float]:
-        """Solve the momentum balance about the contact point for the shell's rate (Eq. 11)."""
-        c11, c12, c13, c22, c23, determinant = self._inverse(y)
-        h1, h2 = -self._rotor_inertia * u1, -self._rotor_inertia * u2
-        return (
-            (c11 * h1 + c12 * h2) / determinant, (c12 * h1 + c22 * h2) / determinant,
-            (c13 * h1 + c23 * h2) / determinant,
-        )
-
-    def _vertical(self, y: _Numbers) -> tuple[float, float, float]:
-        """Return the world's vertical k in the body frame."""
-        _, _, w, x, q3, z = y
-        return 2.0 * (x * z - w * q3), 2.0 * (q3 * z + w * x), w * w - x * x - q3 * q3 + z * z
-
-    def _inverse(self, y: _Numbers) -> _Numbers:
-        """Return cofactors 11, 12, 13, 22, 23 and determinant of the inertia about the contact."""
-        k1, k2, k3 = self._vertical(y)
-        j1, j2, j3 = self._central_inertia
-        m = self._rolling_inertia
-        # Rolling adds m (1 - k k^T): the centre moves with k x omega.
-        a11, a22, a33 = j1 + m * (1 - k1 * k1), j2 + m * (1 - k2 * k2), j3 + m * (1 - k3 * k3)
-        a12, a13, a23 = -m * k1 * k2, -m * k1 * k3, -m * k2 * k3
+    def _world_rate(self, y: _Numbers, u1: float, u2: float) -> tuple[float, float, float]:
+        """Solve the balance; written out, as most time of a simulation is spent here."""
+        _, _, w, x, q3, z, h1, h2, h3 = y
+        ww, xx, yy, zz = w * w, x * x, q3 * q3, z * z
+        xy, xz, yz, wx, wy, wz = x * q3, x * z, q3 * z, w * x, w * q3, w * z
+        s1, s2 = self._rotor_inertia * u1, self._rotor_inertia * u2
+        p1 = h1 - (ww + xx - yy - zz) * s1 - 2.0 * (xy - wz) * s2
+        p2 = h2 - 2.0 * (xy + wz) * s1 - (ww - xx + yy - zz) * s2
+        p3 = h3 - 2.0 * (xz - wy) * s1 - 2.0 * (yz + wx) * s2
+        # J = j 1 + (j3 - j) z z^T: both rotors and their counterweights are alike.
+        z1, z2, z3 = 2.0 * (xz + wy), 2.0 * (yz - wx), ww - xx - yy + zz
+        j, _, j3 = self._inertia
+        radius = self._radius
+        c1, c2, c3 = self._centre(y)
+        pull, along = self._mass * radius, j3 - j
+        level = j + pull * (radius + 2.0 * c3)
+        a1, a2 = along * z1, along * z2
+        a11, a22, a33 = level + a1 * z1, level + a2 * z2, j + along * z3 * z3
+        a12, a13, a23 = a1 * z2, a1 * z3 - pull * c1, a2 * z3 - pull * c2
         c11, c12, c13 = a22 * a33 - a23 * a23, a13 * a23 - a12 * a33, a12 * a23 - a13 * a22
-        c22, c23 = a11 * a33 - a13 * a13, a12 * a13 - a11 * a23
-        return c11, c12, c13, c22, c23, a11 * c11 + a12 * c12 + a13 * c13
+        c22, c23, c33 = a11 * a33 - a13 * a13, a12 * a13 - a11 * a23, a11 * a22 - a12 * a12
+        determinant = a11 * c11 + a12 * c12 + a13 * c13
+        return (
+            (c11 * p1 + c12 * p2 + c13 * p3) / determinant,
+            (c12 * p1 + c22 * p2 + c23 * p3) / determinant,
+            (c13 * p1 + c23 * p2 + c33 * p3) / determinant,
+        )
+
+    def _centre(self, y: _Numbers) -> tuple[float, float, float]:
+        """Return the centre of mass [m; world axes]; the quaternion may have another norm."""
+        c1, c2, c3 = self._offset
+        if c1 == c2 == c3 == 0.0:
+            return self._offset
+        _, _, w, x, q3, z, _, _, _ = y
+        ww, xx, yy, zz = w * w, x * x, q3 * q3, z * z
+        return (
+            (ww + xx - yy - zz) * c1 + 2.0 * ((x * q3 - w * z) * c2 + (x * z + w * q3) * c3),
+            (ww - xx + yy - zz) * c2 + 2.0 * ((x * q3 + w * z) * c1 + (q3 * z - w * x) * c3),
+            (ww - xx - yy + zz) * c3 + 2.0 * ((x * z - w * q3) * c1 + (q3 * z + w * x) * c2),
+        )
+
+    def _friction(self, o1: float, o2: float, o3: float) -> tuple[float, float, float]:
+        """Return the torque of rolling and torsional friction [N m; world frame]."""
+        f1 = f2 = f3 = 0.0
+        if self._rolling > 0.0:
+            slowest = self._rolling * self._stopped_in_a_step
+            viscous = self._rolling / max(math.hypot(o1, o2), slowest)
+            f1, f2 = -viscous * o1, -viscous * o2
+        if self._spinning > 0.0:
+            slowest = self._spinning * self._stopped_in_a_step
+            f3 = -self._spinning / max(abs(o3), slowest) * o3
+        return f1, f2, f3
 
 
 def _inertia_about_centre(robot: RobotParameters) -> tuple[float, float, float]:

@@ -46,7 +46,8 @@ def motions(number: int = 50, seed: int = 0) -> list[tuple[Vector, Vector, Vecto
 
 def rates(x: Vector, u: Vector) -> tuple[Vector, Vector, Vector]:
     plant = RollingPlant(ROBOT, x)
-    return u, np.array(plant._rate(tuple(x), *u)), np.array(plant._body_rate(tuple(x), *u))
+    plant._speeds = (float(u[0]), float(u[1]))
+    return u, np.array(plant.rate((*x, 0.0, 0.0, 0.0), *u)[:6]), plant.body_rate
 
 
 def to_world(x: Vector) -> Vector:

@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 
 from sphere_nmpc.model.drift import Drift
-from sphere_nmpc.model.dynamics import rates
+from sphere_nmpc.model.dynamics import rolling, world_rate
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, cf4_step, steps_for
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.model.symbolic_rotation import quaternion_product
+from sphere_nmpc.model.symbolic_rotation import quaternion_product, rotation_matrix
 
 ERROR_SIZE = 5
 MOVING_SIZE = ERROR_SIZE + 3
@@ -98,8 +98,8 @@ def _still_step(q: Any, u_start: Any, u_end: Any, h: Any, p: Any) -> tuple[Any, 
 @cache
 def _rates() -> ca.Function:
     x, u, p = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("p", 4)
-    body, velocity, _ = rates(x[2:6], ca.SX.zeros(3), u, p, ca.SX.zeros(TORQUES_SIZE))
-    return ca.Function("rates", [x, u, p], [ca.vertcat(velocity, body)])
+    still = ca.SX.zeros(3)
+    return ca.Function("rates", [x, u, p], [_velocities(x, still, u, p, still)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,11 @@ def _drift_propagation_step() -> ca.Function:
 def _rates_with_drift() -> ca.Function:
     x, u, p = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("p", 4)
     momentum, imbalance = ca.SX.sym("momentum", 3), ca.SX.sym("imbalance", 3)
-    torques = ca.vertcat(ca.SX.zeros(2), imbalance)
-    body, velocity, _ = rates(x[2:6], momentum, u, p, torques)
     arguments = [x, momentum, imbalance, u, p]
-    return ca.Function("rates", arguments, [ca.vertcat(velocity, body)])
+    return ca.Function("rates", arguments, [_velocities(x, momentum, u, p, imbalance)])
+
+
+def _velocities(x: Any, momentum: Any, u: Any, p: Any, imbalance: Any) -> Any:
+    world = world_rate(x[2:6], momentum, u, p, imbalance)
+    body = ca.mtimes(rotation_matrix(x[2:6]).T, world)
+    return ca.vertcat(rolling(world, p[0]), body)

@@ -20,11 +20,11 @@ import casadi as ca
 import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.dynamics import body_rate
+from sphere_nmpc.model.dynamics import world_rate
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
-from sphere_nmpc.model.symbolic_rotation import quaternion_product
+from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product, rotation_matrix
 
 _ORIENTATIONS = 500
 """Directions of the vertical in the search; the maxima are flat, 400 give them within 1 %."""
@@ -81,7 +81,7 @@ def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tu
     p = np.array([1.0, input_gain, transverse_ratio, axial_ratio])
     turns = _turns(_ORIENTATIONS)
     rates = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
-    gain = ca.jacobian(body_rate(*rates, p)[0:2], rates[1]) + ca.SX.eye(INPUT_SIZE)
+    gain = ca.jacobian(_body_rate(*rates, ca.DM(p))[0:2], rates[1]) + ca.SX.eye(INPUT_SIZE)
     gains = ca.Function("gain", [rates[0]], [gain]).map(len(turns))
     sums = np.abs(np.array(gains(turns.T)).reshape(INPUT_SIZE, len(turns), INPUT_SIZE)).sum(axis=2)
     along = np.linspace(-1.0, 1.0, _EDGE)
@@ -113,10 +113,17 @@ def rotor_acceleration() -> ca.Function:
     [rad/s, rad/s^2], p the lumped constants [Rs, c1, r1, r3].
     """
     q, u, du, p = (ca.SX.sym(name, size) for name, size in zip("qudp", (4, 2, 2, 4), strict=True))
-    rate = body_rate(q, u, p)
+    rate = _body_rate(q, u, p)
     turn_rate = 0.5 * quaternion_product(q, ca.vertcat(0, rate))
     shell = ca.jtimes(rate, q, turn_rate) + ca.jtimes(rate, u, du)
     return ca.Function("rotor_acceleration", [q, u, du, p], [shell[0:2] + du])
+
+
+def _body_rate(q: Expression, u: Expression, p: Expression) -> Expression:
+    """Return the angular velocity of the shell without momentum [rad/s; body frame], (3,)."""
+    return ca.mtimes(
+        rotation_matrix(q).T, world_rate(q, ca.DM.zeros(3), u, p, ca.DM.zeros(3))
+    )
 
 
 def _turns(number: int) -> Vector:

@@ -13,23 +13,23 @@ static inline lanes load(const float *at)
     return *(const lanes *)at;
 }
 
-static inline void rates(const lanes *q, lanes u0, lanes u1, const float *p, lanes *velocity,
-                         lanes *body)
+/* The angular velocity in world axes: `world_rate` of model/dynamics.py without momentum. */
+static inline void rates(const lanes *q, lanes u0, lanes u1, const float *p, lanes *rate)
 {
     const lanes w = q[0], x = q[1], y = q[2], z = q[3];
-    const lanes k0 = 2 * (x * z - w * y), k1 = 2 * (y * z + w * x), k2 = 1 - 2 * (x * x + y * y);
-    const lanes shared = (k0 * u0 + k1 * u1)
-                         / (1 - p[2] * (k0 * k0 + k1 * k1) - p[3] * k2 * k2);
-    const lanes a = -p[1] * (u0 + p[2] * k0 * shared), b = -p[1] * (u1 + p[2] * k1 * shared);
-    const lanes c = -p[1] * p[3] * k2 * shared;
-    velocity[0] = p[0] * (2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b
-                          + 2 * (y * z - w * x) * c);
-    velocity[1] = -p[0] * ((1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b
-                           + 2 * (x * z + w * y) * c);
-    body[0] = a, body[1] = b, body[2] = c;
+    const float upright = 1 / (1 - p[2]), more = p[2] / p[3] - 1;
+    const lanes z0 = 2 * (x * z + w * y), z1 = 2 * (y * z - w * x), z2 = 1 - 2 * (x * x + y * y);
+    const lanes a = (1 - 2 * (y * y + z * z)) * u0 + 2 * (x * y - w * z) * u1;
+    const lanes b = 2 * (x * y + w * z) * u0 + (1 - 2 * (x * x + z * z)) * u1;
+    const lanes c = upright * (2 * (x * z - w * y) * u0 + 2 * (y * z + w * x) * u1);
+    const lanes shared = more * (z0 * a + z1 * b + z2 * c)
+                         / (1 + more * (z0 * z0 + z1 * z1 + upright * z2 * z2));
+    rate[0] = -p[1] * (a - z0 * shared);
+    rate[1] = -p[1] * (b - z1 * shared);
+    rate[2] = -p[1] * (c - upright * z2 * shared);
 }
 
-/* q times the quaternion of the rotation vector (a, b, c). */
+/* The quaternion of the rotation vector (a, b, c) times q. */
 static inline void turned(const lanes *q, lanes a, lanes b, lanes c, lanes *result)
 {
     const lanes s = 0.25f * (a * a + b * b + c * c), w = q[0], x = q[1], y = q[2], z = q[3];
@@ -37,9 +37,9 @@ static inline void turned(const lanes *q, lanes a, lanes b, lanes c, lanes *resu
     const lanes sine = 0.5f * (1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72))));
     a *= sine, b *= sine, c *= sine;
     result[0] = w * cosine - x * a - y * b - z * c;
-    result[1] = x * cosine + w * a + y * c - z * b;
-    result[2] = y * cosine + w * b + z * a - x * c;
-    result[3] = z * cosine + w * c + x * b - y * a;
+    result[1] = x * cosine + w * a + z * b - y * c;
+    result[2] = y * cosine + w * b + x * c - z * a;
+    result[3] = z * cosine + w * c + y * a - x * b;
 }
 
 /* One step of model/integrator.py's `cf4_step` from `q`; x and y of `place` move along. */
@@ -48,22 +48,23 @@ static inline void half_step(lanes *q, lanes *place, const lanes *u, const lanes
 {
     const float half = 0.5f * h, k = h / 12;
     const lanes m0 = 0.5f * (u[0] + next[0]), m1 = 0.5f * (u[1] + next[1]);
-    lanes v[4][2], r[4][3], q2[4], q3[4], first[3], second[3];
-    rates(q, u[0], u[1], p, v[0], r[0]);
+    lanes r[4][3], q2[4], q3[4], first[3], second[3];
+    rates(q, u[0], u[1], p, r[0]);
     turned(q, half * r[0][0], half * r[0][1], half * r[0][2], q2);
-    rates(q2, m0, m1, p, v[1], r[1]);
+    rates(q2, m0, m1, p, r[1]);
     turned(q, half * r[1][0], half * r[1][1], half * r[1][2], q3);
-    rates(q3, m0, m1, p, v[2], r[2]);
+    rates(q3, m0, m1, p, r[2]);
     for (int c = 0; c < 3; c++)
         first[c] = h * (r[2][c] - 0.5f * r[0][c]);
     turned(q2, first[0], first[1], first[2], q3);
-    rates(q3, next[0], next[1], p, v[3], r[3]);
-    for (int c = 0; c < 2; c++)
-        place[c] += h / 6 * (v[0][c] + 2 * v[1][c] + 2 * v[2][c] + v[3][c]);
+    rates(q3, next[0], next[1], p, r[3]);
     for (int c = 0; c < 3; c++) {
-        first[c] = k * (3 * r[0][c] + 2 * r[1][c] + 2 * r[2][c] - r[3][c]);
-        second[c] = k * (-r[0][c] + 2 * r[1][c] + 2 * r[2][c] + 3 * r[3][c]);
+        const lanes middle = 2 * (r[1][c] + r[2][c]);
+        first[c] = k * (middle + 3 * r[0][c] - r[3][c]);
+        second[c] = k * (middle - r[0][c] + 3 * r[3][c]);
     }
+    place[0] += p[0] * (first[1] + second[1]);
+    place[1] -= p[0] * (first[0] + second[0]);
     turned(q, first[0], first[1], first[2], q2);
     turned(q2, second[0], second[1], second[2], q);
 }

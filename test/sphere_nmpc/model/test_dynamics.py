@@ -11,7 +11,7 @@ from robots import HEAVY_ROTORS
 from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.disturbance import imbalance_of_offset
-from sphere_nmpc.model.dynamics import rates, state_rate
+from sphere_nmpc.model.dynamics import state_rate, world_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, contact_points
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -108,18 +108,16 @@ def test_rate_with_momentum_satisfies_the_balance_of_all_bodies() -> None:
     p, mass, radius = robot.lumped.as_array(), robot.total_mass, robot.shell_radius
     rng, spin_inertia = np.random.default_rng(12), robot.rotor_axial_inertia
 
-    def world_rate(x: Vector, u: Vector, momentum: Vector, imbalance: Vector) -> Vector:
-        torques = ca.DM([0.0, 0.0, *imbalance])
-        body, _, _ = rates(ca.DM(x[2:6]), ca.DM(momentum), ca.DM(u), ca.DM(p), torques)
-        found: Vector = to_world(x) @ np.array(body).ravel()
-        return found
+    def rate_with(x: Vector, u: Vector, momentum: Vector, imbalance: Vector) -> Vector:
+        arguments = (ca.DM(each) for each in (x[2:6], momentum, u, p, imbalance))
+        return np.array(world_rate(*arguments)).ravel()
 
     for x, u in draws(50, 13):
-        plain = world_rate(x, u, np.zeros(3), np.zeros(3))
+        plain = rate_with(x, u, np.zeros(3), np.zeros(3))
         np.testing.assert_allclose(plain, spin_of(x, rate(robot, x, u)), atol=ROUNDING * 10)
 
         momentum, c = rng.uniform(-40.0, 40.0, 3), rng.uniform(-0.01, 0.01, 3)
-        found = world_rate(x, u, momentum, imbalance_of_offset(robot, c))
+        found = rate_with(x, u, momentum, imbalance_of_offset(robot, c))
         turn = to_world(x)
         inertia = np.diag([robot.transverse_inertia] * 2 + [robot.axial_inertia])
         arm, offset = np.array([0.0, 0.0, radius]), turn @ c

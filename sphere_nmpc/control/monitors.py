@@ -199,7 +199,7 @@ def _excess(speeds: Vector, decision: Decision, time: float) -> float:
     """
     drift, state = decision.drift, decision.state
     saturated = decision.plan.status is PlanStatus.SATURATED
-    if drift.is_zero or state is None or saturated:
+    if state is None or saturated:
         return float(np.max(np.abs(speeds)))
     turn = state[QUATERNION]
     held = drift.after_rest(turn, time - decision.plan.hold.start).rest_speeds(turn)

@@ -59,7 +59,7 @@ class PlanKeepingStrategy(PaperStrategy):
 
     def plan(self, situation: Situation) -> Plan:
         """Solve the problem for both signs of the goal that the rotors can hold."""
-        if situation.drift.is_zero:
+        if situation.drift.is_zero:  # the same in half the time
             return super().plan(situation)
         goal = holdable_goal(situation.goal, self._drift_at_end(situation))
         plan = super().plan(replace(situation, goal=goal))
@@ -67,13 +67,15 @@ class PlanKeepingStrategy(PaperStrategy):
             return replace(plan, status=PlanStatus.SATURATED, given_up=SATURATED)
         return replace(plan, given_up=given_up_angle(angle_error(goal, situation.goal)))
 
+    def _rest(self, situation: Situation) -> Vector:
+        """Return the speeds of rest at the end of the horizon [rad/s], shape (2,)."""
+        end, limit = self._drift_at_end(situation), self._robot.max_rotor_speed
+        return speeds_of_rest(end, situation.goal[QUATERNION], limit)
+
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
         problem = super()._problem(situation, times)
-        if situation.drift.is_zero:
-            return problem
-        end, limit = self._drift_at_end(situation), self._robot.max_rotor_speed
-        rest = speeds_of_rest(end, situation.goal[QUATERNION], limit)
-        return replace(problem, drift=situation.drift.as_array(), input_reference=rest)
+        problem.drift = situation.drift.as_array()
+        return problem
 
     def _drift_at_end(self, situation: Situation) -> Drift:
         """Return the drift at the end of the horizon."""

@@ -13,7 +13,7 @@ import numpy as np
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.model.state import QUATERNION, Vector
 
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
@@ -37,15 +37,13 @@ _LARGEST_TURN = 0.5
 
 def speeds_of_rest(drift: Drift, quaternion: Vector, max_speed: float) -> Vector:
     """Return the speeds that hold the momentum, clipped to the limit [rad/s], shape (2,)."""
-    if drift.is_zero:
-        return np.zeros(INPUT_SIZE)
     held: Vector = np.minimum(np.maximum(drift.rest_speeds(quaternion), -max_speed), max_speed)
     return held
 
 
 def is_saturated(drift: Drift, quaternion: Vector, max_speed: float) -> bool:
     """Return whether a rotor would have to exceed its limit to hold the momentum."""
-    return not drift.is_zero and bool(np.max(np.abs(drift.rest_speeds(quaternion))) > max_speed)
+    return bool(np.max(np.abs(drift.rest_speeds(quaternion))) > max_speed)
 
 
 def hold_momentum(

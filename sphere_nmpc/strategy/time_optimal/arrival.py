@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, flipped_sign
@@ -79,6 +79,19 @@ class Arrival:
     def duration(self) -> float:
         """Time to the arrival [s]."""
         return self.hold.end
+
+    def speeds(self, factor: float) -> Vector:
+        """Return rotor speeds at the knots [rad/s], (K, 2), for rolling `factor` times as fast.
+
+        The sphere rolls in proportion to their difference from those that hold the momentum.
+        """
+        turns = self.states[:, QUATERNION]
+        held = np.array([
+            rotation.to_body(turn, momentum)[:INPUT_SIZE]
+            for turn, momentum in zip(turns, self.momenta, strict=True)
+        ])
+        speeds: Vector = held + factor * (self.hold.speeds - held)
+        return speeds
 
 
 @dataclass(frozen=True)
@@ -162,18 +175,21 @@ class ArrivalSolver:
         """
         durations = knot_durations(
             duration, self._period, to_first_knot, self._settings,
-            everywhere=not situation.drift.is_zero,
+            everywhere=not self._settings.is_small(situation.drift),
         )
+        rolling = SteadyRolling.of(situation.constants, self._max_speed)
+        steady, turns = (0, 0)
+        if self._settings.is_small(situation.drift):
+            steady, turns = steady_interval(durations, rolling)
+        if turns:
+            # It bends the way to the near goal by less than what is corrected on it.
+            situation = replace(situation, drift=NO_DRIFT)
         times = np.concatenate(([0.0], np.cumsum(durations)))
         scaled = times[1:] * (guess.end / duration)
         start = np.column_stack([np.interp(scaled, guess.times, row) for row in guess.speeds.T])
         if unaware and not situation.drift.is_zero:
             start = start + self._compensation(situation, durations, start)
         drift = self._drift_at_end(situation, durations, start)
-        rolling = SteadyRolling.of(situation.constants, self._max_speed)
-        steady, turns = (0, 0)
-        if situation.drift.is_zero:
-            steady, turns = steady_interval(durations, rolling)
         # A turn of the shell changes the sign of the quaternion.
         target = flipped_sign(goal) if turns % 2 else goal
         iterations = 0
@@ -184,7 +200,7 @@ class ArrivalSolver:
                 self._roll_steadily(problem, rolling, start, steady, turns)
             solution = self._solver.solve(problem, start)
             iterations += solution.iterations
-            if situation.drift.is_zero or not situation.drift.imbalance.any():
+            if not situation.drift.imbalance.any():
                 break
             drift = replace(situation.drift, momentum=solution.momenta[-1])
             ended = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
@@ -217,7 +233,7 @@ class ArrivalSolver:
     def _drift_at_end(self, situation: Situation, durations: Vector, knots: Vector) -> Drift:
         """Return the drift after knots u_1 ... u_N [rad/s], shape (N, 2)."""
         drift = situation.drift
-        if not drift.is_zero and drift.imbalance.any():
+        if drift.imbalance.any():
             inputs = np.vstack((situation.input_in_force, knots))
             _, momenta = roll_out_with_momentum(
                 situation.state, drift, inputs, durations, situation.constants.as_array(),
@@ -233,8 +249,6 @@ class ArrivalSolver:
         are noisy its estimate changes from sample to sample by more than a plan can follow, and
         it is left to the tilt at rest.
         """
-        if situation.drift.is_zero:
-            return np.zeros(3)
         imbalance = float(np.linalg.norm(situation.drift.imbalance))
         if imbalance < self._settings.least_imbalance or situation.uncertainty > 0.0:
             return np.zeros(3)

@@ -25,6 +25,8 @@ from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
+_MANOEUVRE = 2.0
+"""Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
 """Momentum [rad/s] below which its direction is no longer followed ..."""
 _LEAST_DIRECTED = 0.5
@@ -73,9 +75,6 @@ class HeldGoal:
         """
         drift, goal = situation.drift, situation.goal
         self.given_up = ""
-        if drift.is_zero:
-            self._unloading = None
-            return goal
         unloading = self._unloading_near(situation, holding)
         if unloading is not None:
             self.given_up = "orientation for a while: it unloads the rotors"
@@ -91,12 +90,10 @@ class HeldGoal:
         drift = situation.drift
         if holding:
             return drift
-        if drift.imbalance.any():
-            # What it adds on the way is not known; at rest its torque has to be held in any case.
-            return replace(drift, momentum=np.zeros(3))
+        # What an imbalance adds on the way is not known.
         way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
         speed = SteadyRolling.of(situation.constants, self._max_speed).speed
-        return drift.after_slope(self._settings.manoeuvre_allowance + way / speed)
+        return drift.after_slope(_MANOEUVRE + way / speed)
 
     def _unloading_near(self, situation: Situation, holding: bool) -> Vector | None:
         """Return the orientation, shape (4,), near which the rotors are being unloaded.
@@ -169,7 +166,7 @@ class IntermediateGoals:
         """
         settings, last = self._settings, self._place
         here, there = situation.state[POSITION], situation.goal[POSITION]
-        rolls_steadily = situation.drift.is_zero
+        rolls_steadily = settings.is_small(situation.drift)
         near = settings.reach if rolls_steadily else settings.reach_with_momentum
         farthest = settings.farthest if rolls_steadily else settings.far_distance
         if not rolls_steadily and (last is not None or found_none):

@@ -64,7 +64,7 @@ class RestAtGoal:
         error = state_error(situation.state, situation.goal)
         tuning = self._tuning
         noisy = situation.noise > tuning.correction_noise
-        if error > tuning.least_dead_band or noisy or not situation.drift.is_zero:
+        if error > tuning.least_dead_band or noisy or not tuning.is_small(situation.drift):
             goal = nearer_sign(situation.goal, situation.state)
             plan = self._corrected(dataclasses.replace(situation, goal=goal))
             return dataclasses.replace(plan, status=PlanStatus.HOLDING)
@@ -74,8 +74,6 @@ class RestAtGoal:
     def _corrected(self, situation: Situation) -> Plan:
         """Return the solution of the problem of the corrections, added to the speeds of rest."""
         drift, turn, now = situation.drift, situation.state[QUATERNION], situation.time
-        if drift.is_zero:
-            return self._corrections.plan(situation)
         in_force = situation.input_in_force - drift.rest_speeds(turn)
         goal = self._tilted(situation)
         plan = self._corrections.plan(
@@ -95,7 +93,7 @@ class RestAtGoal:
         goal, tuning = situation.goal, self._tuning
         h1, h2, h3 = situation.drift.in_body(goal[QUATERNION])
         level = float(np.hypot(h1, h2))
-        if level < tuning.least_tilting_momentum:
+        if level < tuning.small_momentum:
             return goal
         _, c1, r1, r3 = situation.constants.as_array()
         square = rotation.vertical(goal[QUATERNION])[2] ** 2
@@ -124,7 +122,6 @@ def come_to_rest(
     target = speeds_of_rest(drift, quaternion, limit)
     in_force = situation.input_in_force
     hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
-    if not drift.is_zero:
-        hold = hold_momentum(hold, drift, quaternion, limit, rest_time)
+    hold = hold_momentum(hold, drift, quaternion, limit, rest_time)
     states: Vector = situation.state[None, :]
     return Plan(status, hold, states, message=message)

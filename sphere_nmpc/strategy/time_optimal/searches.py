@@ -92,11 +92,8 @@ class SearchTask:
         found = search.improve(self.effort, end)
         if found is None:
             return SearchResult(found_none=True)
-        tuning = planner.tuning
-        with_momentum = not situation.drift.is_zero
-        accepted = tuning.rolling_back_error if with_momentum else tuning.arrival_error
         return SearchResult(
-            planner.solve_delayed(situation, found.goal, found.hold, accepted, new_plan=True)
+            planner.solve_delayed(situation, found.goal, found.hold, new_plan=True)
         )
 
     def _earlier(
@@ -301,7 +298,7 @@ def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: flo
         situation.state, situation.drift, speeds, np.diff(times),
         situation.constants.as_array(), max_step,
     )
-    drift = situation.drift
-    if not drift.is_zero:
-        drift = replace(drift, momentum=momenta[-1].copy())
-    return replace(situation, time=time, state=states[-1], input_in_force=speeds[-1], drift=drift)
+    return replace(
+        situation, time=time, state=states[-1], input_in_force=speeds[-1],
+        drift=replace(situation.drift, momentum=momenta[-1].copy()),
+    )

@@ -90,6 +90,12 @@ class Following:
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         return state, replace(arrival.drift, momentum=momentum)
 
+    def drift_at_arrival(self, situation: Situation) -> Drift:
+        """Return the drift of now with the momentum that it gains until the arrival."""
+        predicted = self.prediction(situation.time)[1].momentum
+        drift = situation.drift
+        return replace(drift, momentum=drift.momentum + (self.arrival.drift.momentum - predicted))
+
     def rest(self, now: float) -> FirstOrderHold:
         """Return what remains of the plan at `now` [s], from time 0 (now) on."""
         elapsed, hold = now - self.planned_at, self.arrival.hold
@@ -141,13 +147,12 @@ def replan(
     if left < tuning.ended_time:
         return None
     rest, plan = plan.rest(now), replace(plan, work=0)
-    if not situation.drift.is_zero:
-        change = situation.drift.momentum - plan.prediction(now)[1].momentum
-        if np.max(np.abs(change)) > tuning.large_change_of_momentum:
-            changed = _after_change(plan, situation, rest, left, deadline)
-            if changed is None:
-                return None
-            return replace(plan, arrival=changed, planned_at=now, work=settings.planning_effort)
+    change = situation.drift.momentum - plan.prediction(now)[1].momentum
+    if np.max(np.abs(change)) > tuning.small_momentum:
+        changed = _after_change(plan, situation, rest, left, deadline)
+        if changed is None:
+            return None
+        return replace(plan, arrival=changed, planned_at=now, work=settings.planning_effort)
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:

@@ -1,0 +1,98 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Momentum of nearly zero: it matters little whether an estimator takes it for none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from delayed_worker import DelayedWorker
+
+from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.error_state import apply_error
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import QUATERNION, make_state, state_error
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation, make_strategy
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
+from sphere_nmpc.strategy.time_optimal.searches import later
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
+from sphere_sim.scenario.scenarios import draw_scenarios
+
+ROBOT = RobotParameters()
+TUNING = TimeOptimalSettings(longest_search=np.inf)
+SETTINGS = ControllerSettings()
+SCENARIO = draw_scenarios(1, 77)[0]
+START, GOAL = SCENARIO.start, SCENARIO.goal
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+TINY = {
+    "momentum": Drift(momentum=np.array([0.02, -0.01, 0.0])),
+    "slope": Drift(slope=np.array([2e-3, -1e-3])),
+    "imbalance": Drift(imbalance=np.array([1e-3, 0.0, -2e-3])),
+}
+tiny = pytest.mark.parametrize("drift", TINY.values(), ids=TINY)
+
+
+def plan_for(drift: Drift, distance: float, name: str = "time_optimal") -> Plan:
+    """Return the first plan to a goal at a distance [m]."""
+    goal = GOAL.copy()
+    goal[:2] = START[:2] + distance * np.array([0.8, -0.6])
+    settings = replace(SETTINGS, strategy=name)
+    now = Situation(0.0, START, goal, np.zeros(2), ROBOT.lumped, drift=drift)
+    return make_strategy(settings, ROBOT).plan(now)
+
+
+@tiny
+@pytest.mark.parametrize("distance", [0.1, 1.0, 30.0])
+def test_plan_arrives_as_without_momentum(drift: Drift, distance: float) -> None:
+    plan, without = plan_for(drift, distance), plan_for(NO_DRIFT, distance)
+    assert plan.status is without.status is PlanStatus.SOLVED
+    # Rounding alone changes which of the arrivals of a search is found.
+    assert plan.arrival == pytest.approx(without.arrival, rel=0.03)
+
+
+@tiny
+def test_short_horizon_leads_as_without_momentum(drift: Drift) -> None:
+    plan, without = (plan_for(d, 1.0, "plan_keeping") for d in (drift, NO_DRIFT))
+    assert plan.cost == pytest.approx(without.cost, rel=0.01)
+
+
+@tiny
+def test_sphere_rests_in_the_dead_band_as_without_momentum(drift: Drift) -> None:
+    for away, status in ((1.5e-3, PlanStatus.HOLDING), (4e-3, PlanStatus.SOLVED)):
+        goal = apply_error(START, np.array([away, 0.0, 0.0, 0.0, 0.0]))
+        now = Situation(0.0, START, goal, np.zeros(2), ROBOT.lumped, noise=1e-5, drift=drift)
+        plan = TimeOptimalStrategy(SETTINGS, ROBOT, TUNING).plan(now)
+        assert plan.status is status
+    # Within it nothing is corrected: the rotors hold the momentum.
+    plan = TimeOptimalStrategy(SETTINGS, ROBOT, TUNING).plan(replace(now, goal=START))
+    held = drift.after_rest(START[QUATERNION], plan.hold.end).rest_speeds(START[QUATERNION])
+    np.testing.assert_allclose(plan.hold.speeds[-1], held, atol=1e-9)
+
+
+@tiny
+def test_goal_is_aimed_at_as_without_momentum(drift: Drift) -> None:
+    far = make_state(START[:2] + 20.0, GOAL[QUATERNION])
+    now = Situation(0.0, START, far, np.zeros(2), ROBOT.lumped, drift=drift)
+    assert HeldGoal(ROBOT.max_rotor_speed, TUNING).goal(now, None, holding=False) is far
+    assert IntermediateGoals(TUNING).aim(now, 0.0) == (now, False)
+
+
+@pytest.mark.parametrize(
+    "drift", [NO_DRIFT, *TINY.values(), Drift(np.array([15.0, 10.0, 0.0]))],
+    ids=["none", *TINY, "push"],
+)
+def test_new_goal_is_turned_to_on_the_way(drift: Drift) -> None:
+    """The plan in force is followed until there is one to the new goal, which is upright."""
+    upright = [make_state(place, UPRIGHT) for place in ((0.5, 0.5), (-0.5, 1.0))]
+    now = Situation(0.0, START, upright[0], np.zeros(2), ROBOT.lumped, drift=drift)
+    planner, statuses = TimeOptimalStrategy(SETTINGS, ROBOT, TUNING), []
+    planner.search_beside(DelayedWorker(lambda: now.time, 0.05))
+    for k in range(16):
+        plan = planner.plan(replace(now, goal=upright[k // 8]))
+        statuses.append(plan.status)
+        now = later(now, plan.hold, now.time + 0.25, 0.05)
+    assert set(statuses[1:]) == {PlanStatus.SOLVED}
+    assert state_error(plan.states[-1], upright[1]) < 1e-3

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sphere_nmpc.estimation.drift import (
+    Drift,
     propagate_with_drift,
     state_rates_with_drift,
 )
@@ -36,7 +37,6 @@ from sphere_nmpc.estimation.plant_parameters import (
     ParameterScaling,
 )
 from sphere_nmpc.estimation.transition import Transition
-from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import POSE, Vector, angle_error, without_momentum

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphere_nmpc.estimation.contract import PlantEstimate
+from sphere_nmpc.estimation.drift import NO_DRIFT, Drift
 from sphere_nmpc.estimation.drift_fit import EXPLAINED, DriftFit
 from sphere_nmpc.estimation.plant_estimator import EXCITED, PlantEstimator, shown_noise
 from sphere_nmpc.estimation.plant_parameters import (
@@ -20,7 +21,6 @@ from sphere_nmpc.estimation.plant_parameters import (
     significant,
 )
 from sphere_nmpc.estimation.transition import Transition
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.estimation.contract import Estimate, Estimator, PlantEstimate
+from sphere_nmpc.estimation.drift import Drift
 from sphere_nmpc.estimation.filter_state import FilterState, PoseNoise
 from sphere_nmpc.estimation.learning import Begin, InLineLearning, LearningBeside
 from sphere_nmpc.estimation.plant_parameters import (
@@ -23,7 +24,6 @@ from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.state_estimator import DriftStateEstimator, StateEstimator
 from sphere_nmpc.estimation.transition import Transition
 from sphere_nmpc.model.disturbance import Disturbance
-from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import ControllerSettings

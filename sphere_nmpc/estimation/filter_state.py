@@ -12,7 +12,12 @@ import numpy as np
 
 from sphere_nmpc.estimation import plant_parameters
 from sphere_nmpc.estimation.drift import (
+    DRIFT_SIZE,
     ERROR_SIZE,
+    IMBALANCE,
+    NO_DRIFT,
+    SLOPE,
+    Drift,
     propagate,
     propagate_with_drift,
     state_rates,
@@ -25,7 +30,6 @@ from sphere_nmpc.estimation.plant_parameters import (
     ParameterScaling,
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.drift import DRIFT_SIZE, IMBALANCE, NO_DRIFT, SLOPE, Drift
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.state import QUATERNION, Vector
 

@@ -21,6 +21,7 @@ from typing import Generic
 
 import numpy as np
 
+from sphere_nmpc.estimation.drift import NO_DRIFT, Drift
 from sphere_nmpc.estimation.filter_state import (
     PUSHED,
     REST_NOISE,
@@ -31,7 +32,6 @@ from sphere_nmpc.estimation.filter_state import (
 )
 from sphere_nmpc.estimation.plant_parameters import ParameterDistribution, ParameterScaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.state import Vector
 
 AGREEING_OUTLIERS = 3

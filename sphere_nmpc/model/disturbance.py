@@ -81,8 +81,7 @@ def is_zero(momentum: Vector, disturbance: Disturbance) -> bool:
 
 def in_body(momentum: Vector, quaternion: Vector) -> Vector:
     """Return a momentum in the body frame at an orientation [rad/s], shape (3,)."""
-    turned: Vector = rotation.matrix(quaternion).T @ momentum
-    return turned
+    return np.array(rotation.to_body(quaternion, momentum))
 
 
 def rest_speeds(momentum: Vector, quaternion: Vector) -> Vector:

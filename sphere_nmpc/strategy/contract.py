@@ -3,12 +3,10 @@
 """Contract between a strategy and the control loop, and strategies by name."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
@@ -55,10 +53,10 @@ class Situation:
     disturbance: Disturbance = UNDISTURBED
     acceleration: float = float("inf")
 
-    @cached_property
-    def drift(self) -> Drift:
-        """Momentum, slope and imbalance."""
-        return Drift.of(self.state[MOMENTUM], self.disturbance)
+    @property
+    def momentum(self) -> Vector:
+        """Estimated momentum at that instant, shape (3,) [rad/s; world frame]."""
+        return self.state[MOMENTUM]
 
 
 class Strategy(Protocol):

@@ -223,11 +223,15 @@ class PaperStrategy:
         known = times <= last.end + _SHORTEST_INTERVAL
         return np.array([last.at(t) if k else rest for t, k in zip(times, known, strict=True)])
 
+    def _rest(self, situation: Situation) -> Vector:
+        """Return the rotor speeds that cost nothing [rad/s], shape (2,)."""
+        return np.zeros(INPUT_SIZE)
+
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
-        settings, limit = self._settings, self._robot.max_rotor_speed
+        settings, rest = self._settings, self._rest(situation)
         input_weight = self._input_weight_factor * settings.alpha
-        if situation.drift.is_zero:  # with momentum the rest may need all of it
-            limit = min(limit, settings.units.max_speed)
+        needed = settings.units.max_speed + float(np.max(np.abs(rest)))
+        limit = min(self._robot.max_rotor_speed, needed)
         durations = np.diff(times)
         upper = np.full((durations.size, INPUT_SIZE), limit)
         # The first ramp is the one that is sent: it keeps the acceleration limit exactly.
@@ -249,5 +253,6 @@ class PaperStrategy:
             stage_weight=1.0 / settings.terminal_weight,
             input_weight=input_weight * limit**2 / settings.terminal_weight,
             max_step=settings.longest_step,
+            input_reference=rest,
             position_scale=settings.units.position_scale,
         )

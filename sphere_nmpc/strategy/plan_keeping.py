@@ -18,7 +18,7 @@ that the rotors can hold, and inputs are weighed by their difference from the sp
 
 from dataclasses import replace
 
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import after_slope, is_zero
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, flipped_sign
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
@@ -59,28 +59,29 @@ class PlanKeepingStrategy(PaperStrategy):
 
     def plan(self, situation: Situation) -> Plan:
         """Solve the problem for both signs of the goal that the rotors can hold."""
-        if situation.drift.is_zero:
+        if is_zero(situation.momentum, situation.disturbance):  # the same in half the time
             return super().plan(situation)
-        goal = holdable_goal(situation.goal, self._drift_at_end(situation))
+        end = self._momentum_at_end(situation)
+        goal = holdable_goal(situation.goal, end, situation.disturbance)
         plan = super().plan(replace(situation, goal=goal))
-        if is_saturated(situation.drift, goal[QUATERNION], self._robot.max_rotor_speed):
+        if is_saturated(situation.momentum, goal[QUATERNION], self._robot.max_rotor_speed):
             return replace(plan, status=PlanStatus.SATURATED, given_up=SATURATED)
         return replace(plan, given_up=given_up_angle(angle_error(goal, situation.goal)))
 
+    def _rest(self, situation: Situation) -> Vector:
+        """Return the speeds of rest at the end of the horizon [rad/s], shape (2,)."""
+        end, limit = self._momentum_at_end(situation), self._robot.max_rotor_speed
+        return speeds_of_rest(end, situation.goal[QUATERNION], limit)
+
     def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
         problem = super()._problem(situation, times)
-        if situation.drift.is_zero:
-            return problem
-        end, limit = self._drift_at_end(situation), self._robot.max_rotor_speed
-        rest = speeds_of_rest(end, situation.goal[QUATERNION], limit)
-        return replace(
-            problem, state=situation.state, disturbance=situation.disturbance,
-            input_reference=rest,
-        )
+        problem.state, problem.disturbance = situation.state, situation.disturbance
+        return problem
 
-    def _drift_at_end(self, situation: Situation) -> Drift:
-        """Return the drift at the end of the horizon."""
-        return situation.drift.after_slope(self._settings.horizon * self._settings.period)
+    def _momentum_at_end(self, situation: Situation) -> Vector:
+        """Return the momentum at the end of the horizon, shape (3,)."""
+        duration = self._settings.horizon * self._settings.period
+        return after_slope(situation.momentum, situation.disturbance, duration)
 
     def _solve(
         self, problem: HoldProblem, starts: tuple[Vector, Vector], followed: int,

@@ -11,9 +11,9 @@ its rate must be perpendicular to the axis, too.
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import Disturbance, after_rest, rest_speeds
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.model.state import QUATERNION, Vector
 
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
@@ -35,31 +35,30 @@ _LARGEST_TURN = 0.5
 """Largest change of an iteration [rad]."""
 
 
-def speeds_of_rest(drift: Drift, quaternion: Vector, max_speed: float) -> Vector:
+def speeds_of_rest(momentum: Vector, quaternion: Vector, max_speed: float) -> Vector:
     """Return the speeds that hold the momentum, clipped to the limit [rad/s], shape (2,)."""
-    if drift.is_zero:
-        return np.zeros(INPUT_SIZE)
-    held: Vector = np.minimum(np.maximum(drift.rest_speeds(quaternion), -max_speed), max_speed)
+    speeds = rest_speeds(momentum, quaternion)
+    held: Vector = np.minimum(np.maximum(speeds, -max_speed), max_speed)
     return held
 
 
-def is_saturated(drift: Drift, quaternion: Vector, max_speed: float) -> bool:
+def is_saturated(momentum: Vector, quaternion: Vector, max_speed: float) -> bool:
     """Return whether a rotor would have to exceed its limit to hold the momentum."""
-    return not drift.is_zero and bool(np.max(np.abs(drift.rest_speeds(quaternion))) > max_speed)
+    return bool(np.max(np.abs(rest_speeds(momentum, quaternion))) > max_speed)
 
 
 def hold_momentum(
-    hold: FirstOrderHold, drift: Drift, quaternion: Vector, max_speed: float, duration: float
+    hold: FirstOrderHold, momentum: Vector, disturbance: Disturbance, quaternion: Vector,
+    max_speed: float, duration: float,
 ) -> FirstOrderHold:
     """Return the hold to an arrival, extended to keep the sphere at rest for `duration` [s].
 
-    `drift` is that at the arrival; up to `max_speed` [rad/s] the rotors hold the momentum.
+    `momentum` is that at the arrival; up to `max_speed` [rad/s] the rotors hold the momentum.
     """
     steps = max(1, round(duration / _SPACING))
     after = [duration * (i + 1) / steps for i in range(steps)]
-    speeds = [
-        speeds_of_rest(drift.after_rest(quaternion, time), quaternion, max_speed) for time in after
-    ]
+    momenta = (after_rest(momentum, disturbance, quaternion, time) for time in after)
+    speeds = [speeds_of_rest(held, quaternion, max_speed) for held in momenta]
     return FirstOrderHold(
         np.concatenate((hold.times, hold.end + np.array(after))), np.vstack((hold.speeds, speeds))
     )
@@ -76,14 +75,16 @@ def ramp_to(
     return FirstOrderHold(ramp.times, ramp.speeds + target)
 
 
-def holdable_goal(goal: Vector, drift: Drift, margin: float = 0.0) -> Vector:
+def holdable_goal(
+    goal: Vector, momentum: Vector, disturbance: Disturbance, margin: float = 0.0
+) -> Vector:
     """Return the goal, shape (6,), with the nearest orientation that can be held.
 
-    It is the same object where the drift at the arrival can be held there. `margin` is added to
-    both tolerances [rad/s, rad/s^2], for the error of an estimated drift.
+    It is the same object where the momentum at the arrival can be held there. `margin` is added to
+    both tolerances [rad/s, rad/s^2], for the error of estimates.
     """
     q = goal[QUATERNION]
-    found = _excess(q, drift, margin)
+    found = _excess(q, momentum, disturbance, margin)
     if not found.any():
         return goal
     violated = found != 0.0
@@ -91,14 +92,14 @@ def holdable_goal(goal: Vector, drift: Drift, margin: float = 0.0) -> Vector:
         # A condition that has been violated once is kept from then on: corrected one at a time,
         # in turn, two that are nearly parallel would take hundreds of iterations.
         violated |= found != 0.0
-        here = _components(q, drift)
-        jacobian = violated[:, None] * np.column_stack(
-            [(_components(_turned(q, step), drift) - here) / _STEP for step in _STEP * np.eye(3)]
-        )
+        here = _components(q, momentum, disturbance)
+        near = (_components(_turned(q, s), momentum, disturbance) for s in _STEP * np.eye(3))
+        columns = [(there - here) / _STEP for there in near]
+        jacobian = violated[:, None] * np.column_stack(columns)
         turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
         angle = float(np.linalg.norm(turn))
         q = _turned(q, turn * min(1.0, _LARGEST_TURN / max(angle, _STEP)))
-        found = _excess(q, drift, margin)
+        found = _excess(q, momentum, disturbance, margin)
         if not found.any():
             break
     held: Vector = goal.copy()
@@ -113,19 +114,21 @@ def given_up_angle(angle: float) -> str:
     return f"orientation by {np.degrees(angle):.1f} deg: the rotors cannot hold the momentum there"
 
 
-def _components(q: Vector, drift: Drift) -> Vector:
+def _components(q: Vector, momentum: Vector, disturbance: Disturbance) -> Vector:
     """Return the shares of h and dh/dt along the body's z axis, shape (2,)."""
     axis = rotation.matrix(q)[:, 2]
-    vectors = (drift.momentum, drift.torque_at_rest(q))
+    vectors = (momentum, disturbance.at_rest(q))
     return np.array([float(axis @ v) / max(float(np.linalg.norm(v)), 1e-12) for v in vectors])
 
 
-def _excess(q: Vector, drift: Drift, margin: float) -> Vector:
+def _excess(
+    q: Vector, momentum: Vector, disturbance: Disturbance, margin: float
+) -> Vector:
     """Return what the shares of h and dh/dt exceed their tolerances by, shape (2,)."""
-    lengths = [float(np.linalg.norm(v)) for v in (drift.momentum, drift.torque_at_rest(q))]
+    lengths = [float(np.linalg.norm(v)) for v in (momentum, disturbance.at_rest(q))]
     tolerances = margin + np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
     allowed = tolerances / np.maximum(lengths, 1e-12)
-    along = _components(q, drift)
+    along = _components(q, momentum, disturbance)
     excess: Vector = np.copysign(np.maximum(0.0, np.abs(along) - allowed), along)
     return excess
 

@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from sphere_nmpc.control.goal_memory import cache_folder
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, POSE, nearer_sign, state_error, without_momentum
 from sphere_nmpc.model.torque import within_torque
@@ -134,7 +134,7 @@ def _searched(
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
     without, from which momentum and disturbance are raised in steps.
     """
-    if situation.drift.is_zero:
+    if is_zero(situation.momentum, situation.disturbance):
         grid = KnotGrid(GRIDS[0], _TUNING)
         planner = ArrivalPlanner(robot, GRIDS[0], grid, iter((seed,)), _TUNING)
         return DistantSearch(planner, situation, new_plan=True).improve(work)

@@ -13,7 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import (
+    UNDISTURBED,
+    Disturbance,
+    after_slope,
+    is_zero,
+    rest_speeds,
+)
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
@@ -63,8 +69,8 @@ class Arrival:
         First-order optimality.
     work : int
         Iterations times intervals: cost of the solve, the same on every machine.
-    drift : Drift
-        Predicted drift at the arrival.
+    disturbance : Disturbance
+        Slope and imbalance that it was planned with.
     turns : int
         Whole turns of steady rolling that were left out of the problem.
     """
@@ -76,13 +82,27 @@ class Arrival:
     iterations: int
     kkt_residual: float
     work: int
-    drift: Drift
+    disturbance: Disturbance
     turns: int = 0
 
     @property
     def duration(self) -> float:
         """Time to the arrival [s]."""
         return self.hold.end
+
+    @property
+    def momentum(self) -> Vector:
+        """Predicted momentum at the arrival, shape (3,) [rad/s; world frame]."""
+        return self.states[-1, MOMENTUM]
+
+    def speeds(self, factor: float) -> Vector:
+        """Return rotor speeds at the knots [rad/s], (K, 2), for rolling `factor` times as fast.
+
+        The sphere rolls in proportion to their difference from those that hold the momentum.
+        """
+        held = np.array([rest_speeds(x[MOMENTUM], x[QUATERNION]) for x in self.states])
+        speeds: Vector = held + factor * (self.hold.speeds - held)
+        return speeds
 
 
 @dataclass(frozen=True)
@@ -166,32 +186,37 @@ class ArrivalSolver:
         """
         durations = knot_durations(
             duration, self._period, to_first_knot, self._settings,
-            everywhere=not situation.drift.is_zero,
+            everywhere=not self._settings.is_small(situation),
         )
+        rolling = SteadyRolling.of(situation.constants, self._max_speed)
+        steady, turns = (0, 0)
+        if self._settings.is_small(situation):
+            steady, turns = steady_interval(durations, rolling)
+        if turns:
+            # It bends the way to the near goal by less than what is corrected on it.
+            situation = replace(
+                situation, state=without_momentum(situation.state), disturbance=UNDISTURBED
+            )
         times = np.concatenate(([0.0], np.cumsum(durations)))
         scaled = times[1:] * (guess.end / duration)
         start = np.column_stack([np.interp(scaled, guess.times, row) for row in guess.speeds.T])
-        if unaware and not situation.drift.is_zero:
+        if unaware and not is_zero(situation.momentum, situation.disturbance):
             start = start + self._compensation(situation, durations, start)
-        drift = self._drift_at_end(situation, durations, start)
-        rolling = SteadyRolling.of(situation.constants, self._max_speed)
-        steady, turns = (0, 0)
-        if situation.drift.is_zero:
-            steady, turns = steady_interval(durations, rolling)
+        momentum = self._momentum_at_end(situation, durations, start)
         # A turn of the shell changes the sign of the quaternion.
         target = flipped_sign(goal) if turns % 2 else goal
         iterations = 0
         for _ in range(_SOLVES):
-            rest = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
+            rest = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
             problem = self._problem(situation, target, durations, rest)
             if steady:
                 self._roll_steadily(problem, rolling, start, steady, turns)
             solution = self._solver.solve(problem, start)
             iterations += solution.iterations
-            if situation.drift.is_zero or not situation.drift.imbalance.any():
+            if not situation.disturbance.imbalance.any():
                 break
-            drift = replace(situation.drift, momentum=solution.states[-1, MOMENTUM])
-            ended = speeds_of_rest(drift, goal[QUATERNION], self._max_speed)
+            momentum = solution.states[-1, MOMENTUM]
+            ended = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
             if np.max(np.abs(ended - rest)) <= self._rest_speed:
                 break
             start = solution.inputs[1:]
@@ -202,7 +227,8 @@ class ArrivalSolver:
         return Arrival(
             FirstOrderHold(times, solution.inputs), solution.states, goal,
             error, iterations, solution.kkt_residual,
-            _CALL_WORK + (iterations + 1) * problem.intervals, drift, turns,
+            _CALL_WORK + (iterations + 1) * problem.intervals,
+            situation.disturbance, turns,
         )
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
@@ -212,23 +238,26 @@ class ArrivalSolver:
             without_momentum(situation.state), inputs, durations,
             situation.constants.as_array(), self._max_step,
         )
-        drift, times = situation.drift, np.cumsum(durations)
+        momenta = (
+            after_slope(situation.momentum, situation.disturbance, float(time))
+            for time in np.cumsum(durations)
+        )
         return np.array([
-            drift.after_slope(float(time)).rest_speeds(state[QUATERNION])
-            for time, state in zip(times, states[1:], strict=True)
+            rest_speeds(momentum, state[QUATERNION])
+            for momentum, state in zip(momenta, states[1:], strict=True)
         ])
 
-    def _drift_at_end(self, situation: Situation, durations: Vector, knots: Vector) -> Drift:
-        """Return the drift after knots u_1 ... u_N [rad/s], shape (N, 2)."""
-        drift = situation.drift
-        if not drift.is_zero and drift.imbalance.any():
+    def _momentum_at_end(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
+        """Return the momentum after knots u_1 ... u_N [rad/s], shape (N, 2)."""
+        disturbance = situation.disturbance
+        if disturbance.imbalance.any():
             inputs = np.vstack((situation.input_in_force, knots))
             states = roll_out(
                 situation.state, inputs, durations, situation.constants.as_array(),
-                self._max_step, situation.disturbance,
+                self._max_step, disturbance,
             )
-            return replace(drift, momentum=states[-1, MOMENTUM])
-        return drift.after_slope(float(np.sum(durations)))
+            return states[-1, MOMENTUM]
+        return after_slope(situation.momentum, disturbance, float(np.sum(durations)))
 
     def _momentum_row(self, situation: Situation, goal: Vector) -> Vector:
         """Return what lets a plan end without momentum along the body's z axis, shape (3,).
@@ -237,9 +266,7 @@ class ArrivalSolver:
         are noisy its estimate changes from sample to sample by more than a plan can follow, and
         it is left to the tilt at rest.
         """
-        if situation.drift.is_zero:
-            return np.zeros(3)
-        imbalance = float(np.linalg.norm(situation.drift.imbalance))
+        imbalance = float(np.linalg.norm(situation.disturbance.imbalance))
         if imbalance < self._settings.least_imbalance or situation.uncertainty > 0.0:
             return np.zeros(3)
         row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]

@@ -18,13 +18,15 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.drift import Drift
+from sphere_nmpc.model.disturbance import after_slope, rest_speeds
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
+_MANOEUVRE = 2.0
+"""Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
 """Momentum [rad/s] below which its direction is no longer followed ..."""
 _LEAST_DIRECTED = 0.5
@@ -55,7 +57,7 @@ class HeldGoal:
         """What is given up of the goal and why; empty where nothing is."""
 
     def goal(
-        self, situation: Situation, end: Drift | None, holding: bool, found_none: bool = False
+        self, situation: Situation, end: Vector | None, holding: bool, found_none: bool = False
     ) -> Vector:
         """Return the goal to aim at, shape (6,): the given object where that can be held.
 
@@ -63,83 +65,83 @@ class HeldGoal:
         ----------
         situation : Situation
             With the final goal.
-        end : Drift or None
-            Predicted drift at the arrival of the plan that is being followed; None without one.
+        end : ndarray of shape (3,), or None
+            Predicted momentum at the arrival of the plan that is followed; None without one.
         holding : bool
             Whether the sphere rests at the goal.
         found_none : bool, optional
             Whether the last search has found no arrival; another orientation that unloads the
             rotors is then aimed at.
         """
-        drift, goal = situation.drift, situation.goal
+        goal = situation.goal
         self.given_up = ""
-        if drift.is_zero:
-            self._unloading = None
-            return goal
         unloading = self._unloading_near(situation, holding)
         if unloading is not None:
             self.given_up = "orientation for a while: it unloads the rotors"
-            self._unloading = self._unloading_at(end or drift, unloading, found_none)
+            momentum = situation.momentum if end is None else end
+            self._follow(momentum)
+            self._unloading = _unloading_orientation(
+                situation.disturbance.imbalance, self._direction, unloading, found_none
+            )
             return np.concatenate((goal[:2], self._unloading))
         margin = self._settings.held_goal_factor * situation.uncertainty
-        found = holdable_goal(goal, end or self._expected(situation, holding), margin)
+        if end is None:
+            end = self._expected(situation, holding)
+        found = holdable_goal(goal, end, situation.disturbance, margin)
         self.given_up = given_up_angle(angle_error(found, goal))
         return found
 
-    def _expected(self, situation: Situation, holding: bool) -> Drift:
-        """Return the drift to be expected at the arrival of a new plan."""
-        drift = situation.drift
+    def _expected(self, situation: Situation, holding: bool) -> Vector:
+        """Return the momentum to be expected at the arrival of a new plan, shape (3,)."""
         if holding:
-            return drift
-        if drift.imbalance.any():
-            # What it adds on the way is not known; at rest its torque has to be held in any case.
-            return replace(drift, momentum=np.zeros(3))
+            return situation.momentum
+        # What an imbalance adds on the way is not known.
         way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
         speed = SteadyRolling.of(situation.constants, self._max_speed).speed
-        return drift.after_slope(self._settings.manoeuvre_allowance + way / speed)
+        duration = _MANOEUVRE + way / speed
+        return after_slope(situation.momentum, situation.disturbance, duration)
 
     def _unloading_near(self, situation: Situation, holding: bool) -> Vector | None:
         """Return the orientation, shape (4,), near which the rotors are being unloaded.
 
         None while they are not; unloading begins and ends here.
         """
-        settings, drift = self._settings, situation.drift
-        if not drift.imbalance.any():
+        settings, momentum = self._settings, situation.momentum
+        if not situation.disturbance.imbalance.any():
             self._unloading = None
         elif self._unloading is not None:
-            along = float(self._direction @ drift.momentum)
+            along = float(self._direction @ momentum)
             if along <= settings.unloaded_share * self._max_speed:
                 self._unloading = None
         elif holding:
             quaternion = situation.goal[QUATERNION]
-            speeds = drift.rest_speeds(quaternion)
-            rates = (rotation.matrix(quaternion).T @ drift.torque_at_rest(quaternion))[:2]
+            speeds = rest_speeds(momentum, quaternion)
+            rates = rest_speeds(situation.disturbance.at_rest(quaternion), quaternion)
             nearly = settings.unloading_share * self._max_speed
             # One that is being unloaded by the torque at the goal itself needs no manoeuvre.
             if np.any((np.abs(speeds) > nearly) & (speeds * rates > 0.0)):
-                self._begin(drift, quaternion)
+                self._begin(situation, quaternion)
         return self._unloading
 
-    def _begin(self, drift: Drift, quaternion: Vector) -> None:
+    def _begin(self, situation: Situation, quaternion: Vector) -> None:
         """Begin to unload the rotors unless a slope loads them much faster.
 
         At rest a slope and an imbalance look alike: part of the slope may be an imbalance.
         """
-        level = drift.momentum * (1.0, 1.0, 0.0)
+        level, disturbance = situation.momentum * (1.0, 1.0, 0.0), situation.disturbance
         self._direction = level / np.linalg.norm(level)
-        unload = float(np.linalg.norm(drift.imbalance))
-        slope = float(self._direction[:2] @ drift.slope)
+        unload = float(np.linalg.norm(disturbance.imbalance))
+        slope = float(self._direction[:2] @ disturbance.slope)
         if slope < self._settings.largest_slope_share * unload:
             self._unloading = quaternion
 
-    def _unloading_at(self, drift: Drift, near: Vector, other: bool) -> Vector:
-        """Return the orientation, shape (4,), that unloads the momentum of `drift` fastest."""
-        level = drift.momentum * (1.0, 1.0, 0.0)
+    def _follow(self, momentum: Vector) -> None:
+        """Follow the direction of the momentum that is unloaded."""
+        level = momentum * (1.0, 1.0, 0.0)
         length = float(np.linalg.norm(level))
         # Near zero the direction is not defined, and the momentum then reverses along it.
         if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
             self._direction = level / length
-        return _unloading_orientation(drift.imbalance, self._direction, near, other)
 
 
 class IntermediateGoals:
@@ -169,7 +171,7 @@ class IntermediateGoals:
         """
         settings, last = self._settings, self._place
         here, there = situation.state[POSITION], situation.goal[POSITION]
-        rolls_steadily = situation.drift.is_zero
+        rolls_steadily = settings.is_small(situation)
         near = settings.reach if rolls_steadily else settings.reach_with_momentum
         farthest = settings.farthest if rolls_steadily else settings.far_distance
         if not rolls_steadily and (last is not None or found_none):

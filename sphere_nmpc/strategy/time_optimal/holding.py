@@ -15,7 +15,7 @@ import dataclasses
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import UNDISTURBED
+from sphere_nmpc.model.disturbance import UNDISTURBED, after_rest, in_body, rest_speeds
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -71,7 +71,7 @@ class RestAtGoal:
         error = state_error(situation.state, situation.goal)
         tuning = self._tuning
         noisy = situation.noise > tuning.correction_noise
-        if error > tuning.least_dead_band or noisy or not situation.drift.is_zero:
+        if error > tuning.least_dead_band or noisy or not tuning.is_small(situation):
             goal = nearer_sign(situation.goal, situation.state)
             plan = self._corrected(dataclasses.replace(situation, goal=goal))
             return dataclasses.replace(plan, status=PlanStatus.HOLDING)
@@ -80,10 +80,8 @@ class RestAtGoal:
 
     def _corrected(self, situation: Situation) -> Plan:
         """Return the solution of the problem of the corrections, added to the speeds of rest."""
-        drift, turn, now = situation.drift, situation.state[QUATERNION], situation.time
-        if drift.is_zero:
-            return self._corrections.plan(situation)
-        in_force = situation.input_in_force - drift.rest_speeds(turn)
+        momentum, turn, now = situation.momentum, situation.state[QUATERNION], situation.time
+        in_force = situation.input_in_force - rest_speeds(momentum, turn)
         goal = self._tilted(situation)
         plan = self._corrections.plan(
             dataclasses.replace(
@@ -92,8 +90,11 @@ class RestAtGoal:
             )
         )
         times = plan.hold.times
-        held = [drift.after_rest(turn, float(time) - now).rest_speeds(turn) for time in times]
-        hold = FirstOrderHold(times, plan.hold.speeds + np.array(held))
+        momenta = (
+            after_rest(momentum, situation.disturbance, turn, float(time) - now) for time in times
+        )
+        held = np.array([rest_speeds(later, turn) for later in momenta])
+        hold = FirstOrderHold(times, plan.hold.speeds + held)
         return dataclasses.replace(plan, hold=hold)
 
     def _tilted(self, situation: Situation) -> Vector:
@@ -103,9 +104,9 @@ class RestAtGoal:
         turns about that axis at c1 r3 / r1 (1 + r3 k3^2 / (1 - r1 (k1^2 + k2^2) - r3 k3^2)) h3.
         """
         goal, tuning = situation.goal, self._tuning
-        h1, h2, h3 = situation.drift.in_body(goal[QUATERNION])
+        h1, h2, h3 = in_body(situation.momentum, goal[QUATERNION])
         level = float(np.hypot(h1, h2))
-        if level < tuning.least_tilting_momentum:
+        if level < tuning.small_momentum:
             return goal
         _, c1, r1, r3 = situation.constants.as_array()
         square = rotation.vertical(goal[QUATERNION])[2] ** 2
@@ -129,12 +130,11 @@ def come_to_rest(
     status: PlanStatus = PlanStatus.HOLDING,
 ) -> Plan:
     """Return a plan that brings the rotors to the speeds of rest and holds for `rest_time` [s]."""
-    drift, quaternion = situation.drift, situation.state[QUATERNION]
+    momentum, quaternion = situation.momentum, situation.state[QUATERNION]
     limit = robot.max_rotor_speed
-    target = speeds_of_rest(drift, quaternion, limit)
+    target = speeds_of_rest(momentum, quaternion, limit)
     in_force = situation.input_in_force
     hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
-    if not drift.is_zero:
-        hold = hold_momentum(hold, drift, quaternion, limit, rest_time)
+    hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit, rest_time)
     states: Vector = situation.state[None, :]
     return Plan(status, hold, states, message=message)

@@ -135,18 +135,17 @@ class ArrivalPlanner:
         return self._solver.solve(situation, goal, duration, guess, first)
 
     def solve_delayed(
-        self, situation: Situation, goal: Vector, guess: FirstOrderHold, accepted: float,
-        new_plan: bool,
+        self, situation: Situation, goal: Vector, guess: FirstOrderHold, new_plan: bool
     ) -> Arrival | None:
         """Solve for the duration of the guess, or with a delay if need be.
 
-        None if the error [norm in R^6] exceeds `accepted` with each delay that is tried.
+        None if no delay that is tried makes it reach the goal.
         """
         tuning = self.tuning
         for delay in tuning.delays + tuning.further_delays:
             duration = tuning.stretched(guess.end, delay)
             found = self.solve(situation, goal, duration, guess, new_plan)
-            if found.error <= accepted:
+            if found.error <= tuning.arrival_error:
                 return found
         return None
 
@@ -176,7 +175,7 @@ class DistantSearch:
         self._turn: Vector = np.zeros(2)
         """Displacement of a turn [m]."""
         near = situation
-        if situation.drift.is_zero:
+        if planner.tuning.is_small(situation):
             near, start = self._near(start)
         self._search: ArrivalSearch = planner.search(near, new_plan, strict)
         self._found = start
@@ -239,8 +238,7 @@ class DistantSearch:
                 extended.hold, more * self._rolling.turn_time, self._planner.robot.max_rotor_speed
             )
             found = self._planner.solve_delayed(
-                self._situation, self._goal_after(arrival.goal, added), guess,
-                self._planner.tuning.arrival_error, self._new_plan,
+                self._situation, self._goal_after(arrival.goal, added), guess, self._new_plan
             )
             if found is None:
                 return None

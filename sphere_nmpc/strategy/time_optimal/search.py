@@ -16,14 +16,7 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import (
-    FARTHEST,
-    INPUT_SIZE,
-    POSE,
-    POSITION,
-    flipped_sign,
-    state_error,
-)
+from sphere_nmpc.model.state import FARTHEST, POSE, POSITION, flipped_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -98,8 +91,6 @@ class ArrivalSearch:
         self._window = settings.window
         speed = SteadyRolling.of(situation.constants, limit).speed
         self._least = distance / speed + self._drives.ramp
-        if not situation.drift.is_zero:
-            self._least += settings.manoeuvre_allowance
         share = 0.0 if strict else settings.coarse_error_share
         error = share * state_error(situation.state, situation.goal)
         self._tolerance = min(settings.coarse_error, max(settings.least_coarse_error, error))
@@ -138,8 +129,6 @@ class ArrivalSearch:
 
     def _rounds(self) -> Iterator[None]:
         """Search without end; each step is one solve or one draw of guesses."""
-        if not self._situation.drift.is_zero:
-            yield from self._from_rest()
         while True:
             yield from self._round()
 
@@ -157,8 +146,7 @@ class ArrivalSearch:
             yield
         if delays:
             self._delay = max(settings.delay_of_distance, float(np.median(delays)))
-        with_momentum = not self._situation.drift.is_zero
-        delay = settings.delay_with_momentum if with_momentum else settings.delay_of_error
+        delay = settings.delay_of_error
         trials.sort(key=lambda trial: trial.arrival.duration + delay * trial.arrival.error)
         trials = _different(trials)
         refined = list[_Attempt]()
@@ -188,7 +176,7 @@ class ArrivalSearch:
         if not found and best is None:
             self._window = min(2.0 * self._window, settings.longest_window)
         slow = self._drives.ramp > settings.long_ramp
-        if slow or self._later > 0.0 or not self._situation.drift.is_zero:
+        if slow or self._later > 0.0:
             for k in range(settings.random_guesses):
                 duration = shortest + settings.window * self._rng.random()
                 hold = random_hold(self._rng, duration, self._drives.limit)
@@ -200,17 +188,6 @@ class ArrivalSearch:
                 hold = perturbed(self._rng, best.hold, amount, self._drives.limit)
                 found.append(Guess(hold, best.goal))
         return found
-
-    def _from_rest(self) -> Iterator[None]:
-        """Try guesses at rest: after a push at the goal the sphere has to roll back a little."""
-        for duration in self._settings.short_durations:
-            rest = FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
-            guess = Guess(rest, self._situation.goal)
-            attempt = self._solve(self._shortening, guess, duration, unaware=True)
-            yield
-            if self._arrives(attempt):
-                yield from self._shortened(attempt)
-                return
 
     def _shortened(self, attempt: _Attempt) -> Iterator[None]:
         """Find the shortest duration by Newton's method on the terminal error."""
@@ -246,9 +223,9 @@ class ArrivalSearch:
         if self._arrives(attempt) and duration == arrival.duration:
             return attempt
         hold = arrival.hold
-        if duration > arrival.duration and self._situation.drift.is_zero:
+        if duration > arrival.duration:
             # The same motion in a longer time, which stretched alone would lead too far.
-            hold = FirstOrderHold(hold.times, arrival.duration / duration * hold.speeds)
+            hold = FirstOrderHold(hold.times, arrival.speeds(arrival.duration / duration))
         return self._solve(solver, Guess(hold, arrival.goal), duration)
 
     def _solve(
@@ -267,15 +244,13 @@ class ArrivalSearch:
         is as good as higher speeds.
         """
         situation = self._situation
-        is_usual = self._tolerance < arrival.error < FARTHEST
-        if not situation.drift.is_zero or not is_usual:
+        if not self._tolerance < arrival.error < FARTHEST:
             return self._settings.typical_rate
-        hold = arrival.hold
         # Both ends by the same integration: that of the solver is another one on a long interval.
         end, faster = (
             roll_out(
-                situation.state, factor * hold.speeds, np.diff(hold.times),
-                situation.constants.as_array(), self._max_step,
+                situation.state, arrival.speeds(factor), np.diff(arrival.hold.times),
+                situation.constants.as_array(), self._max_step, situation.disturbance,
             )[-1]
             for factor in (1.0, 1.0 + _SCALING)
         )

@@ -92,11 +92,8 @@ class SearchTask:
         found = search.improve(self.effort, end)
         if found is None:
             return SearchResult(found_none=True)
-        tuning = planner.tuning
-        with_momentum = not situation.drift.is_zero
-        accepted = tuning.rolling_back_error if with_momentum else tuning.arrival_error
         return SearchResult(
-            planner.solve_delayed(situation, found.goal, found.hold, accepted, new_plan=True)
+            planner.solve_delayed(situation, found.goal, found.hold, new_plan=True)
         )
 
     def _earlier(

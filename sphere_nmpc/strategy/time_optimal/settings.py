@@ -4,7 +4,10 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _TABLE_1 = RobotParameters()
@@ -23,6 +26,11 @@ class TimeOptimalSettings:
     results in ``docs/results.md`` were obtained with. Errors are norms in R^6 (metres and
     quaternion components together), as in the metrics of a study.
     """
+
+    small_momentum: float = 2.0
+    """Momentum [rad/s] that is small. A sphere with less rolls steadily and rests at the goal as
+    one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
+    plan for a momentum that differs by less can still be followed."""
 
     # Knots of a plan
 
@@ -85,14 +93,9 @@ class TimeOptimalSettings:
     kept_guesses: float = 0.25
     """Share [-] of initial guesses that are solved a second time. Smaller: more guesses are tried,
     more of them given up too early."""
-    manoeuvre_allowance: float = 2.0
-    """Time [s] beyond that of steady rolling that the first guesses take where the sphere has
-    momentum, and until which it is predicted for a new plan."""
     delay_of_error: float = 4.0
     """Delay for each unit of the terminal error after the first solve [s]: those of the least sum
     of duration and delay are kept."""
-    delay_with_momentum: float = 40.0
-    """The same where the sphere has momentum, and a longer manoeuvre may be the only one [s]."""
     least_gain: float = 0.995
     """Duration [of the best arrival] below which another is worth a further solve."""
     probe: float = 0.96
@@ -113,21 +116,17 @@ class TimeOptimalSettings:
     """Share [-] of the time of manoeuvres below which an arrival at a distant goal is not
     shortened further."""
     typical_rate: float = 0.7
-    """Decrease of the terminal error with the duration [1/s] that is assumed with momentum ..."""
+    """Decrease of the terminal error with the duration [1/s] that is assumed far from the goal or
+    within its tolerance ..."""
     least_rate: float = 0.15
-    """... and the least one that is believed without."""
-    rolling_back_error: float = 4e-4
-    """Terminal error [-] that a new plan may have where the sphere has momentum, a fifth of the
-    dead band: rolling back after a push leaves a turn that only a longer manoeuvre corrects."""
-    short_durations: tuple[float, ...] = (0.6, 1.0, 1.6)
-    """Durations [s] of guesses at rest, which are tried first where the sphere has momentum."""
+    """... and the least one that is believed in between."""
     earlier: float = 0.97
     """Duration [of the best arrival] of the first solve from a guess, at most."""
     perturbations: int = 4
     """Perturbations of the best arrival among the guesses of a round."""
     random_guesses: int = 10
-    """Guesses of random speeds in a round where the sphere has momentum, or no arrival was found:
-    with much momentum, or little acceleration, the rotors are hardly at their limits."""
+    """Guesses of random speeds in a round after one without an arrival: with much momentum, or
+    little acceleration, the rotors are hardly at their limits."""
     long_ramp: float = 1.0
     """Time from rest to the limit of a rotor [s] above which there are such guesses, too."""
     largest_perturbation: float = 0.5
@@ -178,7 +177,7 @@ class TimeOptimalSettings:
     reach: float = 1500.0
     """... at this distance [m], renewed at half of it."""
     far_distance: float = 8.0
-    """Distance [m] beyond which that is done with momentum ..."""
+    """Distance [m] beyond which that is done with more than a small momentum ..."""
     reach_with_momentum: float = 3.0
     """... by goals at this distance [m]; also where no arrival was found."""
 
@@ -195,18 +194,17 @@ class TimeOptimalSettings:
     large_delay: float = 1.03
     """Factor [-] on the time left beyond which the whole planning effort is spent again: the
     robot does not behave as the plan assumed."""
-    large_change_of_momentum: float = 1.0
-    """Difference of the momentum from the predicted one [rad/s] above which the plan is changed in
-    steps ..."""
     momentum_steps: int = 8
-    """... of this number ..."""
+    """Steps in which a plan is changed where the momentum is not the predicted one ..."""
     momentum_delays: tuple[float, ...] = (1.0, 1.02, 1.05, 1.1, 1.2)
-    """... with these factors [-] on the time left that are tried in each."""
+    """... factors [-] on the time left that are tried in each ..."""
+    rolling_back_error: float = 4e-4
+    """... and terminal error [-] that each may leave, a fifth of the dead band."""
     improvement_divisor: int = 10
     """Each later sample spends the planning effort over this on an earlier arrival."""
     largest_growth: float = 8.0
     """Largest factor [-] on the planning effort, and on the longest wall time, of a search from
-    rest without momentum: doubled after each search without an arrival. A robot whose sample
+    rest: doubled after each search without an arrival. A robot whose sample
     period is short for it has large problems, and none is found with the effort for Table 1; four
     times that was enough for each robot tried. Such a search has to end before a worker that does
     not answer is replaced."""
@@ -248,15 +246,10 @@ class TimeOptimalSettings:
 
     # Holding at the goal
 
-    rest_speed: float = 1e-3
-    """Rotor speed [rad/s] below which the rotors are at rest."""
-    held_speed: float = 1.0
-    """The same where they hold momentum [rad/s]: deviation from the speeds of rest, of which the
-    estimate of the momentum has an error."""
     held_speed_factor: float = 500.0
-    """What is added to it, over the standard deviation of the state estimate [rad/s]: noise of the
-    poses moves the estimate of the momentum by a few rad/s, to which no rotor has to be ramped
-    before the sphere counts as resting."""
+    """Deviation from the speeds of rest with which a sphere counts as resting beyond the small
+    momentum, over the standard deviation of the state estimate [rad/s]: noise of the poses moves
+    the estimate of the momentum by a few rad/s."""
     held_goal_factor: float = 60.0
     """Momentum along the body's z axis that a goal may have besides, over the same [rad/s]: with a
     momentum of 1 rad/s noise of 0.1 rad/s would tilt the goal by 6 degrees."""
@@ -281,8 +274,6 @@ class TimeOptimalSettings:
     """Largest such tilt [rad]; it adds 2e-3 to the error."""
     tilt_factor: float = 2.0
     """What is added to it, over the standard deviation of the state estimate [rad]."""
-    least_tilting_momentum: float = 2.0
-    """Momentum [rad/s] below which it is not used for that."""
     rest_time: float = 1.0
     """Time [s] for which a command goes on to hold the momentum at its end."""
     least_dead_band: float = 2e-3
@@ -322,6 +313,12 @@ class TimeOptimalSettings:
             manoeuvre_time=min(max(manoeuvre, self.manoeuvre_time), self.longest_manoeuvre),
             near_distance=near + max(0.0, ramps) * rolling.speed,
         )
+
+    def is_small(self, situation: Situation) -> bool:
+        """Return whether the momentum is small, together with what is added in the next second."""
+        disturbance = situation.disturbance
+        vectors = situation.momentum, disturbance.slope, disturbance.imbalance
+        return sum(float(np.linalg.norm(v)) for v in vectors) < self.small_momentum
 
     def growth(self, fruitless: int) -> float:
         """Return the factor [-] on the effort after that many searches without an arrival."""

@@ -89,6 +89,11 @@ class Following:
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         return state
 
+    def momentum_at_arrival(self, situation: Situation) -> Vector:
+        """Return the momentum of now with what it gains until the arrival, shape (3,)."""
+        predicted = self.prediction(situation.time)[MOMENTUM]
+        return situation.momentum + (self.arrival.momentum - predicted)
+
     def rest(self, now: float) -> FirstOrderHold:
         """Return what remains of the plan at `now` [s], from time 0 (now) on."""
         elapsed, hold = now - self.planned_at, self.arrival.hold
@@ -140,13 +145,12 @@ def replan(
     if left < tuning.ended_time:
         return None
     rest, plan = plan.rest(now), replace(plan, work=0)
-    if not situation.drift.is_zero:
-        change = (situation.state - plan.prediction(now))[MOMENTUM]
-        if np.max(np.abs(change)) > tuning.large_change_of_momentum:
-            changed = _after_change(plan, situation, rest, left, deadline)
-            if changed is None:
-                return None
-            return replace(plan, arrival=changed, planned_at=now, work=settings.planning_effort)
+    change = (situation.state - plan.prediction(now))[MOMENTUM]
+    if np.max(np.abs(change)) > tuning.small_momentum:
+        changed = _after_change(plan, situation, rest, left, deadline)
+        if changed is None:
+            return None
+        return replace(plan, arrival=changed, planned_at=now, work=settings.planning_effort)
     accepted = tuning.accepted_error(left / settings.period) * dead_band
     best: Arrival | None = None
     for delay in tuning.delays:
@@ -183,7 +187,7 @@ def _after_change(
     that are estimated are approached in steps, each solved from the arrival of the one before.
     """
     planner, tuning = plan.planner, plan.planner.tuning
-    state, known = plan.prediction(situation.time), plan.arrival.drift.disturbance.as_array()
+    state, known = plan.prediction(situation.time), plan.arrival.disturbance.as_array()
     away = error_between(state, situation.state)
     change = situation.disturbance.as_array() - known
     arrival: Arrival | None = None

@@ -191,7 +191,7 @@ class TimeOptimalStrategy:
                 return followed
             state = Searching()
         limit = self._robot.max_rotor_speed
-        if is_saturated(situation.drift, situation.goal[QUATERNION], limit):
+        if is_saturated(situation.momentum, situation.goal[QUATERNION], limit):
             return Saturated()
         if isinstance(state, Saturated):
             state = Searching()
@@ -222,8 +222,7 @@ class TimeOptimalStrategy:
     def _growth(self, state: Searching, situation: Situation, at_rest: bool) -> float:
         """Return the factor [-] on the effort of a search for a plan where there is none."""
         # In motion the next search has another problem, which may be easier.
-        stands = at_rest and situation.drift.is_zero
-        return self._tuning.growth(state.fruitless) if stands else 1.0
+        return self._tuning.growth(state.fruitless) if at_rest else 1.0
 
     def _planned(
         self, result: SearchResult, state: Searching, planner: ArrivalPlanner, begins: float
@@ -334,8 +333,7 @@ class TimeOptimalStrategy:
         outcome = None
         if beside.purpose is Purpose.REDIRECT:
             outcome = beside.take(situation.time, self._settings.control_period)
-        far = float(np.linalg.norm(wanted[POSITION] - situation.state[POSITION]))
-        simple = situation.drift.is_zero and far < self._tuning.farthest
+        simple = self._is_aimed_at(dataclasses.replace(situation, goal=wanted))
         if simple and isinstance(state, Searching) and beside.purpose is Purpose.NEW:
             # Goals that arrive faster than a search takes would otherwise prevent any plan.
             return dataclasses.replace(situation, goal=goal)
@@ -363,18 +361,23 @@ class TimeOptimalStrategy:
             )
         return dataclasses.replace(situation, goal=goal)
 
+    def _is_aimed_at(self, situation: Situation) -> bool:
+        """Return whether a new goal is aimed at as it is given."""
+        goal = HeldGoal(self._robot.max_rotor_speed, self._tuning).goal(situation, None, False)
+        aimed, _ = IntermediateGoals(self._tuning).aim(situation, 0.0)
+        return goal is situation.goal and aimed is situation
+
     def _resting_band(self, dead_band: float, situation: Situation) -> float:
         """Return the error below which a sphere at rest stays: with momentum it is corrected."""
-        held = 0.0 if situation.drift.is_zero else self._tuning.held_dead_band
-        return max(dead_band, held)
+        small = self._tuning.is_small(situation)
+        return dead_band if small else max(dead_band, self._tuning.held_dead_band)
 
     def _is_at_rest(self, situation: Situation) -> bool:
         """Return whether the rotors turn at the speeds at which the sphere rests."""
-        in_force, drift, tuning = situation.input_in_force, situation.drift, self._tuning
-        if drift.is_zero:
-            return bool(np.all(np.abs(in_force) < tuning.rest_speed))
-        held = speeds_of_rest(drift, situation.state[QUATERNION], self._robot.max_rotor_speed)
-        near = tuning.held_speed + tuning.held_speed_factor * situation.uncertainty
+        in_force, tuning = situation.input_in_force, self._tuning
+        turn, limit = situation.state[QUATERNION], self._robot.max_rotor_speed
+        held = speeds_of_rest(situation.momentum, turn, limit)
+        near = tuning.small_momentum + tuning.held_speed_factor * situation.uncertainty
         return bool(np.all(np.abs(in_force - held) < near))
 
     def _holdable(self, situation: Situation) -> Situation:
@@ -385,10 +388,7 @@ class TimeOptimalStrategy:
         """
         state, end = self._state, None
         if isinstance(state, Following):
-            end = situation.drift.after_slope(state.time_left(situation.time))
-            if end.imbalance.any():
-                # The momentum at the arrival depends on the way: that of the last plan.
-                end = state.arrival.drift
+            end = state.momentum_at_arrival(situation)
         found_none = isinstance(state, Searching) and state.found_none
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
         if isinstance(state, Following):
@@ -420,18 +420,16 @@ class TimeOptimalStrategy:
     def _as_plan(self, state: Following) -> Plan:
         arrival, start = state.arrival, state.planned_at
         late = arrival.error > self._tuning.arrival_error
-        hold, states = arrival.hold.delayed(start), arrival.states
-        if not arrival.drift.is_zero:
-            hold = hold_momentum(
-                hold, arrival.drift, arrival.goal[QUATERNION], self._robot.max_rotor_speed,
-                self._tuning.rest_time,
-            )
-            rests = np.tile(states[-1], (hold.times.size - len(states), 1))
-            states = np.vstack((states, rests))
+        states = arrival.states
+        hold = hold_momentum(
+            arrival.hold.delayed(start), arrival.momentum, arrival.disturbance,
+            arrival.goal[QUATERNION], self._robot.max_rotor_speed, self._tuning.rest_time,
+        )
+        rests = np.tile(states[-1], (hold.times.size - len(states), 1))
         return Plan(
             PlanStatus.BEST_SO_FAR if late else PlanStatus.SOLVED,
             hold,
-            states,
+            np.vstack((states, rests)),
             arrival=start + arrival.duration,
             cost=arrival.error**2,
             iterations=arrival.iterations,

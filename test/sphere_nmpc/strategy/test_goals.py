@@ -2,15 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Goals aimed at: as given, the nearest that can be held, to unload rotors, on the way to far."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from sphere_nmpc.model.disturbance import imbalance_of_offset, slope_torque
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
+from sphere_nmpc.model.disturbance import (
+    UNDISTURBED,
+    Disturbance,
+    imbalance_of_offset,
+    slope_torque,
+)
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
+from sphere_nmpc.model.state import NO_MOMENTUM, POSITION, QUATERNION, Vector, make_state
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import holdable_goal
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
@@ -27,18 +29,17 @@ LOADING = np.array([0.0, 1.0, 0.0])
 """Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
 
 
-def situation(goal: Vector, drift: Drift, state: Vector | None = None) -> Situation:
-    here = goal if state is None else state
-    return Situation(
-        0.0, np.append(here, drift.momentum), goal, np.zeros(2), ROBOT.lumped,
-        disturbance=drift.disturbance,
-    )
+def situation(
+    goal: Vector, momentum: Vector, disturbance: Disturbance = UNDISTURBED,
+    pose: Vector | None = None,
+) -> Situation:
+    state = np.append(goal if pose is None else pose, momentum)
+    return Situation(0.0, state, goal, np.zeros(2), ROBOT.lumped, disturbance=disturbance)
 
 
-def out_of_balance(momentum: float, slope: Vector | None = None) -> Drift:
-    """Return a drift with momentum along the torque of the imbalance [rad/s]."""
-    drift = Drift(momentum * LOADING, imbalance=OFFSET)
-    return drift if slope is None else replace(drift, slope=slope)
+def out_of_balance(momentum: float, slope: Vector = UNDISTURBED.slope) -> Situation:
+    """Return a situation with momentum along the torque of the imbalance [rad/s]."""
+    return situation(UPRIGHT, momentum * LOADING, Disturbance(slope, OFFSET))
 
 
 @pytest.fixture
@@ -47,48 +48,48 @@ def held() -> HeldGoal:
 
 
 def test_goal_is_kept_without_momentum_and_where_it_can_be_held(held: HeldGoal) -> None:
-    for drift in (NO_DRIFT, Drift(np.array([30.0, -20.0, 0.0])), out_of_balance(50.0)):
+    still, pushed = (situation(UPRIGHT, h * np.array([30.0, -20.0, 0.0])) for h in (0.0, 1.0))
+    for now in (still, pushed, out_of_balance(50.0)):
         for holding in (False, True):
-            assert held.goal(situation(UPRIGHT, drift), None, holding) is UPRIGHT
+            assert held.goal(now, None, holding) is UPRIGHT
             assert held.given_up == ""
 
 
 @pytest.mark.parametrize(
-    ("drift", "holding"),
+    ("now", "holding"),
     [
         (out_of_balance(78.0), True),
         (out_of_balance(92.0), False),
         # The torque of the imbalance unloads the rotors where they are.
         (out_of_balance(-92.0), True),
-        (Drift(92.0 * LOADING), True),
+        (situation(UPRIGHT, 92.0 * LOADING), True),
         # A slope of 3 degrees loads them much faster, 73 rad/s^2, than 2.2 mm unload.
         (out_of_balance(92.0, slope_torque(ROBOT, np.radians(3.0), 0.0)), True),
     ],
     ids=["not yet", "on the way", "by itself", "balanced", "steep"],
 )
-def test_rotors_are_not_unloaded(held: HeldGoal, drift: Drift, holding: bool) -> None:
-    assert held.goal(situation(UPRIGHT, drift), None, holding) is UPRIGHT
+def test_rotors_are_not_unloaded(held: HeldGoal, now: Situation, holding: bool) -> None:
+    assert held.goal(now, None, holding) is UPRIGHT
     assert held.given_up == ""
 
 
 def test_rotors_are_unloaded_at_the_orientation_that_does_so_fastest(held: HeldGoal) -> None:
-    drift = out_of_balance(92.0)
-    assert drift.torque_at_rest(UPRIGHT[QUATERNION]) @ LOADING > 0.0
-    aimed = held.goal(situation(UPRIGHT, drift), None, holding=True)
+    now = out_of_balance(92.0)
+    assert now.disturbance.at_rest(UPRIGHT[QUATERNION]) @ LOADING > 0.0
+    aimed = held.goal(now, None, holding=True)
     assert "unloads" in held.given_up
     np.testing.assert_array_equal(aimed[:2], UPRIGHT[:2])
     # No torque is larger than that of a horizontal offset.
-    torque = drift.torque_at_rest(aimed[QUATERNION])
+    torque = now.disturbance.at_rest(aimed[QUATERNION])
     assert torque @ LOADING == pytest.approx(-np.linalg.norm(OFFSET), rel=1e-9)
     # It can be held there: neither is along the body's z axis.
-    assert holdable_goal(aimed, drift) is aimed
+    assert holdable_goal(aimed, now.momentum, now.disturbance) is aimed
 
 
-def on_the_way(place: Vector, distance: float, momentum: Vector | None = None) -> Situation:
+def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -> Situation:
     """Return the situation at a place with a goal at a distance in `DIRECTION`."""
     goal = make_state(distance * DIRECTION, (np.cos(0.3), 0.0, 0.0, np.sin(0.3)))
-    drift = NO_DRIFT if momentum is None else Drift(momentum=momentum)
-    return situation(goal, drift, make_state(place, UPRIGHT[QUATERNION]))
+    return situation(goal, momentum, pose=make_state(place, UPRIGHT[QUATERNION]))
 
 
 def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:

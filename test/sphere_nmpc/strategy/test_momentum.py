@@ -15,7 +15,6 @@ from sphere_nmpc.model.disturbance import (
     rest_speeds,
     slope_torque,
 )
-from sphere_nmpc.model.drift import Drift
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, QUATERNION, Vector, make_state, state_error
@@ -145,7 +144,7 @@ def test_plan_keeping_settles_at_the_nearest_goal_that_can_be_held() -> None:
     plans = loop.run(12.0)
     assert all(plan.given_up.startswith("orientation by 8.") for plan in plans)
     # 1e-3 was measured; aiming at the goal itself leaves 9e-2.
-    held = holdable_goal(TILTED, Drift.of(loop.momentum, loop.disturbance))
+    held = holdable_goal(TILTED, loop.momentum, loop.disturbance)
     assert state_error(loop.plant.state, held) < SETTLED
 
 

@@ -7,11 +7,13 @@ import pytest
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import (
+    UNDISTURBED,
+    Disturbance,
+    after_rest,
     imbalance_of_offset,
     momentum_of_push,
     slope_torque,
 )
-from sphere_nmpc.model.drift import NO_DRIFT, Drift
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
@@ -44,9 +46,10 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
 ) -> None:
     start = make_state(np.zeros(2), HEADING)
     plant = RollingPlant(ROBOT, start, world)
-    drift = Drift.of(np.zeros(3), disturbance_of(world, ROBOT))
+    disturbance = disturbance_of(world, ROBOT)
+    momentum = after_rest(np.zeros(3), disturbance, HEADING, 0.1)
     at_rest = FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2)))
-    hold = hold_momentum(at_rest, drift.after_rest(HEADING, 0.1), HEADING, LIMIT, 5.0)
+    hold = hold_momentum(at_rest, momentum, disturbance, HEADING, LIMIT, 5.0)
     assert hold.end == pytest.approx(5.1)
     assert np.max(np.abs(hold.speeds)) > 30.0
     for k in range(510):
@@ -56,39 +59,38 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
     assert np.max(np.abs(plant.state - start)) < 5e-3
 
 
-def drawn_drift(rng: np.random.Generator, offset: float = 0.0) -> Drift:
+def drawn(rng: np.random.Generator, offset: float = 0.0) -> tuple[Vector, Disturbance]:
     """Return a push of about 1 N s on up to 1 degree; offset [m] of the centre of mass."""
-    return Drift(
-        momentum_of_push(ROBOT, rng.normal(size=2)),
+    return momentum_of_push(ROBOT, rng.normal(size=2)), Disturbance(
         slope_torque(ROBOT, np.radians(rng.uniform(0.0, 1.0)), rng.uniform(-3.0, 3.0)),
         imbalance_of_offset(ROBOT, offset * rng.normal(size=3)),
     )
 
 
-def along_z(q: Vector, drift: Drift) -> tuple[float, float]:
+def along_z(q: Vector, momentum: Vector, disturbance: Disturbance) -> tuple[float, float]:
     """Return momentum [rad/s] and its rate [rad/s^2] at rest along the body's z axis."""
     axis = rotation.matrix(q)[:, 2]
-    return abs(float(axis @ drift.momentum)), abs(float(axis @ drift.torque_at_rest(q)))
+    return abs(float(axis @ momentum)), abs(float(axis @ disturbance.at_rest(q)))
 
 
-def test_upright_goal_is_kept_for_any_drift_and_any_goal_without() -> None:
+def test_upright_goal_is_kept_with_any_momentum_and_any_goal_without() -> None:
     for seed in range(5):
         rng = np.random.default_rng(seed)
         heading = rotation.exponential(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
         upright = make_state(PLACE, heading)
-        assert holdable_goal(upright, drawn_drift(rng, offset=2e-3)) is upright
+        assert holdable_goal(upright, *drawn(rng, offset=2e-3)) is upright
         goal = make_state(PLACE, rotation.random_quaternion(rng))
-        assert holdable_goal(goal, NO_DRIFT) is goal
+        assert holdable_goal(goal, np.zeros(3), UNDISTURBED) is goal
 
 
 def test_push_turns_the_goal_by_no_more_than_the_tilt_of_the_momentum() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         goal = make_state(PLACE, rotation.random_quaternion(rng))
-        drift = Drift(momentum_of_push(ROBOT, rng.normal(size=2)))
-        size = float(np.linalg.norm(drift.momentum))
-        share = along_z(goal[QUATERNION], drift)[0] / size
-        held = holdable_goal(goal, drift)
+        momentum = momentum_of_push(ROBOT, rng.normal(size=2))
+        size = float(np.linalg.norm(momentum))
+        share = along_z(goal[QUATERNION], momentum, UNDISTURBED)[0] / size
+        held = holdable_goal(goal, momentum, UNDISTURBED)
         turned = float(rotation.angle_between(held[QUATERNION], goal[QUATERNION]))
         # The z axis at an angle asin(share) from the plane perpendicular to h has to reach what
         # the tolerance leaves. The iteration takes steps of up to half a radian, which together
@@ -102,11 +104,11 @@ def test_momentum_and_its_rate_are_both_held(offset: float) -> None:
     for seed in range(15):
         rng = np.random.default_rng(seed)
         goal = make_state(PLACE, rotation.random_quaternion(rng))
-        drift, given = drawn_drift(rng, offset), goal.copy()
-        held = holdable_goal(goal, drift)
+        cause, given = drawn(rng, offset), goal.copy()
+        held = holdable_goal(goal, *cause)
         assert held is not goal
         np.testing.assert_array_equal(goal, given)
         np.testing.assert_array_equal(held[:2], PLACE)
         assert np.linalg.norm(held[QUATERNION]) == pytest.approx(1.0, abs=1e-12)
-        momentum, rate = along_z(held[QUATERNION], drift)
+        momentum, rate = along_z(held[QUATERNION], *cause)
         assert momentum <= MOMENTUM_TOLERANCE + 1e-9 and rate <= TORQUE_TOLERANCE + 1e-9

@@ -4,7 +4,7 @@
 
 A commutator-free Lie group method of order four (CF4 of Celledoni, Marthinsen and Owren, 2003)
 composes exponentials of angular velocities, here in world axes, so the quaternion keeps its unit
-norm to rounding, and at the robot's speeds one step is as accurate as about three of the classical
+norm to rounding, and at the robot's speeds one step is as accurate as about two of the classical
 Runge-Kutta method, which it is for the momentum.
 """
 

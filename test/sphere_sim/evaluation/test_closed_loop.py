@@ -12,7 +12,7 @@ import pytest
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import state_error
+from sphere_nmpc.model.state import POSE, state_error
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -124,7 +124,7 @@ def test_age_of_a_pose_is_the_latency_and_the_state_is_predicted(latency: float)
         # Before the run the sphere is at rest, so that the first poses have the stamp 0.
         time = k * settings.control_period
         assert decision.pose_age == pytest.approx(min(latency, time), abs=1e-9)
-        assert np.linalg.norm(decision.state - found.states[round(time / 0.05)]) < 1e-3
+        assert np.linalg.norm(decision.state[POSE] - found.states[round(time / 0.05)]) < 1e-3
 
 
 @pytest.mark.parametrize(

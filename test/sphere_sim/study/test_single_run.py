@@ -105,7 +105,7 @@ def test_run_that_crashes_is_recorded_as_such(monkeypatch) -> None:
 
 def test_controller_has_the_nominal_parameters_of_a_perturbed_robot() -> None:
     simulator, controller = prepare(replace(SHORT, perturbation=3.0), SCENARIO)
-    assert simulator.plant._robot != RobotParameters()
+    assert simulator.plant._mass != RobotParameters().total_mass
     assert controller.estimator.plant.constants == RobotParameters().lumped
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.disturbance import (
     Disturbance,
-    after_rest,
     push_against,
     rest_speeds,
+    speeds_at_rest,
     time_to_saturation,
 )
 from sphere_nmpc.model.parameters import RobotParameters
@@ -213,8 +213,8 @@ def _excess(speeds: Vector, decision: Decision, time: float) -> float:
     state = decision.state
     if state is None or decision.plan.status is PlanStatus.SATURATED:
         return float(np.max(np.abs(speeds)))
-    turn, elapsed = state[QUATERNION], time - decision.plan.hold.start
-    held = rest_speeds(after_rest(state[MOMENTUM], decision.disturbance, turn, elapsed), turn)
+    elapsed = np.array([time - decision.plan.hold.start])
+    held = speeds_at_rest(state[MOMENTUM], decision.disturbance, state[QUATERNION], elapsed)[0]
     return float(np.max(np.abs(speeds - held)))
 
 

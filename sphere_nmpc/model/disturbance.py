@@ -98,11 +98,15 @@ def after_slope(momentum: Vector, disturbance: Disturbance, duration: float) -> 
     return momentum + duration * np.append(disturbance.slope, 0.0)
 
 
-def after_rest(
-    momentum: Vector, disturbance: Disturbance, quaternion: Vector, duration: float
+def speeds_at_rest(
+    momentum: Vector, disturbance: Disturbance, quaternion: Vector, times: Vector
 ) -> Vector:
-    """Return the momentum after a rest of `duration` [s] at an orientation."""
-    return momentum + duration * disturbance.at_rest(quaternion)
+    """Return the speeds that hold a momentum after times of rest [s], (n,), in rad/s, (n, 2).
+
+    At rest the orientation does not change, so they grow linearly.
+    """
+    gained = rest_speeds(disturbance.at_rest(quaternion), quaternion)
+    return rest_speeds(momentum, quaternion) + np.multiply.outer(times, gained)
 
 
 def momentum_of_push(robot: RobotParameters, impulse: Vector) -> Vector:

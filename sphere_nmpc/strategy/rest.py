@@ -11,7 +11,7 @@ its rate must be perpendicular to the axis, too.
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import Disturbance, after_rest, rest_speeds
+from sphere_nmpc.model.disturbance import Disturbance, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import QUATERNION, Vector
 
@@ -25,6 +25,7 @@ MOMENTUM_TOLERANCE = 0.05
 seconds."""
 TORQUE_TOLERANCE = 0.05
 """The same of the momentum's rate [rad/s^2]."""
+_TOLERANCES = np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
 _LEAST_TOLD = 1e-2
 """Change of the orientation [rad] that is told; one below it is half the error at which a goal
 counts as reached."""
@@ -56,11 +57,11 @@ def hold_momentum(
     `momentum` is that at the arrival; up to `max_speed` [rad/s] the rotors hold the momentum.
     """
     steps = max(1, round(duration / _SPACING))
-    after = [duration * (i + 1) / steps for i in range(steps)]
-    momenta = (after_rest(momentum, disturbance, quaternion, time) for time in after)
-    speeds = [speeds_of_rest(held, quaternion, max_speed) for held in momenta]
+    after = duration * np.arange(1, steps + 1) / steps
+    speeds = speeds_at_rest(momentum, disturbance, quaternion, after)
+    speeds = np.minimum(np.maximum(speeds, -max_speed), max_speed)
     return FirstOrderHold(
-        np.concatenate((hold.times, hold.end + np.array(after))), np.vstack((hold.speeds, speeds))
+        np.concatenate((hold.times, hold.end + after)), np.concatenate((hold.speeds, speeds))
     )
 
 
@@ -92,8 +93,8 @@ def holdable_goal(
         # A condition that has been violated once is kept from then on: corrected one at a time,
         # in turn, two that are nearly parallel would take hundreds of iterations.
         violated |= found != 0.0
-        here = _components(q, momentum, disturbance)
-        near = (_components(_turned(q, s), momentum, disturbance) for s in _STEP * np.eye(3))
+        here, _ = _components(q, momentum, disturbance)
+        near = (_components(_turned(q, s), momentum, disturbance)[0] for s in _STEP * np.eye(3))
         columns = [(there - here) / _STEP for there in near]
         jacobian = violated[:, None] * np.column_stack(columns)
         turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
@@ -114,21 +115,19 @@ def given_up_angle(angle: float) -> str:
     return f"orientation by {np.degrees(angle):.1f} deg: the rotors cannot hold the momentum there"
 
 
-def _components(q: Vector, momentum: Vector, disturbance: Disturbance) -> Vector:
-    """Return the shares of h and dh/dt along the body's z axis, shape (2,)."""
-    axis = rotation.matrix(q)[:, 2]
-    vectors = (momentum, disturbance.at_rest(q))
-    return np.array([float(axis @ v) / max(float(np.linalg.norm(v)), 1e-12) for v in vectors])
+def _components(q: Vector, momentum: Vector, disturbance: Disturbance) -> tuple[Vector, Vector]:
+    """Return the shares of h and dh/dt along the body's z axis, and their lengths, (2,) each."""
+    vectors = np.array((momentum, disturbance.at_rest(q)))
+    lengths = np.maximum(np.sqrt(np.sum(vectors * vectors, axis=1)), 1e-12)
+    return vectors @ rotation.matrix(q)[:, 2] / lengths, lengths
 
 
 def _excess(
     q: Vector, momentum: Vector, disturbance: Disturbance, margin: float
 ) -> Vector:
     """Return what the shares of h and dh/dt exceed their tolerances by, shape (2,)."""
-    lengths = [float(np.linalg.norm(v)) for v in (momentum, disturbance.at_rest(q))]
-    tolerances = margin + np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
-    allowed = tolerances / np.maximum(lengths, 1e-12)
-    along = _components(q, momentum, disturbance)
+    along, lengths = _components(q, momentum, disturbance)
+    allowed = (margin + _TOLERANCES) / lengths
     excess: Vector = np.copysign(np.maximum(0.0, np.abs(along) - allowed), along)
     return excess
 

@@ -15,7 +15,7 @@ import dataclasses
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import UNDISTURBED, after_rest, in_body, rest_speeds
+from sphere_nmpc.model.disturbance import UNDISTURBED, in_body, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -90,10 +90,7 @@ class RestAtGoal:
             )
         )
         times = plan.hold.times
-        momenta = (
-            after_rest(momentum, situation.disturbance, turn, float(time) - now) for time in times
-        )
-        held = np.array([rest_speeds(later, turn) for later in momenta])
+        held = speeds_at_rest(momentum, situation.disturbance, turn, times - now)
         hold = FirstOrderHold(times, plan.hold.speeds + held)
         return dataclasses.replace(plan, hold=hold)
 

@@ -83,9 +83,11 @@ class Following:
 
     def prediction(self, now: float) -> Vector:
         """Return the state, shape (9,), that the plan has predicted for `now`."""
-        arrival, elapsed = self.arrival, now - self.planned_at
-        rows = arrival.states.T
-        state = np.array([np.interp(elapsed, arrival.hold.times, row) for row in rows])
+        times, states = self.arrival.hold.times, self.arrival.states
+        elapsed = min(max(now - self.planned_at, 0.0), self.arrival.duration)
+        i = max(1, int(np.searchsorted(times, elapsed)))
+        share = (elapsed - times[i - 1]) / (times[i] - times[i - 1])
+        state: Vector = states[i - 1] + share * (states[i] - states[i - 1])
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         return state
 

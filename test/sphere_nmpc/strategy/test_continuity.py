@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
 
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, after_rest, rest_speeds
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, speeds_at_rest
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import NO_MOMENTUM, QUATERNION, Vector, make_state, state_error
@@ -78,8 +78,8 @@ def test_sphere_rests_in_the_dead_band_as_without_momentum(cause: Cause) -> None
     # Within it nothing is corrected: the rotors hold the momentum.
     plan = TimeOptimalStrategy(SETTINGS, ROBOT, TUNING).plan(replace(now, goal=START))
     turn, (momentum, disturbance) = START[QUATERNION], cause
-    held = rest_speeds(after_rest(momentum, disturbance, turn, plan.hold.end), turn)
-    np.testing.assert_allclose(plan.hold.speeds[-1], held, atol=1e-9)
+    held = speeds_at_rest(momentum, disturbance, turn, plan.hold.times[-1:])
+    np.testing.assert_allclose(plan.hold.speeds[-1:], held, atol=1e-9)
 
 
 @tiny

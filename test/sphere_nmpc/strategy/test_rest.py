@@ -9,7 +9,6 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,
     Disturbance,
-    after_rest,
     imbalance_of_offset,
     momentum_of_push,
     slope_torque,
@@ -47,7 +46,7 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
     start = make_state(np.zeros(2), HEADING)
     plant = RollingPlant(ROBOT, start, world)
     disturbance = disturbance_of(world, ROBOT)
-    momentum = after_rest(np.zeros(3), disturbance, HEADING, 0.1)
+    momentum = 0.1 * disturbance.at_rest(HEADING)
     at_rest = FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2)))
     hold = hold_momentum(at_rest, momentum, disturbance, HEADING, LIMIT, 5.0)
     assert hold.end == pytest.approx(5.1)

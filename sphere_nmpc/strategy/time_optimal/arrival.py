@@ -266,8 +266,8 @@ class ArrivalSolver:
         are noisy its estimate changes from sample to sample by more than a plan can follow, and
         it is left to the tilt at rest.
         """
-        imbalance = float(np.linalg.norm(situation.disturbance.imbalance))
-        if imbalance < self._settings.least_imbalance or situation.uncertainty > 0.0:
+        balanced = not self._settings.is_out_of_balance(situation)
+        if balanced or situation.uncertainty > 0.0:
             return np.zeros(3)
         row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
         return row

@@ -7,10 +7,10 @@ the sphere, so that an orientation at which it opposes the momentum unloads the 
 the momentum there, too, if it is perpendicular to the body's z axis and to the imbalance; the
 torque is largest where the imbalance is horizontal.
 
-With momentum a sphere cannot roll steadily, and whole turns cannot be left out of a plan: its size
-would grow with the distance. A far goal is then approached by intermediate goals some metres ahead
-on the straight line. Without momentum only goals at kilometres need them, as the direction of
-steady rolling would have to be planned to more digits than the solver attains.
+With more than a small momentum a sphere cannot roll steadily, and whole turns cannot be left out
+of a plan: its size would grow with the distance. A far goal is then approached by intermediate
+goals some metres ahead on the straight line. Otherwise only goals at kilometres need them, as the
+direction of steady rolling would have to be planned to more digits than the solver attains.
 """
 
 from dataclasses import replace
@@ -95,7 +95,9 @@ class HeldGoal:
         """Return the momentum to be expected at the arrival of a new plan, shape (3,)."""
         if holding:
             return situation.momentum
-        # What an imbalance adds on the way is not known.
+        if self._settings.is_out_of_balance(situation):
+            # The plan ends without momentum along the body's z axis; the torque has to be held.
+            return np.zeros(3)
         way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
         speed = SteadyRolling.of(situation.constants, self._max_speed).speed
         duration = _MANOEUVRE + way / speed

@@ -145,7 +145,7 @@ class ArrivalPlanner:
         for delay in tuning.delays + tuning.further_delays:
             duration = tuning.stretched(guess.end, delay)
             found = self.solve(situation, goal, duration, guess, new_plan)
-            if found.error <= tuning.arrival_error:
+            if found.error <= tuning.new_plan_error:
                 return found
         return None
 

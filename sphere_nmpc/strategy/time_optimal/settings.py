@@ -27,7 +27,7 @@ class TimeOptimalSettings:
     quaternion components together), as in the metrics of a study.
     """
 
-    small_momentum: float = 2.0
+    small_momentum: float = 1.0
     """Momentum [rad/s] that is small. A sphere with less rolls steadily and rests at the goal as
     one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
     plan for a momentum that differs by less can still be followed."""
@@ -69,6 +69,10 @@ class TimeOptimalSettings:
     arrival_error: float = 1e-4
     """Predicted terminal error [-] up to which a plan counts as reaching the goal. Smaller: plans
     are delayed more often; larger: larger errors at rest."""
+
+    new_plan_error: float = 4e-4
+    """The same for a new plan, a fifth of the dead band: what rolling back after a push leaves, a
+    longer manoeuvre would correct at once, but small delays later do as well."""
 
     # Search for an early arrival
 
@@ -197,17 +201,15 @@ class TimeOptimalSettings:
     momentum_steps: int = 8
     """Steps in which a plan is changed where the momentum is not the predicted one ..."""
     momentum_delays: tuple[float, ...] = (1.0, 1.02, 1.05, 1.1, 1.2)
-    """... factors [-] on the time left that are tried in each ..."""
-    rolling_back_error: float = 4e-4
-    """... and terminal error [-] that each may leave, a fifth of the dead band."""
+    """... with these factors [-] on the time left that are tried in each."""
     improvement_divisor: int = 10
     """Each later sample spends the planning effort over this on an earlier arrival."""
     largest_growth: float = 8.0
     """Largest factor [-] on the planning effort, and on the longest wall time, of a search from
-    rest: doubled after each search without an arrival. A robot whose sample
-    period is short for it has large problems, and none is found with the effort for Table 1; four
-    times that was enough for each robot tried. Such a search has to end before a worker that does
-    not answer is replaced."""
+    rest: doubled after each search without an arrival. A robot whose sample period is short for it
+    has large problems, and none is found with the effort for Table 1; four times that was enough
+    for each robot tried. Such a search has to end before a worker that does not answer is
+    replaced."""
     fruitless_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""
@@ -319,6 +321,10 @@ class TimeOptimalSettings:
         disturbance = situation.disturbance
         vectors = situation.momentum, disturbance.slope, disturbance.imbalance
         return sum(float(np.linalg.norm(v)) for v in vectors) < self.small_momentum
+
+    def is_out_of_balance(self, situation: Situation) -> bool:
+        """Return whether plans end without momentum along the body's z axis by an imbalance."""
+        return float(np.linalg.norm(situation.disturbance.imbalance)) >= self.least_imbalance
 
     def growth(self, fruitless: int) -> float:
         """Return the factor [-] on the effort after that many searches without an arrival."""

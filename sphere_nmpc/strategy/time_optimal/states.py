@@ -93,6 +93,8 @@ class Following:
 
     def momentum_at_arrival(self, situation: Situation) -> Vector:
         """Return the momentum of now with what it gains until the arrival, shape (3,)."""
+        if self.planner.tuning.is_out_of_balance(situation):
+            return self.arrival.momentum  # what differs now is planned away
         predicted = self.prediction(situation.time)[MOMENTUM]
         return situation.momentum + (self.arrival.momentum - predicted)
 
@@ -203,7 +205,7 @@ def _after_change(
             if time.perf_counter() > deadline:
                 return None
             arrival = planner.solve(between, goal, delay * duration, hold, new_plan=False)
-            if arrival.error <= tuning.rolling_back_error:
+            if arrival.error <= tuning.new_plan_error:
                 break
         else:
             return None

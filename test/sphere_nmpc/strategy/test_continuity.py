@@ -70,11 +70,11 @@ def test_short_horizon_leads_as_without_momentum(cause: Cause) -> None:
 
 @tiny
 def test_sphere_rests_in_the_dead_band_as_without_momentum(cause: Cause) -> None:
-    for away, status in ((1.5e-3, PlanStatus.HOLDING), (4e-3, PlanStatus.SOLVED)):
+    for away, stays in ((1.5e-3, True), (4e-3, False)):
         goal = apply_error(START, np.array([away, 0.0, 0.0, 0.0, 0.0]))
         now = replace(situation(goal, cause), noise=1e-5)
         plan = TimeOptimalStrategy(SETTINGS, ROBOT, TUNING).plan(now)
-        assert plan.status is status
+        assert (plan.status is PlanStatus.HOLDING) is stays
     # Within it nothing is corrected: the rotors hold the momentum.
     plan = TimeOptimalStrategy(SETTINGS, ROBOT, TUNING).plan(replace(now, goal=START))
     turn, (momentum, disturbance) = START[QUATERNION], cause

@@ -64,6 +64,8 @@ class Disturbance:
 
     def at_rest(self, quaternion: Vector) -> Vector:
         """Return dh/dt of a sphere that rests at an orientation [rad/s^2; world], (3,)."""
+        if not self.imbalance.any():
+            return np.append(self.slope, 0.0)
         world = rotation.matrix(quaternion) @ self.imbalance
         return np.array([self.slope[0] - world[1], self.slope[1] + world[0], 0.0])
 

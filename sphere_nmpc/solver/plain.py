@@ -8,6 +8,7 @@ Tests compare the compiled solver with it. The steps are the same but for roundi
 
 import math
 import time
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,25 +60,19 @@ def shoot(
     step, torques = _Step(seeds.shape[1], _BY_KNOTS), disturbance.as_array()
     ends, derivatives = np.empty((n + 1, 9)), np.zeros((n + 1, 9, 2 * n))
     ends[0] = state
+
+    def by_knots(a: float, b: float) -> tuple[Vector, Vector]:
+        return (1.0 - a) * first + a * second, (1.0 - b) * first + b * second
+
     for m in range(n):
         duration, scale = float(durations[m]), 1.0
         if left_out is not None and left_out[m] != 0.0:
             duration -= left_out[m]
             scale = float(durations[m]) / duration
-        steps = steps_for(duration, max_step)
-        start, change = inputs[m], inputs[m + 1] - inputs[m]
-        y, dy = ends[m, 2:], seeds[:_CARRIED]
-        way: Vector = np.zeros(2)
-        dway: Vector = np.zeros((2, seeds.shape[1]))
-        for i in range(steps):
-            a, b = i / steps, (i + 1) / steps
-            moved, q, momentum, d_moved, dq, d_momentum = step(
-                y[:4], y[4:], start + a * change, start + b * change, duration / steps,
-                constants, torques, dy[:4], dy[4:],
-                (1.0 - a) * first + a * second, (1.0 - b) * first + b * second,
-            )
-            way, dway = way + moved.ravel(), dway + d_moved
-            y, dy = np.concatenate((q, momentum)).ravel(), np.vstack((dq, d_momentum))
+        way, dway, y, dy = step.through(
+            ends[m, 2:], seeds[:_CARRIED], inputs[m : m + 2], duration, max_step, constants,
+            torques, by_knots,
+        )
         ends[m + 1] = np.concatenate((ends[m, :2] + scale * way, y))
         if derive:
             local, after = np.vstack((scale * dway, dy)), derivatives[m + 1]
@@ -131,16 +126,12 @@ def propagate(
     # q exp(r / 2) to first order.
     dy[:4, :3], dy[4:] = 0.5 * _right_product(y[:4])[:, 1:], seeds[3:6]
     step, torques = _Step(15, _BY_PLANT), disturbance.as_array()
-    for duration, start, end in zip(durations, inputs[:-1], inputs[1:], strict=True):
-        steps = steps_for(float(duration), max_step)
-        for i in range(steps):
-            moved, q, momentum, d_moved, dq, d_momentum = step(
-                y[:4], y[4:], start + (end - start) * (i / steps),
-                start + (end - start) * ((i + 1) / steps), duration / steps, constants, torques,
-                dy[:4], dy[4:], seeds[6:10], seeds[10:],
-            )
-            way, dway = way + moved.ravel(), dway + d_moved
-            y, dy = np.concatenate((q, momentum)).ravel(), np.vstack((dq, d_momentum))
+    for m, duration in enumerate(durations):
+        moved, dmoved, y, dy = step.through(
+            y, dy, inputs[m : m + 2], float(duration), max_step, constants, torques,
+            lambda a, b: (seeds[6:10], seeds[10:]),
+        )
+        way, dway = way + moved, dway + dmoved
     turn = 2.0 * _right_product(y[:4])[:, 1:].T @ dy[:4]
     return Propagation.of(np.concatenate((way, y)), np.vstack((dway, turn, dy[4:])))
 
@@ -174,6 +165,29 @@ class _Step:
             array[:] = np.transpose(value)
         self._run()
         return [array.T.copy() for array in self._found]
+
+    def through(
+        self, y: Vector, dy: Vector, knots: Vector, duration: float, max_step: float,
+        constants: Vector, torques: Vector, seeds: Callable[[float, float], Iterable[Vector]],
+    ) -> tuple[Vector, Vector, Vector, Vector]:
+        """Move [q, h] over an interval between knots (2, 2); return the way and [q, h].
+
+        Each with its derivatives from `dy` on: way, dway, y, dy. `seeds` returns the further ones
+        of a step from a share of the interval to another.
+        """
+        steps = steps_for(duration, max_step)
+        start, change = knots[0], knots[1] - knots[0]
+        way: Vector = np.zeros(2)
+        dway: Vector = np.zeros((2, dy.shape[1]))
+        for i in range(steps):
+            a, b = i / steps, (i + 1) / steps
+            moved, q, momentum, d_moved, dq, d_momentum = self(
+                y[:4], y[4:], start + a * change, start + b * change, duration / steps,
+                constants, torques, dy[:4], dy[4:], *seeds(a, b),
+            )
+            way, dway = way + moved.ravel(), dway + d_moved
+            y, dy = np.concatenate((q, momentum)).ravel(), np.vstack((dq, d_momentum))
+        return way, dway, y, dy
 
 
 class Expansion(NamedTuple):

@@ -10,6 +10,13 @@ static int64_t steps_for(double duration, double max_step)
     return steps > 1.0 ? (int64_t)steps : 1;
 }
 
+/* Inputs at a share of an interval, between its knots u[0], u[1] and u[2], u[3]. */
+static inline void inputs_at(const double *u, double share, double *inputs)
+{
+    inputs[0] = u[0] + (u[2] - u[0]) * share;
+    inputs[1] = u[1] + (u[3] - u[1]) * share;
+}
+
 #define NAME(function) function##_undisturbed
 #define TANGENT tangent
 #define CARRIED 4 /* the quaternion */

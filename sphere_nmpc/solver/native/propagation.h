@@ -5,11 +5,11 @@
  * (3) and the momentum (3) at its start, the constants (4) and the torques (5).
  */
 #define VARIED 15
-#define LANES ((int)(sizeof(fitted) / sizeof(double)))
+#define FITTED (sizeof(fitted) / sizeof(double))
 
 static fitted fitted_unit(int d)
 {
-    double lanes[sizeof(fitted) / sizeof(double)] = {0.0};
+    double lanes[FITTED] = {0.0};
     fitted t;
     lanes[d] = 1.0;
     memcpy(&t, lanes, sizeof t);
@@ -22,7 +22,7 @@ void hold_propagate(int64_t intervals, double max_step, const double *constants,
                     const double *torques, const double *durations, const double *inputs,
                     double *state, double *derivative)
 {
-    double y[7], rows[9][sizeof(fitted) / sizeof(double)] = {{0.0}};
+    double y[7], rows[9][FITTED] = {{0.0}};
     double *const q = y, *const end = derivative;
     fitted dy[7], dp[4], dtorques[5], dxy[2];
     memcpy(y, state + 2, sizeof y);
@@ -45,13 +45,12 @@ void hold_propagate(int64_t intervals, double max_step, const double *constants,
         const double *u = inputs + 2 * m;
         const int64_t steps = steps_for(durations[m], max_step);
         const double h = durations[m] / (double)steps;
-        const double slope[2] = {u[2] - u[0], u[3] - u[1]};
         for (int64_t i = 0; i < steps; i++) {
             const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
-            const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
-            const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
-            double moved[2], y_end[7];
+            double here[2], there[2], moved[2], y_end[7];
             fitted d_moved[2], dy_end[7];
+            inputs_at(u, a, here);
+            inputs_at(u, b, there);
             fitted_step(y, here, there, h, constants, torques, dy, dp, dtorques, moved, y_end,
                         d_moved, dy_end);
             memcpy(y, y_end, sizeof y);

@@ -23,14 +23,13 @@ static void NAME(roll_out)(int64_t intervals, double max_step, const double *con
         const double *u = inputs + 2 * m, *x = states + STATE * m;
         const int64_t steps = steps_for(durations[m], max_step);
         const double h = durations[m] / (double)steps;
-        const double slope[2] = {u[2] - u[0], u[3] - u[1]};
         double xy[2] = {x[0], x[1]}, y[CARRIED];
         memcpy(y, x + 2, Y_BYTES);
         for (int64_t i = 0; i < steps; i++) {
             const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
-            const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
-            const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
-            double moved[2], y_end[CARRIED];
+            double here[2], there[2], moved[2], y_end[CARRIED];
+            inputs_at(u, a, here);
+            inputs_at(u, b, there);
             NAME(nominal_step)(y, here, there, h, constants, torques, moved, y_end);
             xy[0] += moved[0];
             xy[1] += moved[1];
@@ -71,7 +70,6 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
     const double duration = p->durations[m] - (m == p->steady_interval ? p->whole_turns : 0.0);
     const int64_t steps = steps_for(duration, p->max_step);
     const double h = duration / (double)steps;
-    const double slope[2] = {u[2] - u[0], u[3] - u[1]};
     const TANGENT first[2] = {NAME(unit)(CARRIED), NAME(unit)(CARRIED + 1)};
     const TANGENT second[2] = {NAME(unit)(CARRIED + 2), NAME(unit)(CARRIED + 3)};
     TANGENT_DIFFERENCE(zero, first[0], first[0])
@@ -82,10 +80,10 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
     memcpy(y, x + 2, Y_BYTES);
     for (int64_t i = 0; i < steps; i++) {
         const double a = (double)i / (double)steps, b = (double)(i + 1) / (double)steps;
-        const double here[2] = {u[0] + slope[0] * a, u[1] + slope[1] * a};
-        const double there[2] = {u[0] + slope[0] * b, u[1] + slope[1] * b};
-        double moved[2], y_end[CARRIED];
+        double here[2], there[2], moved[2], y_end[CARRIED];
         TANGENT d_here[2], d_there[2], d_moved[2], dy_end[CARRIED];
+        inputs_at(u, a, here);
+        inputs_at(u, b, there);
         NAME(input_seeds)(first, second, a, d_here);
         NAME(input_seeds)(first, second, b, d_there);
         NAME(tangent_step)(y, here, there, h, p->constants, p->torques, dy, d_here, d_there,

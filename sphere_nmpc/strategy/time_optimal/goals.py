@@ -88,7 +88,8 @@ class HeldGoal:
         if end is None:
             end = self._expected(situation, holding)
         found = holdable_goal(goal, end, situation.disturbance, margin)
-        self.given_up = given_up_angle(angle_error(found, goal))
+        if found is not goal:
+            self.given_up = given_up_angle(angle_error(found, goal))
         return found
 
     def _expected(self, situation: Situation, holding: bool) -> Vector:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning of the strategy `time_optimal`."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -320,7 +321,8 @@ class TimeOptimalSettings:
         """Return whether the momentum is small, together with what is added in the next second."""
         disturbance = situation.disturbance
         vectors = situation.momentum, disturbance.slope, disturbance.imbalance
-        return sum(float(np.linalg.norm(v)) for v in vectors) < self.small_momentum
+        # On three numbers a norm by NumPy takes twice as long.
+        return sum(math.sqrt(v.dot(v)) for v in vectors) < self.small_momentum
 
     def is_out_of_balance(self, situation: Situation) -> bool:
         """Return whether plans end without momentum along the body's z axis by an imbalance."""

@@ -99,7 +99,8 @@ class ControllerSettings:
     )
     pose_position_noise: float = quantity(
         0.0, "m",
-        "Standard deviation of measured positions; with 0 in both noises poses count as exact",
+        "Standard deviation of measured positions; with 0 in both noises poses count as exact "
+        "until they show noise",
         minimum=0.0, maximum=1.0, live=True,
     )
     pose_orientation_noise: float = quantity(

@@ -11,8 +11,8 @@ from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import ArrivalDetector, Progress, impossible_step
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.estimation.contract import Estimate, Estimator
-from sphere_nmpc.estimation.estimators import make_estimator
+from sphere_nmpc.estimation.estimate import Estimate
+from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -68,7 +68,9 @@ class Controller:
         self._commands = Commands(robot)
         self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
         """What measured rotor speeds tell about the commands on their way."""
-        self._estimator = self._make_estimator(None)
+        self._estimator = Estimator(
+            settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
+        )
         self._goal: Vector | None = None
         self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
@@ -141,7 +143,7 @@ class Controller:
             self._strategy.change(settings)
         else:
             self._strategy = self._make_strategy()
-        self._estimator = self._make_estimator(self._estimator)
+        self._estimator.change(settings)
 
     def observe(self, time: float, state: Vector) -> bool:
         """Take a measured state, shape (6,), of control time `time` [s]; False if it is outdated.
@@ -340,6 +342,7 @@ class Controller:
             situation = Situation(
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
                 estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
+                plant.slippery,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
@@ -391,12 +394,6 @@ class Controller:
         self._arrival.reset()
         self._progress.reset()
         self._reset_strategy()
-
-    def _make_estimator(self, last: Estimator | None) -> Estimator:
-        return make_estimator(
-            self._settings, self._robot.lumped, self._commands.sent, self._worker, last,
-            self._robot.max_rotor_acceleration,
-        )
 
     def _make_strategy(self) -> Strategy:
         """Return a new strategy that searches beside the loop if it can, and there is a worker."""

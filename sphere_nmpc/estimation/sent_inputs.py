@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
-import math
-from array import array
-from bisect import bisect_left, bisect_right
 from collections import deque
 
 import numpy as np
@@ -19,8 +16,6 @@ _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
 _SHORTEST = 1e-6
 """Knots closer than this [s] count as one."""
-_MOST_ENDS = 8192
-"""Ends of pieces kept for the next call of `SentInputs.pieces`."""
 _SILENCE = 0.5
 """Time without measured speeds after which none are awaited [s]."""
 
@@ -33,23 +28,18 @@ class SentInputs:
 
     def __init__(self) -> None:
         self._holds: deque[FirstOrderHold] = deque(maxlen=_KEPT)
-        self._end_times, self._end_speeds = array("d"), array("d")
-        self._ends_from = self._ends_until = -math.inf
         self.known_until = float("-inf")
         """Time of the newest measured rotor speeds that confirmed or corrected the holds [s]."""
 
     def clear(self) -> None:
         """Discard all holds; the rotors count as at rest."""
         self._holds.clear()
-        self._forget_ends()
         self.known_until = float("-inf")
 
     def record(self, hold: FirstOrderHold) -> None:
         """Add a hold that takes effect at its first knot and replaces what was sent for later."""
         while self._holds and self._holds[-1].start >= hold.start:
             self._holds.pop()
-        if hold.start < self._ends_until:
-            self._forget_ends()
         self._holds.append(hold)
 
     def withdraw(self, hold: FirstOrderHold) -> None:
@@ -57,7 +47,6 @@ class SentInputs:
         for i in range(len(self._holds) - 1, -1, -1):
             if self._holds[i] is hold:
                 del self._holds[i]
-                self._forget_ends()
                 return
 
     def follow(
@@ -150,43 +139,13 @@ class SentInputs:
         That is their lengths [s], shape (K,), and the rotor speeds at their ends [rad/s], shape
         (K + 1, 2). Before the first hold the rotors are at rest.
         """
-        self._extend_ends(start, end)
-        first, last = bisect_right(self._end_times, start), bisect_left(self._end_times, end)
-        times = np.concatenate(([start], self._end_times[first:last], [end]))
-        rows = np.array(self._end_speeds[INPUT_SIZE * first : INPUT_SIZE * last])
-        speeds = np.vstack((self.at(start), rows.reshape(-1, INPUT_SIZE), self.at(end)))
-        return np.diff(times), speeds
-
-    def collect(self, time: float) -> None:
-        """Prepare the next call of `pieces` with the holds up to `time` [s], in less time each."""
-        if self._end_times:
-            self._extend_ends(self._ends_from, time)
-
-    def _extend_ends(self, start: float, end: float) -> None:
-        """Collect the ends of the straight pieces between two times.
-
-        Those known from earlier calls are kept: at a high control rate there are hundreds.
-        """
-        if start < self._ends_from or len(self._end_times) > _MOST_ENDS:
-            self._forget_ends()
-        if not self._end_times:
-            self._ends_from = self._ends_until = start
-        known = self._ends_until
-        if end <= known:
-            return
-        for hold, since, until in self._in_force(known, end):
-            # A knot at the end of the last call was not among those before it.
-            begins = hold.start >= known
-            after = since if begins else math.nextafter(since, -math.inf)
-            ends = [*([since] if begins else []), *hold.knots_between(after, until)]
-            for t in ends:
-                self._end_times.append(t)
-                self._end_speeds.extend(hold.at(t).tolist())
-        self._ends_until = end
-
-    def _forget_ends(self) -> None:
-        self._end_times, self._end_speeds = array("d"), array("d")
-        self._ends_from = self._ends_until = -math.inf
+        times, speeds = [start], [self.at(start)]
+        for hold, since, until in self._in_force(start, end):
+            for time in (since, *hold.knots_between(since, until)):
+                if time > times[-1]:
+                    times.append(time)
+                    speeds.append(hold.at(time))
+        return np.diff([*times, end]), np.array([*speeds, self.at(end)])
 
     def moves_after(self, time: float) -> bool:
         """Return whether the hold in force has a speed other than zero at `time` [s] or later."""

@@ -40,6 +40,8 @@ class Situation:
         Estimated slope and imbalance.
     acceleration : float
         Rotor acceleration that the drives attain [rad/s^2], where less than their limit.
+    slippery : bool
+        Whether the sphere has slipped recently.
     """
 
     time: float
@@ -52,6 +54,7 @@ class Situation:
     time_budget: float = float("inf")
     disturbance: Disturbance = UNDISTURBED
     acceleration: float = float("inf")
+    slippery: bool = False
 
     @property
     def momentum(self) -> Vector:

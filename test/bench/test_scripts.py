@@ -17,9 +17,11 @@ import ablation
 from parameter_tables import NODES, PARTS, outputs, parameters_yaml
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.estimation import estimator
+from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
-from sphere_nmpc.strategy.contract import make_strategy
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 
@@ -32,18 +34,25 @@ def test_script_can_be_imported(script, monkeypatch) -> None:
     assert "__doc__" in runpy.run_path(str(script), run_name="imported")
 
 
-def test_ablated_run_has_its_settings_and_leaves_none_behind(monkeypatch) -> None:
+@pytest.mark.parametrize(
+    "numbers", [TimeOptimalSettings(leaving_error=7e-3), EstimatorSettings(window=7)]
+)
+def test_ablated_run_has_its_settings_and_leaves_none_behind(monkeypatch, numbers) -> None:
     seen = []
+    for module, name in ((ablation, "TimeOptimalStrategy"), (estimator, "Scaling")):
+        made = getattr(module, name)
 
-    def make(settings, robot, tuning) -> object:
-        seen.append(tuning)
-        return make_strategy(settings, robot)
+        def make(first, second, numbers, made=made) -> object:
+            seen.append(numbers)
+            return made(first, second, numbers)
 
-    monkeypatch.setattr(ablation, "TimeOptimalStrategy", make)
+        monkeypatch.setattr(module, name, make)
     conditions = StudyConditions(duration=0.5)
-    ablation.measured(ablation.DEFAULT, conditions, draw_scenarios(1, 1)[0])
+    ablation.measured(numbers, conditions, draw_scenarios(1, 1)[0])
+    assert numbers in seen
+    seen.clear()
     Controller(conditions.controller, conditions.robot)
-    assert seen == [ablation.DEFAULT]
+    assert seen and numbers not in seen
 
 
 def values(settings: Any) -> dict[str, Any]:

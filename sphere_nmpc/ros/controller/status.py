@@ -116,11 +116,9 @@ class ControllerStatus:
         plant = self._controller.estimator.plant
         names = [f"learnt_{name}" for name in _CONSTANTS]
         values = dict(zip(names, plant.constants.as_array().tolist(), strict=True))
-        if plant.deviations is not None:
-            for name, deviation in zip(names, plant.deviations.tolist(), strict=True):
-                values[f"{name}_deviation"] = deviation
-            values["learnt_noise"] = plant.noise
-        return {**values, "learnt_lag_s": plant.lag}
+        for name, deviation in zip(names, plant.deviations.tolist(), strict=True):
+            values[f"{name}_deviation"] = deviation
+        return {**values, "learnt_noise": plant.noise, "learnt_lag_s": plant.lag}
 
     def _stability_values(self) -> dict[str, Any]:
         report = self._stability

@@ -235,11 +235,10 @@ class TimeOptimalSettings:
     """... up to this time [s]."""
     longest_search: float = 0.2
     """Wall time [s] after which such a search stops."""
-    slip_noise: float = 0.01
-    """Process noise [m, -; a sample] above which a new plan takes the floor to be slippery."""
     slip_acceleration: float = 0.43
-    """Share [-] of the acceleration limit that such a plan uses. On floors of friction 0.15 to 0.2
-    a sphere that uses all of it slips with every plan and never arrives."""
+    """Share [-] of the acceleration limit that a new plan uses where the sphere has slipped. On
+    floors of friction 0.15 to 0.2 one that uses all of it slips with every plan and never
+    arrives."""
 
     attained_share: float = 0.97
     """Share [-] that plans use of the acceleration that the drives are found to attain: a limit of

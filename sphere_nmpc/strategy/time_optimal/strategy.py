@@ -216,8 +216,7 @@ class TimeOptimalStrategy:
 
     def _planner_for(self, situation: Situation) -> ArrivalPlanner:
         """Return the planner with the limit of acceleration that the floor allows."""
-        slippery = situation.noise > self._tuning.slip_noise
-        return self._slippery if slippery else self._full
+        return self._slippery if situation.slippery else self._full
 
     def _growth(self, state: Searching, situation: Situation, at_rest: bool) -> float:
         """Return the factor [-] on the effort of a search for a plan where there is none."""

@@ -110,20 +110,19 @@ def test_without_a_link_nothing_is_committed_ahead() -> None:
 
 
 @pytest.mark.parametrize(
-    ("loss", "bursts", "clock_delay", "factor"),
-    [(0.2, (), 0.02, 1.0), (0.05, (2.0, 10.0, 18.0), 0.0, 30.0)], ids=["lost", "bursts"],
+    ("loss", "bursts", "clock_delay"),
+    [(0.2, (), 0.02), (0.05, (2.0, 10.0, 18.0), 0.0)], ids=["lost", "bursts"],
 )
 def test_lost_commands_are_no_other_plant_and_cost_little_time(
-    loss: float, bursts: tuple[float, ...], clock_delay: float, factor: float
+    loss: float, bursts: tuple[float, ...], clock_delay: float
 ) -> None:
-    # Of 41 goals within 20 mm the constants were off by 1e-3 in the median with bursts, by 2e-2
-    # in the worst.
     loop = LinkedLoop(loss=loss, bursts=bursts, clock_delay=clock_delay)
     took = loop.go(GOAL)
     estimator = loop.controller.estimator
     built = ROBOT.lumped.as_array()
-    np.testing.assert_allclose(estimator.plant.constants.as_array(), built, rtol=factor * 1e-3)
-    assert estimator.plant.noise < factor * LARGEST_NOISE
+    # Over six goals within 20 mm the worst was 1.3e-3.
+    np.testing.assert_allclose(estimator.plant.constants.as_array(), built, rtol=2e-3)
+    assert estimator.plant.noise < LARGEST_NOISE
     assert is_zero(estimator.momentum, estimator.disturbance)
     assert 0.02 < loop.controller.rotor_feedback.window < 0.3
     # Without a link 5 s.

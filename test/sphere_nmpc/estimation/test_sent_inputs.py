@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent, and prediction of the motion that they cause."""
 
-
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -96,23 +96,18 @@ def test_prediction_with_momentum_also_covers_the_time_before_the_first_hold() -
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_pieces_are_the_same_however_often_they_were_asked_for() -> None:
-    rng = np.random.default_rng(5)
-    asked, fresh, now = SentInputs(), list[FirstOrderHold](), 0.0
-    for _ in range(300):
+def test_pieces_are_the_speeds_in_force() -> None:
+    rng, sent, now = np.random.default_rng(5), SentInputs(), 0.0
+    for _ in range(40):
         now += float(rng.choice([0.002, 0.01, 0.25]))
-        # Some holds have knots before the next one, some are as late as the last question.
-        times = now + np.cumsum(rng.uniform(1e-3, 0.02, 4)) - 1e-3
-        fresh.append(FirstOrderHold(times, rng.uniform(-100.0, 100.0, (4, 2))))
-        asked.record(fresh[-1])
-        if rng.random() < 0.5:
-            asked.collect(now - rng.uniform(0.0, 0.1))
-        if rng.random() < 0.3:
-            start, end = now - rng.uniform(0.0, 1.0), now + rng.choice([0.0, 1e-3])
-            expected = SentInputs()
-            for hold in fresh:
-                expected.record(hold)
-            for found, known in zip(
-                asked.pieces(start, end), expected.pieces(start, end), strict=True
-            ):
-                np.testing.assert_array_equal(found, known)
+        # Some holds have knots before the next one begins.
+        times = now + np.concatenate(([0.0], np.cumsum(rng.uniform(1e-3, 0.02, 3))))
+        speeds = np.vstack((sent.at(now), rng.uniform(-100.0, 100.0, (3, 2))))
+        sent.record(FirstOrderHold(times, speeds))
+    for start, end in ((-0.5, 0.0), (-0.5, now), (0.3 * now, 0.31 * now), (0.5 * now, now + 1.0)):
+        durations, speeds = sent.pieces(start, end)
+        ends = start + np.concatenate(([0.0], np.cumsum(durations)))
+        assert ends[-1] == pytest.approx(end) and np.all(durations > 0.0)
+        times = rng.uniform(start, end, 50)
+        found = np.column_stack([np.interp(times, ends, column) for column in speeds.T])
+        np.testing.assert_allclose(found, [sent.at(t) for t in times.tolist()], atol=1e-6)

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.transition import Transition, driven_speeds
+from sphere_nmpc.estimation.interval import Interval, driven_speeds
 from sphere_nmpc.model.state import Vector
 
 LIMIT = 300.0
@@ -38,5 +38,19 @@ def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
     assert np.max(np.abs(found - expected)) < 2.0 * STEP * 200.0 / 0.05
     slopes = np.diff(speeds, axis=0) / times[:, None]
     assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-6)
-    raw = Transition(np.zeros(6), np.zeros(6), durations, inputs)
-    assert np.array_equal(raw.driven(raw.steepest, 0.05).inputs, inputs)
+    raw = Interval(corners[-1:], np.zeros((1, 6)), durations, inputs)
+    assert np.array_equal(raw.driven(raw.steepest).inputs, inputs)
+
+
+def test_window_is_shifted_by_the_lag_and_ends_at_the_poses() -> None:
+    durations, inputs = np.array([0.2, 0.3, 0.5]), np.array([[0.0, 1], [2, 3], [8, 0], [3, 5.0]])
+    after = np.array([0.1, 0.35, 0.6])
+    interval = Interval(after, np.zeros((3, 6)), durations, inputs, lead=0.4)
+    for lag in (0.0, 0.04):
+        pieces, speeds, poses = interval.window(lag)
+        times = np.concatenate(([0.0], np.cumsum(pieces)))
+        np.testing.assert_allclose(times[poses], after)
+        for i in range(2):
+            wanted = np.interp(0.4 - lag + times, [0.0, 0.2, 0.5, 1.0], inputs[:, i])
+            np.testing.assert_allclose(speeds[:, i], wanted, atol=1e-12)
+        assert 0.1 + lag in np.round(times, 12), "the knot within"

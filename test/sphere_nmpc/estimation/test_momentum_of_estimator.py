@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.contract import Estimate, Estimator
-from sphere_nmpc.estimation.estimators import make_estimator
+from sphere_nmpc.estimation.estimate import Estimate
+from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,
@@ -45,7 +45,7 @@ class Run:
         speeds[0] = 0.0
         self.sent = SentInputs()
         self.sent.record(FirstOrderHold(times, speeds))
-        self.estimator: Estimator = make_estimator(settings, ROBOT.lumped, self.sent)
+        self.estimator: Estimator = Estimator(settings, ROBOT.lumped, self.sent)
         self.noisy = settings.pose_position_noise > 0.0
         self.deviations = np.array(
             [settings.pose_position_noise] * 2 + [settings.pose_orientation_noise] * 3

@@ -1,0 +1,291 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Normal equations of the moving horizon: the Gaussian posterior of knots and common unknowns.
+
+The cost, -2 log of the posterior, is a sum of squares over their variances: of the prior, of
+measured poses, and of the steps at the knots that the model does not explain. The decision
+variables are the errors of the knots (10 each), then of the common unknowns (9).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from sphere_nmpc.estimation.events import (
+    Event,
+    Hypothesis,
+    noise_variance,
+    step_covariances,
+)
+from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import Motion
+from sphere_nmpc.estimation.unknowns import (
+    COMMON,
+    KNOT,
+    LOCAL,
+    NORMAL,
+    POSE_ERROR,
+    Scaling,
+    apply_knot_error,
+    knot_error,
+)
+from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.state import POSE, Vector
+
+_FIXED = 1e-3
+"""Standard deviation of a common unknown that is fixed, in its unit."""
+_EXPECTED = 10.0
+"""Number of errors that the prior of the noise's scale, 1, weighs as much as."""
+_BLOCK = 2 * KNOT + COMMON
+_NEXT, _MEASURED = slice(KNOT, 2 * KNOT), np.arange(KNOT, KNOT + 5)
+_OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
+"""Places in a row of blocks of the knot at the end, its pose, and of the local unknowns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What older intervals tell of a knot and the common unknowns: a Gaussian near a point.
+
+    Attributes
+    ----------
+    knot, common : ndarray, shapes (11,) and (9,)
+        The point.
+    information : ndarray, shape (19, 19)
+        Inverse covariance of the local unknowns, for any imbalance and drives.
+    gradient : ndarray, shape (19,)
+        Gradient there of half the cost.
+    """
+
+    knot: Vector
+    common: Vector
+    information: Vector
+    gradient: Vector
+
+    @classmethod
+    def of(cls, knot: Vector, common: Vector, covariance: Vector) -> "Prior":
+        """Return a Gaussian with its mean at the point."""
+        information = np.asarray(np.linalg.inv(covariance), dtype=float)
+        return cls(knot, common, information, np.zeros(LOCAL))
+
+    def blurred(self, variances: Vector) -> "Prior":
+        """Return it with more variance, shape (19,), of the local unknowns."""
+        kept = np.flatnonzero(variances)
+        columns = self.information[:, kept]
+        inner = np.diag(1.0 / variances[kept]) + columns[kept]
+        gain = np.linalg.solve(inner, columns.T).T
+        information = self.information - gain @ columns.T
+        gradient = self.gradient - gain @ self.gradient[kept]
+        return replace(
+            self, information=0.5 * (information + information.T), gradient=gradient
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Values of all unknowns: knots, shape (11,) each, and common ones, shape (9,)."""
+
+    knots: tuple[Vector, ...]
+    common: Vector
+
+    def moved(self, step: Vector, scaling: Scaling) -> "Point":
+        """Return the point after a step of the decision variables, within their range."""
+        errors = step[:-COMMON].reshape(-1, KNOT)
+        knots = tuple(map(apply_knot_error, self.knots, errors))
+        return Point(knots, scaling.within(self.common + step[-COMMON:]))
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Interval with its linearised motion."""
+
+    interval: Interval
+    motion: Motion
+
+
+class Linearisation:
+    """What the normal equations of all hypotheses share at a point.
+
+    Each interval has a row of blocks for the step at its end, with derivatives by the knots at
+    both of its ends and the common unknowns, (10, 29). `pose_variance`, shape (5,), is that of a
+    measured pose, and `scale` that of the noise's variance for the poses within the intervals.
+    """
+
+    def __init__(
+        self,
+        point: Point,
+        prior: Prior,
+        intervals: list[Measured],
+        scale: float,
+        pose_variance: Vector,
+        scaling: Scaling,
+    ) -> None:
+        count = len(intervals)
+        self.scaling, self.motions = scaling, [one.motion for one in intervals]
+        self.durations = np.array([one.interval.duration for one in intervals])
+        self.variances = np.array([noise_variance(m, scaling.numbers) for m in self.motions])
+        self.pose_weights: Vector = 1.0 / pose_variance
+        self.log_variances = count * float(np.sum(np.log(pose_variance)))
+        self.log_variances -= float(np.linalg.slogdet(prior.information)[1])
+        self.common, self.prior = point.common, prior
+        away = _away(prior, point, 0)
+        self.by_prior = prior.information @ away + prior.gradient
+        self.cost = float(away @ (self.by_prior + prior.gradient))
+        self.jacobians = np.zeros((count, KNOT, _BLOCK))
+        self.jacobians[:, :, _NEXT] = np.eye(KNOT)
+        self.residuals, self.innovations = np.empty((count, KNOT)), np.empty((count, 5))
+        self.within: dict[int, tuple[Vector, Vector, float]] = {}
+        """Information (19, 19), gradient (19,) and cost of the poses within an interval."""
+        for k, one in enumerate(intervals):
+            moved, end, away = one.motion, point.knots[k + 1], _away(one.motion, point, k)
+            self.jacobians[k][:, _OWN] = -moved.by_unknowns
+            self.residuals[k] = knot_error(moved.end, end) - moved.by_unknowns @ away
+            self.innovations[k] = error_between(end[POSE], one.interval.poses[-1])
+            if len(moved.innovations):
+                shared = len(moved.innovations) * scale * self.variances[k]
+                self.within[k] = _poses_within(moved, away, pose_variance + shared)
+
+
+def _away(known: Prior | Motion, point: Point, index: int) -> Vector:
+    """Return the local unknowns of a point, with the knot `index`, from another, (19,)."""
+    error = knot_error(known.knot, point.knots[index])
+    return np.concatenate((error, point.common - known.common))
+
+
+def _poses_within(
+    motion: Motion, away: Vector, variance: Vector
+) -> tuple[Vector, Vector, float]:
+    """Return information, gradient and cost of the poses within an interval.
+
+    They share the error of the prediction: each of M counts as if that were sqrt(M) as large.
+    """
+    innovations, by = motion.innovations - motion.by_pose @ away, motion.by_pose
+    weighted = by / variance[:, None]
+    weighted, by = weighted.reshape(-1, LOCAL), by.reshape(-1, LOCAL)
+    information: Vector = weighted.T @ by
+    gradient: Vector = -(weighted.T @ innovations.ravel())
+    spread = len(innovations) * float(np.sum(np.log(variance)))
+    return information, gradient, float(np.sum(innovations**2 / variance)) + spread
+
+
+class NormalEquations:
+    """Normal equations of a hypothesis, with a scale of the noise, and their solution.
+
+    Poses within an interval are not used where an event happened, as its time is unknown, nor in
+    the interval `without`.
+
+    Attributes
+    ----------
+    step : ndarray, shape (10 n + 19,)
+        Gauss-Newton step of the decision variables.
+    cost : float
+        -2 log of the probability of the poses after it, up to a constant.
+    steps, whitened : ndarray, shape (n, 10)
+        Steps at the ends of the intervals without an event that it leaves, and over their
+        standard deviations.
+    """
+
+    def __init__(
+        self,
+        given: Linearisation,
+        hypothesis: Hypothesis,
+        scale: float,
+        without: int | None = None,
+    ) -> None:
+        self._common = given.common
+        self._scale, count, numbers = scale, len(given.motions), given.scaling.numbers
+        covariances = step_covariances(
+            given.motions, given.durations, scale * given.variances, hypothesis, given.scaling
+        )
+        factors = np.linalg.cholesky(covariances)
+        inverse = np.linalg.inv(factors)
+        jacobians = inverse @ given.jacobians
+        errors = inverse @ given.residuals[:, :, None]
+        blocks = jacobians.transpose(0, 2, 1) @ jacobians
+        gradients = (jacobians.transpose(0, 2, 1) @ errors)[:, :, 0]
+        blocks[:, _MEASURED, _MEASURED] += given.pose_weights
+        gradients[:, _MEASURED] -= given.pose_weights * given.innovations
+        cost = hypothesis.cost(numbers) + given.cost + given.log_variances
+        cost += _EXPECTED * (1.0 / scale + float(np.log(scale))) + float(np.sum(errors**2))
+        cost += 2.0 * float(np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2))))
+        cost += float(np.sum(given.pose_weights * given.innovations**2))
+        for k, (information, gradient, more) in given.within.items():
+            if hypothesis.events[k] is Event.NONE and k != without:
+                blocks[k][np.ix_(_OWN, _OWN)] += information
+                gradients[k][_OWN] += gradient
+                cost += more
+        size = KNOT * (count + 1) + COMMON
+        self.information: Vector = np.zeros((size, size))
+        self.gradient: Vector = np.zeros(size)
+        self._add(0, KNOT, given.prior.information, given.by_prior)
+        for k in range(count):
+            self._add(KNOT * k, 2 * KNOT, blocks[k], gradients[k])
+        # The prior is for any imbalance and drives.
+        fixed, away = hypothesis.fixed, given.common - NORMAL
+        places = np.flatnonzero(fixed) + size - COMMON
+        self.information[places, places] += _FIXED**-2
+        self.gradient[places] += away[fixed] * _FIXED**-2
+        cost += float(np.sum(away[fixed] ** 2)) * _FIXED**-2
+        cost += 2.0 * float(np.sum(np.log(_FIXED / given.scaling.deviations[fixed])))
+        self._factor = cho_factor(self.information, lower=True, check_finite=False)
+        self.step: Vector = -cho_solve(self._factor, self.gradient, check_finite=False)
+        known = 2.0 * float(np.sum(np.log(np.diag(self._factor[0]))))
+        self.cost = cost + float(self.gradient @ self.step) + known
+        kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
+        moved = np.array([self._local(KNOT * k, 2 * KNOT) for k in kept]).reshape(-1, _BLOCK, 1)
+        self.whitened: Vector = (errors[kept] + jacobians[kept] @ moved)[:, :, 0]
+        self.steps: Vector = given.residuals[kept] + (given.jacobians[kept] @ moved)[:, :, 0]
+
+    def _add(self, begin: int, width: int, information: Vector, gradient: Vector) -> None:
+        """Add information and gradient of `width` unknowns of knots, and of the common ones."""
+        knots, common = slice(begin, begin + width), slice(-COMMON, None)
+        self.information[knots, knots] += information[:width, :width]
+        self.information[knots, common] += information[:width, width:]
+        self.information[common, knots] += information[width:, :width]
+        self.information[common, common] += information[width:, width:]
+        self.gradient[knots] += gradient[:width]
+        self.gradient[common] += gradient[width:]
+
+    def _local(self, begin: int, width: int) -> Vector:
+        return np.concatenate((self.step[begin : begin + width], self.step[-COMMON:]))
+
+    def next_scale(self) -> float:
+        """Return the scale of the noise that the errors after the step show, at least 1."""
+        errors = self.whitened[:, POSE_ERROR]
+        total = self._scale * float(np.sum(errors**2))
+        return max(1.0, (total + _EXPECTED) / (errors.size + _EXPECTED))
+
+    def pull(self, unknown: int) -> float:
+        """Return how strongly the poses pull at a common unknown that is fixed.
+
+        That is about the decrease of the cost if it were free (a score test).
+        """
+        at = self.gradient.size - COMMON + unknown
+        variance = cho_solve(self._factor, np.eye(1, self.gradient.size, at)[0])[at]
+        away = self._common[unknown] + self.step[at] - NORMAL[unknown]
+        known = max(1.0 / float(variance) - _FIXED**-2, 1.0)
+        return float(away / _FIXED**2) ** 2 / known
+
+    def covariance(self) -> Vector:
+        """Return that of the newest knot and the common unknowns, shape (19, 19)."""
+        columns = np.zeros((self.gradient.size, LOCAL))
+        columns[-LOCAL:] = np.eye(LOCAL)
+        covariance = cho_solve(self._factor, columns, check_finite=False)[-LOCAL:]
+        symmetric: Vector = 0.5 * (covariance + covariance.T)
+        return symmetric
+
+    def without_first(self, point: Point, hypothesis: Hypothesis) -> Prior:
+        """Return what the prior and the first interval tell of the knot at its end.
+
+        `point` is the point of the equations, which have no other interval.
+        """
+        information, by = self.information.copy(), self.gradient.copy()
+        fixed = hypothesis.fixed
+        places = np.flatnonzero(fixed) + 2 * KNOT
+        information[places, places] -= _FIXED**-2
+        by[places] -= (point.common - NORMAL)[fixed] * _FIXED**-2
+        gain = np.linalg.solve(information[:KNOT, :KNOT], information[:KNOT, KNOT:]).T
+        kept = information[KNOT:, KNOT:] - gain @ information[:KNOT, KNOT:]
+        return Prior(
+            point.knots[1], point.common, 0.5 * (kept + kept.T), by[KNOT:] - gain @ by[:KNOT]
+        )

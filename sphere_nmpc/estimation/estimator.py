@@ -1,0 +1,300 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator of the state and the plant from poses and the rotor speeds sent.
+
+A moving horizon is fitted to all poses up to a knot by tasks of a worker, or in line. From its
+last result on, the newest poses are fused as they arrive by a Kalman filter of the state alone.
+"""
+
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.estimation.estimate import Estimate, PlantEstimate
+from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.moving_horizon import MovingHorizon
+from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
+from sphere_nmpc.estimation.tracker import Tracker
+from sphere_nmpc.estimation.unknowns import KNOT, Scaling, disturbance_of
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.worker.contract import Reply, Store, Task, Worker
+from sphere_nmpc.worker.in_line import InLine
+
+_KEY = "estimator"
+_SAME = 1e-9
+"""Time [s] below which two are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Begin:
+    """Task that makes a moving horizon; attributes as for `MovingHorizon`."""
+
+    scaling: Scaling
+    begun: Posterior
+    pose_deviations: Vector
+    momentum: bool
+
+    def __call__(self, store: Store) -> Posterior:
+        """Make it in the worker."""
+        made = store[_KEY] = MovingHorizon(
+            self.scaling, self.begun, self.pose_deviations, self.momentum
+        )
+        return made.result
+
+
+@dataclass(frozen=True, eq=False)
+class Observe:
+    """Task that takes an interval, or with `interval` None a pose after a gap, into account."""
+
+    interval: Interval | None
+    time: float
+    pose: Vector
+
+    def __call__(self, store: Store) -> Posterior | None:
+        """Update the moving horizon; None where the worker has lost it."""
+        horizon: MovingHorizon | None = store.get(_KEY)
+        if horizon is None:
+            return None
+        if self.interval is None:
+            horizon.start_at(self.time, self.pose)
+        else:
+            horizon.observe(self.interval, self.time)
+        return horizon.result
+
+
+class Estimator:
+    """Estimator of the state and of the plant's parameters.
+
+    Constants are estimated also where learning is off; they are then not used, but their noise is.
+
+    Parameters
+    ----------
+    settings : ControllerSettings
+        Noise of the poses, and whether constants and momentum are estimated.
+    nominal : LumpedConstants
+        Constants of the robot as built.
+    sent : SentInputs
+        The rotor speeds sent.
+    worker : Worker, optional
+        Fits the moving horizon beside the control loop; by default it is fitted in line.
+    acceleration : float, optional
+        Limit of the speeds sent [rad/s^2], which drives may not attain.
+    """
+
+    def __init__(
+        self,
+        settings: ControllerSettings,
+        nominal: LumpedConstants,
+        sent: SentInputs,
+        worker: Worker | None = None,
+        acceleration: float = float("inf"),
+    ) -> None:
+        self._settings = settings
+        self._numbers: EstimatorSettings = TABLE_1_NUMBERS.of(settings.units)
+        self._scaling = Scaling(nominal, acceleration, self._numbers)
+        self._sent = sent
+        self._worker = worker or InLine()
+        self._poses: list[tuple[float, Vector]] = []
+        self._knot: float | None = None
+        self._tracker: Tracker | None = None
+        self._replies: list[Reply[Posterior | None]] = []
+        self._result = Posterior.initial(settings.drive_lag, self._scaling)
+        self._begin(self._result)
+
+    @property
+    def newest(self) -> tuple[float, Vector] | None:
+        """Control time [s] of the newest pose, and the pose, shape (6,); None without any."""
+        return self._poses[-1] if self._poses else None
+
+    @property
+    def plant(self) -> PlantEstimate:
+        """The plant parameters estimated so far, also without a pose."""
+        self._collect()
+        result, scaling, settings = self._result, self._scaling, self._settings
+        common, covariance = result.common, result.covariance
+        deviations = np.sqrt(np.diag(covariance)[KNOT : KNOT + 4]) * scaling.nominal.as_array()
+        noise = max(self._numbers.pose, result.noise)
+        slippery = result.slipped < self._numbers.slippery
+        if not settings.learning:
+            return PlantEstimate(
+                scaling.nominal, settings.drive_lag, noise, deviations, slippery=slippery
+            )
+        return PlantEstimate(
+            scaling.lumped(common), scaling.significant_lag(common), noise, deviations,
+            scaling.attained(common), slippery,
+        )
+
+    @property
+    def momentum(self) -> Vector:
+        """Momentum at the newest knot, shape (3,); kept without poses."""
+        result = self._result
+        return NO_MOMENTUM if result.undisturbed else result.knot[MOMENTUM]
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """Slope and imbalance as estimated so far."""
+        result = self._result
+        if result.undisturbed:
+            return UNDISTURBED
+        return disturbance_of(result.knot, result.common)
+
+    def observe(self, time: float, pose: Vector) -> bool:
+        """Take a pose, shape (6,), measured at control time `time` [s]; False if outdated.
+
+        Noisy poses may arrive out of order, within the interval that has not ended.
+        """
+        poses = self._poses
+        if not poses or time > poses[-1][0]:
+            poses.append((time, pose))
+            if self._tracker is not None:
+                self._tracker.observe(time, pose)
+            return True
+        place = self._index(time)
+        if not self._is_noisy or place == 0 or poses[place][0] == time:
+            return False
+        poses.insert(place, (time, pose))
+        self._tracker = None
+        return True
+
+    def estimate(self, time: float) -> Estimate | None:
+        """Return the estimate at control time `time` [s]; None without a pose.
+
+        Where it raises the control loop falls back to the plan in force.
+        """
+        if not self._poses:
+            return None
+        self._learn()
+        self._collect()
+        state, covariance = self._tracked().predict(time)
+        known = covariance if self._is_noisy else None
+        return Estimate(state, self.plant, known, self.disturbance)
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Take over changed settings; estimates that they do not concern are kept.
+
+        A changed ``drive_lag`` restarts the estimate of the lag from this prior mean.
+        """
+        before, self._settings = self._settings, settings
+        result = self._result
+        if settings.drive_lag != before.drive_lag:
+            result = result.with_lag(settings.drive_lag, self._scaling)
+        if settings.momentum and not before.momentum:
+            result = result.with_unknown_momentum(self._numbers)
+        elif before.momentum and not settings.momentum:
+            result = result.without_disturbance(self._numbers)
+        estimation = ("drive_lag", "momentum", "pose_position_noise", "pose_orientation_noise")
+        if any(getattr(settings, name) != getattr(before, name) for name in estimation):
+            self._begin(result)
+        self._tracker = None
+
+    def forget(self) -> None:
+        """Discard all poses, as after a jump of the clock.
+
+        Estimated parameters and disturbance stay; the momentum may have changed meanwhile.
+        """
+        self._poses.clear()
+        self._knot = self._tracker = None
+
+    @property
+    def _is_noisy(self) -> bool:
+        given = self._settings
+        declared = given.pose_position_noise > 0.0 or given.pose_orientation_noise > 0.0
+        return declared or self._result.pose_noise > 0.0
+
+    @property
+    def _pose_deviations(self) -> Vector:
+        given = self._settings
+        noise = [given.pose_position_noise] * 2 + [given.pose_orientation_noise] * 3
+        deviations: Vector = np.maximum(noise, self._numbers.pose)
+        return deviations
+
+    def _begin(self, known: Posterior) -> None:
+        """Continue from what is known, in a new moving horizon."""
+        self._result = known
+        self._replies = []
+        self._is_begun = self._submit(
+            Begin(self._scaling, known, self._pose_deviations, self._settings.momentum)
+        )
+        # Intervals on their way to a worker that has ended are lost.
+        self._knot = known.time if self._poses and self._poses[0][0] == known.time else None
+        self._collect()
+
+    def _submit(self, task: Task[Posterior | None]) -> bool:
+        reply = self._worker.submit(task)
+        self._replies.append(reply)
+        return not reply.error
+
+    def _collect(self) -> None:
+        """Take over the results that have arrived."""
+        self._worker.poll()
+        replies, lost = self._replies, False
+        while replies and not replies[0].pending:
+            reply = replies.pop(0)
+            if reply.result is not None:
+                self._result = reply.result
+                self._tracker = None
+            elif reply.ready:
+                lost = True
+        if lost:
+            self._is_begun = False
+
+    def _learn(self) -> None:
+        """Submit the interval since the last knot, once it is long enough."""
+        poses, numbers = self._poses, self._numbers
+        if not self._is_begun:
+            self._begin(self._result)
+        if self._knot is None:
+            self._knot, first = poses[0]
+            self._is_begun = self._submit(Observe(None, self._knot, first))
+        now, outliers = poses[-1][0], self._tracked().outliers
+        long_enough = self._index(self._knot + numbers.spacing - _SAME)
+        ends = (i for i in range(long_enough, len(poses)) if poses[i][0] not in outliers)
+        end = next(ends, None)
+        if end is None:
+            return
+        time, pose = poses[end]
+        # Rotor speeds measured until then may still be on their way.
+        if self._sent.is_pending(time, now):
+            return
+        interval = None
+        if time - self._knot <= numbers.longest:
+            within = poses[self._index(self._knot) + 1 : end] if self._is_noisy else []
+            kept = [one for one in within if one[0] not in outliers]
+            interval = self._interval(self._knot, [*kept, (time, pose)])
+        self._knot = time
+        self._is_begun = self._submit(Observe(interval, time, pose))
+        # Those since the last result are fused again from the next one on.
+        oldest = max(self._result.time, time - numbers.longest)
+        del poses[: self._index(min(oldest, time))]
+
+    def _index(self, time: float) -> int:
+        """Return the index of the first pose at `time` [s] or later."""
+        return bisect_left(self._poses, time, key=lambda one: one[0])
+
+    def _interval(self, since: float, poses: list[tuple[float, Vector]]) -> Interval:
+        """Return the interval from `since` [s] to the last of its poses, with some of them."""
+        end, lead = poses[-1][0], self._numbers.lead
+        used = poses[-1:]
+        for one in reversed(poses[:-1]):
+            # Poses in quick succession tell little more.
+            if min(used[0][0] - one[0], one[0] - since) > self._numbers.pose_spacing - _SAME:
+                used.insert(0, one)
+        after, measured = zip(*used, strict=True)
+        durations, speeds = self._sent.pieces(since - lead, end)
+        return Interval(np.array(after) - since, np.array(measured), durations, speeds, lead)
+
+    def _tracked(self) -> Tracker:
+        """Return the tracker of the newest poses, from the last result on."""
+        if self._tracker is None:
+            self._tracker = Tracker(
+                self._result, self.plant, self._poses, self._sent,
+                self._result.pose_variance(self._pose_deviations, self._scaling),
+                self._scaling, self._settings.longest_step, self._is_noisy,
+            )
+        return self._tracker

@@ -1,0 +1,178 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Events that the model does not predict, as labels of the intervals, and what they cost.
+
+What happens in an interval beyond the model's motion is a Gaussian step of the knot at its end,
+whose covariance depends on the label. Without any event momentum, slope and imbalance are zero, so
+that a robot that nothing disturbs has the paper's model.
+"""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import accumulate, product
+from operator import or_
+
+import numpy as np
+
+from sphere_nmpc.estimation.motion import Motion
+from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.estimation.unknowns import (
+    KNOT,
+    MOMENTUM_ERROR,
+    POSE_ERROR,
+    SHARE,
+    SLOPE_ERROR,
+    Scaling,
+)
+from sphere_nmpc.model.state import Vector
+
+TIGHT = 1e-4
+"""Standard deviation of what is zero [rad/s, rad/s^2]: no step, but invertible."""
+
+_POSE_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Noises of the poses beyond that given that are tried [rad; over the radius in m]."""
+
+
+class Event(Enum):
+    """What happened in an interval."""
+
+    NONE = "none"
+    PUSHED = "pushed"
+    TILTED = "tilted"
+    SLIPPED = "slipped"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Labels of the intervals of the window.
+
+    Attributes
+    ----------
+    events : tuple of Event
+        One for each interval, oldest first.
+    unbalanced : bool
+        Whether there is an imbalance; otherwise it is zero.
+    weak : bool
+        Whether the drives attain less than the acceleration limit.
+    disturbed : bool
+        Whether there was momentum or slope before the window.
+    torques : bool
+        Whether slope and imbalance before the window are not those known from older intervals.
+    pose_noise : float
+        Noise of the poses beyond that given [rad; over the radius in m].
+    """
+
+    events: tuple[Event, ...] = ()
+    unbalanced: bool = False
+    weak: bool = False
+    disturbed: bool = False
+    torques: bool = False
+    pose_noise: float = 0.0
+
+    @property
+    def fixed(self) -> Vector:
+        """Which common unknowns have the values `NORMAL`, shape (9,)."""
+        return np.array([False] * 5 + [not self.weak] + [not self.unbalanced] * 3)
+
+    @property
+    def is_undisturbed(self) -> bool:
+        """Whether momentum, slope and imbalance are zero."""
+        return not (self.walks or [self._begins_disturbed])[-1]
+
+    @property
+    def _begins_disturbed(self) -> bool:
+        return self.disturbed or self.unbalanced or self.torques
+
+    @property
+    def walks(self) -> list[bool]:
+        """Whether momentum and slope may drift at the end of each interval."""
+        disturbing = (e in (Event.PUSHED, Event.TILTED) for e in self.events)
+        return list(accumulate(disturbing, or_, initial=self._begins_disturbed))[1:]
+
+    def cost(self, numbers: EstimatorSettings) -> float:
+        """Return -2 log of the probability of the events."""
+        count = self.events.count
+        events = count(Event.PUSHED) ** 2 + count(Event.TILTED) ** 2 + count(Event.SLIPPED)
+        others = self.unbalanced + self.weak + self.torques + 2 * (self.pose_noise > 0.0)
+        return numbers.rare * (events + others)
+
+    def extended(self) -> "Hypothesis":
+        """Return the hypothesis with another interval without an event."""
+        return replace(self, events=(*self.events, Event.NONE))
+
+    def shortened(self) -> "Hypothesis":
+        """Return the hypothesis without the oldest interval."""
+        event = self.events[0] in (Event.PUSHED, Event.TILTED)
+        return replace(
+            self, events=self.events[1:], disturbed=self.disturbed or self.torques or event,
+            torques=False,
+        )
+
+    def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
+        """Return hypotheses that differ in one respect, with the interval of which the event does.
+
+        Events are changed in the newest `recent` intervals; without `momentum` only slip is
+        possible.
+        """
+        events, found = self.events, []
+        for i in range(max(0, len(events) - recent), len(events)):
+            for kind in Event if momentum else (Event.NONE, Event.SLIPPED):
+                changed = replace(self, events=(*events[:i], kind, *events[i + 1 :]))
+                found.append((i, changed))
+        others = [replace(self, pose_noise=noise) for noise in _POSE_NOISES]
+        if momentum:
+            for unbalanced, torques in product((False, True), (self.torques, True)):
+                others.append(replace(self, unbalanced=unbalanced, torques=torques))
+        return [one for one in [*found, *((None, other) for other in others)] if one[1] != self]
+
+
+def noise_variance(motion: Motion, numbers: EstimatorSettings) -> float:
+    """Return the variance of each component of a predicted pose's error [m^2, rad^2]."""
+    return numbers.rest**2 + (numbers.rolling * motion.turned) ** 2
+
+
+def step_covariances(
+    motions: list[Motion],
+    durations: Vector,
+    variances: Vector,
+    hypothesis: Hypothesis,
+    scaling: Scaling,
+) -> Vector:
+    """Return the covariances of the steps at the ends of n intervals, shape (n, 10, 10).
+
+    `durations` [s] and `variances` of each component of the predicted poses [m^2, rad^2] have
+    shape (n,).
+    """
+    numbers, count = scaling.numbers, len(motions)
+    diagonals = np.full((count, KNOT), TIGHT**2)
+    diagonals[:, POSE_ERROR] = variances[:, None]
+    walks = np.array(hypothesis.walks, dtype=bool)
+    diagonals[walks, MOMENTUM_ERROR] = numbers.momentum_walk**2 * durations[walks, None]
+    diagonals[walks, SLOPE_ERROR] = numbers.slope_walk**2 * durations[walks, None]
+    covariances, places = np.zeros((count, KNOT, KNOT)), np.arange(KNOT)
+    for k, event in enumerate(hypothesis.events):
+        by = motions[k].by_unknowns
+        if event is Event.SLIPPED:
+            diagonals[k, POSE_ERROR] += scaling.pose_variance(numbers.slip)
+        elif event is Event.PUSHED:
+            covariances[k] += _at_unknown_time(by, MOMENTUM_ERROR, numbers.push)
+        elif event is Event.TILTED:
+            covariances[k] += _at_unknown_time(by, SLOPE_ERROR, numbers.tilt)
+        spread = numbers.share_spread * by[:, KNOT + SHARE]
+        covariances[k] += np.outer(spread, spread)
+    covariances[:, places, places] += diagonals
+    return covariances
+
+
+def _at_unknown_time(by_unknowns: Vector, jumped: slice, deviation: float) -> Vector:
+    """Return the covariance of a jump of these components at a uniformly distributed time.
+
+    Its effect on the other components grows until the end, from a jump at the start: half of it is
+    the mean, with a variance of a twelfth.
+    """
+    effect = deviation * by_unknowns[:, jumped]
+    own = np.zeros_like(effect)
+    own[jumped] = deviation * np.eye(effect.shape[1])
+    later = effect - own
+    covariance: Vector = (own + 0.5 * later) @ (own + 0.5 * later).T + later @ later.T / 12.0
+    return covariance

@@ -1,0 +1,305 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Moving-horizon estimate of the state, the disturbances and the plant from poses.
+
+The newest intervals are fitted together by Gauss-Newton least squares; older ones are summed up in
+a Gaussian, so that nothing learnt is lost at rest. Where the motion is not explained, events are
+looked for: of the hypotheses with another label of one interval the most probable one is taken, by
+Laplace's approximation of the evidence.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sphere_nmpc.estimation.equations import (
+    Linearisation,
+    Measured,
+    NormalEquations,
+    Point,
+    Prior,
+)
+from sphere_nmpc.estimation.events import Event, Hypothesis, noise_variance
+from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import motion
+from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.estimation.unknowns import (
+    COMMON,
+    KNOT,
+    LOCAL,
+    POSE_ERROR,
+    SHARE,
+    SLOPE_ERROR,
+    Scaling,
+    knot_error,
+)
+from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
+
+_ITERATIONS = 6
+"""Gauss-Newton iterations for each fit at most."""
+_STILL_LINEAR = 3e-3
+"""Change, in the scale of the unknowns, up to which a linearisation is kept ..."""
+_CONVERGED = 3e-4
+"""... and at which the iteration ends."""
+_SAME_SCALE = 0.05
+"""Relative accuracy of the noise's scale where hypotheses are compared."""
+_WEAKER = 0.8
+"""Share of the steepest ramp from which weaker drives are looked for."""
+_QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
+"""A rotation by a small angle moves its quaternion half as far."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Point after a fit, the intervals linearised near it, and the equations solved there."""
+
+    point: Point
+    intervals: list[Measured]
+    equations: NormalEquations
+    scale: float
+    hypothesis: Hypothesis
+
+
+class MovingHorizon:
+    """Moving-horizon estimator that continues from what is known at a pose.
+
+    `pose_deviations`, shape (5,), are those of measured poses; without `momentum` neither momentum
+    nor slope nor imbalance is looked for.
+    """
+
+    def __init__(
+        self, scaling: Scaling, begun: Posterior, pose_deviations: Vector, momentum: bool
+    ) -> None:
+        self._scaling = scaling
+        self._numbers: EstimatorSettings = scaling.numbers
+        self._momentum = momentum
+        self._pose_deviations = pose_deviations
+        self.result = begun
+        """What is known after the newest interval."""
+        self._restart()
+
+    def _restart(self) -> None:
+        """Continue from the result, with an empty window."""
+        known = self.result
+        self._prior = Prior.of(known.knot, known.common, known.covariance)
+        self._point = Point((known.knot,), known.common)
+        self._intervals: list[Measured] = []
+        self._hypothesis = Hypothesis(
+            unbalanced=known.unbalanced,
+            weak=known.weak,
+            disturbed=not known.undisturbed,
+            pose_noise=known.pose_noise,
+        )
+        self._scale = known.scale
+
+    def start_at(self, time: float, pose: Vector) -> None:
+        """Continue from a pose, shape (6,), measured at `time` [s] after a gap.
+
+        What happened to the momentum in between is not known, if there is any.
+        """
+        known = self.result
+        if not known.undisturbed:
+            known = known.with_unknown_momentum(self._numbers)
+        variance = known.pose_variance(self._pose_deviations, self._scaling)
+        self.result = known.at_pose(time, pose, variance)
+        self._restart()
+
+    def observe(self, interval: Interval, time: float) -> None:
+        """Take an interval that ends at control time `time` [s] into account."""
+        try:
+            self._take(interval, time)
+        except Exception:
+            # The state at the end of this interval remains unknown but for its pose.
+            self.start_at(time, interval.poses[-1])
+            raise
+
+    def _take(self, interval: Interval, time: float) -> None:
+        numbers = self._numbers
+        while len(self._intervals) >= numbers.window:
+            self._slide()
+        newest = Measured(
+            interval, motion(interval, self._point.knots[-1], self._point.common, self._scaling)
+        )
+        reached = np.concatenate((interval.poses[-1], newest.motion.end[POSE_SIZE:]))
+        start = Point((*self._point.knots, reached), self._point.common)
+        intervals = [*self._intervals, newest]
+        fit = self._fitted(start, intervals, self._hypothesis.extended(), self._scale)
+        surprising = self._surprise(newest, fit) > numbers.improbable
+        fit = self._with_other_drives(start, intervals, fit, surprising)
+        fit = self._improved(start, intervals, fit, simpler=not (surprising or self._is_noisy))
+        self._prior = self._prior_of(fit.hypothesis)
+        self._point, self._intervals = fit.point, fit.intervals
+        self._hypothesis, self._scale = fit.hypothesis, fit.scale
+        self._publish(fit, time)
+
+    @property
+    def _is_noisy(self) -> bool:
+        """Whether what happens shows over many poses only."""
+        variance = self.result.pose_variance(self._pose_deviations, self._scaling)
+        return bool(variance[2] > self._numbers.rolling**2)
+
+    def _prior_of(self, hypothesis: Hypothesis) -> Prior:
+        """Return the prior, of which a hypothesis may believe less."""
+        known, numbers, more = self._hypothesis, self._numbers, np.zeros(LOCAL)
+        # The pose at its knot was measured, too.
+        noisier = self._scaling.pose_variance(hypothesis.pose_noise)
+        noisier -= self._scaling.pose_variance(known.pose_noise)
+        more[POSE_ERROR] = np.maximum(noisier, 0.0)
+        if hypothesis.torques and not known.torques:
+            more[SLOPE_ERROR] = numbers.tilt**2
+            if known.unbalanced:
+                more[-3:] = numbers.imbalance**2
+        return self._prior.blurred(more) if more.any() else self._prior
+
+    def _surprise(self, newest: Measured, fit: _Fit) -> float:
+        """Return the normalised square of the newest pose's innovation, or of a larger step."""
+        by, numbers = newest.motion.by_unknowns[:5], self._numbers
+        measured = self.result.pose_variance(self._pose_deviations, self._scaling)
+        expected = by @ self.result.covariance @ by.T + np.diag(measured)
+        expected += self._scale * noise_variance(newest.motion, numbers) * np.eye(5)
+        error = error_between(newest.motion.end[POSE], newest.interval.poses[-1])
+        steps = np.sum(fit.equations.whitened[-numbers.recent :] ** 2, axis=1)
+        return max(float(error @ np.linalg.solve(expected, error)), *steps.tolist())
+
+    def _fitted(
+        self,
+        point: Point,
+        intervals: list[Measured],
+        hypothesis: Hypothesis,
+        scale: float,
+        without: int | None = None,
+    ) -> _Fit:
+        """Return the fit of a hypothesis, from a point with intervals linearised near it."""
+        for iteration in range(_ITERATIONS):
+            intervals = self._relinearised(point, intervals)
+            given = self._linearisation(point, intervals, hypothesis, scale)
+            equations = NormalEquations(given, hypothesis, scale, without)
+            point = point.moved(equations.step, self._scaling)
+            # At first the errors are those of the linearisation, too.
+            if iteration > 0:
+                scale = equations.next_scale()
+                if self._largest(equations.step) < _CONVERGED:
+                    break
+        return _Fit(point, intervals, equations, scale, hypothesis)
+
+    def _largest(self, step: Vector) -> float:
+        """Return the largest component of a step in the scale of the unknowns."""
+        units, common = self._scaling.units, step[-COMMON:]
+        knots = np.abs(step[:-COMMON].reshape(-1, KNOT)) / units[:KNOT]
+        return max(float(np.max(knots)), float(np.max(np.abs(common) / units[KNOT:])))
+
+    def _linearisation(
+        self, point: Point, intervals: list[Measured], hypothesis: Hypothesis, scale: float
+    ) -> Linearisation:
+        variance = self._pose_deviations**2 + self._scaling.pose_variance(hypothesis.pose_noise)
+        prior = self._prior_of(hypothesis)
+        return Linearisation(point, prior, intervals, scale, variance, self._scaling)
+
+    def _relinearised(self, point: Point, intervals: list[Measured]) -> list[Measured]:
+        """Return the intervals, linearised again where the point has left their range."""
+        found = []
+        for knot, one in zip(point.knots, intervals, strict=False):
+            known = one.motion
+            away = np.concatenate((knot_error(known.knot, knot), point.common - known.common))
+            if float(np.max(np.abs(away) / self._scaling.units)) > _STILL_LINEAR:
+                again = motion(one.interval, knot, point.common, self._scaling)
+                one = Measured(one.interval, again)
+            found.append(one)
+        return found
+
+    def _with_other_drives(
+        self, start: Point, intervals: list[Measured], fit: _Fit, surprising: bool
+    ) -> _Fit:
+        """Return the more probable one of a fit and another with weak drives, or without.
+
+        Errors do not depend on the share of the limit that drives attain while all ramps are
+        less steep, so it is changed beforehand.
+        """
+        hypothesis, common = fit.hypothesis, start.common.copy()
+        steepest = max(one.interval.steepest for one in intervals) / self._scaling.acceleration
+        if not hypothesis.weak and not surprising:
+            surprising = fit.equations.pull(SHARE) > self._numbers.rare
+        if steepest == 0.0 or not (hypothesis.weak or surprising):
+            return fit
+        common[SHARE] = 1.0 if hypothesis.weak else _WEAKER * steepest
+        other = replace(hypothesis, weak=not hypothesis.weak)
+        found = self._fitted(Point(start.knots, common), intervals, other, fit.scale)
+        return found if found.equations.cost < fit.equations.cost else fit
+
+    def _improved(
+        self, start: Point, intervals: list[Measured], fit: _Fit, simpler: bool
+    ) -> _Fit:
+        """Return the fit of a hypothesis that differs in one respect, if it is more probable.
+
+        With `simpler` events are only taken back.
+        """
+        hypothesis, numbers = fit.hypothesis, self._numbers
+        others = hypothesis.alternatives(numbers.recent, self._momentum)
+        if simpler:
+            cost = hypothesis.cost(numbers)
+            others = [one for one in others if one[1].cost(numbers) < cost]
+        if not others:
+            return fit
+        intervals = self._relinearised(start, intervals)
+        given = self._linearisation(start, intervals, hypothesis, fit.scale)
+        # Where an event is compared with none, poses within its interval are used for neither.
+        known: dict[int | None, float] = {}
+        gains: list[tuple[float, int | None, Hypothesis]] = []
+        for changed, other in others:
+            without = changed if changed in given.within else None
+            if without not in known:
+                known[without] = _approximate(given, hypothesis, fit.scale, without)
+            there = given
+            if self._prior_of(other) is not given.prior:
+                there = self._linearisation(start, intervals, other, fit.scale)
+            gains.append((_approximate(there, other, fit.scale, without), without, other))
+        _, without, other = min(gains, key=lambda one: one[0] - known[one[1]])
+        tried, before = self._fitted(start, intervals, other, fit.scale), fit
+        if without is not None:
+            before = self._fitted(start, intervals, hypothesis, fit.scale, without)
+        return tried if tried.equations.cost < before.equations.cost else fit
+
+    def _slide(self) -> None:
+        """Sum up the oldest interval in the prior."""
+        first, oldest = Point(self._point.knots[:2], self._point.common), self._intervals[0]
+        hypothesis = replace(self._hypothesis, events=self._hypothesis.events[:1])
+        given = self._linearisation(first, [oldest], hypothesis, self._scale)
+        equations = NormalEquations(given, hypothesis, self._scale)
+        self._prior = equations.without_first(first, hypothesis)
+        self._point = Point(self._point.knots[1:], self._point.common)
+        self._intervals = self._intervals[1:]
+        self._hypothesis = self._hypothesis.shortened()
+
+    def _publish(self, fit: _Fit, time: float) -> None:
+        events, numbers = fit.hypothesis.events, self._numbers
+        covariance = fit.equations.covariance()
+        for i in np.flatnonzero(fit.hypothesis.fixed):
+            covariance[KNOT + i, :] = covariance[:, KNOT + i] = 0.0
+            covariance[KNOT + i, KNOT + i] = self._scaling.deviations[i] ** 2
+        slipped = self.result.slipped + 1
+        if Event.SLIPPED in events:
+            slipped = list(reversed(events)).index(Event.SLIPPED)
+        errors = fit.equations.steps[:, POSE_ERROR]
+        noise = float(np.sqrt(np.mean((errors * _QUATERNION) ** 2))) if len(errors) else 0.0
+        self.result = Posterior(
+            time, fit.point.knots[-1], fit.point.common, covariance, fit.hypothesis.is_undisturbed,
+            fit.hypothesis.unbalanced, fit.hypothesis.weak, noise, fit.scale, slipped,
+            fit.hypothesis.pose_noise,
+        )
+        disturbed_now = fit.hypothesis.torques or {Event.PUSHED, Event.TILTED} & set(events)
+        if not (self.result.undisturbed or disturbed_now) and self.result.is_zero(numbers):
+            self.result = self.result.without_disturbance(numbers)
+            self._restart()
+
+
+def _approximate(
+    given: Linearisation, hypothesis: Hypothesis, scale: float, without: int | None
+) -> float:
+    """Return the cost of a hypothesis without another linearisation."""
+    equations = NormalEquations(given, hypothesis, scale, without)
+    better = equations.next_scale()
+    if abs(better / scale - 1.0) > _SAME_SCALE:
+        equations = NormalEquations(given, hypothesis, better, without)
+    return equations.cost

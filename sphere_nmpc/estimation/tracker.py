@@ -1,0 +1,123 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Kalman filter of the state over the poses since the last result of the moving horizon.
+
+The plant's parameters, slope and imbalance are those of the result. What they are off by, and the
+noise of the prediction, is process noise of the state.
+"""
+
+import numpy as np
+
+from sphere_nmpc.estimation.estimate import PlantEstimate
+from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.unknowns import KNOT, Scaling, disturbance_of
+from sphere_nmpc.model.disturbance import UNDISTURBED
+from sphere_nmpc.model.error_state import apply_error, error_between
+from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
+from sphere_nmpc.solver.roll_out import propagate
+
+
+class Tracker:
+    """State at the newest pose; `poses` are those known so far, the first one of the result.
+
+    Exact poses are the state themselves. Of noisy ones outliers are left out, until there are
+    several in a row.
+    """
+
+    def __init__(
+        self,
+        result: Posterior,
+        plant: PlantEstimate,
+        poses: list[tuple[float, Vector]],
+        sent: SentInputs,
+        pose_variance: Vector,
+        scaling: Scaling,
+        max_step: float,
+        noisy: bool,
+    ) -> None:
+        self._sent, self._scaling, self._max_step, self._noisy = sent, scaling, max_step, noisy
+        self._lag, self._constants = plant.lag, plant.constants.as_array()
+        self._pose_variance = pose_variance
+        self._noise_scale = result.scale
+        self._disturbance = UNDISTURBED
+        if not result.undisturbed:
+            self._disturbance = disturbance_of(result.knot, result.common)
+        self._time, self._state = result.time, result.knot[:STATE_SIZE].copy()
+        self._covariance = result.covariance[:8, :8].copy()
+        if result.undisturbed:
+            self._state[MOMENTUM] = self._covariance[5:, :] = self._covariance[:, 5:] = 0.0
+        self._common = result.covariance[KNOT : KNOT + 4, KNOT : KNOT + 4]
+        self.outliers: set[float] = set()
+        """Times of poses that were left out [s]."""
+        self._in_a_row: list[float] = []
+        for stamp, pose in poses:
+            if stamp > self._time:
+                self.observe(stamp, pose)
+
+    def observe(self, time: float, pose: Vector) -> None:
+        """Fuse a pose, shape (6,), measured at control time `time` [s]."""
+        if not np.isfinite(self._time):
+            self._covariance[:5, :5] = np.diag(self._pose_variance)
+            self._time, self._state = time, np.concatenate((pose, self._state[MOMENTUM]))
+            return
+        if not self._noisy:
+            moved = self._state
+            if self._disturbance is not UNDISTURBED:
+                moved, _ = self.predict(time - self._lag)
+            self._time, self._state = time, np.concatenate((pose, moved[MOMENTUM]))
+            return
+        self._state, self._covariance = self._moved(time - self._lag)
+        self._time = time
+        innovation = error_between(self._state[POSE], pose)
+        expected = self._covariance[:5, :5] + np.diag(self._pose_variance)
+        square = float(innovation @ np.linalg.solve(expected, innovation))
+        if square < self._scaling.numbers.improbable:
+            gain = np.linalg.solve(expected, self._covariance[:5]).T
+            self._state = apply_error(self._state, gain @ innovation)
+            self._covariance = self._covariance - gain @ self._covariance[:5]
+            self._in_a_row = []
+            return
+        self._in_a_row.append(time)
+        self.outliers.add(time)
+        if len(self._in_a_row) > self._scaling.numbers.most_outliers:
+            # Something else has moved the sphere there.
+            self.outliers.difference_update(self._in_a_row)
+            self._state = apply_error(self._state, np.concatenate((innovation, np.zeros(3))))
+            self._covariance[:5, :] = self._covariance[:, :5] = 0.0
+            self._covariance[:5, :5] = np.diag(self._pose_variance)
+            self._in_a_row = []
+
+    def predict(self, time: float) -> tuple[Vector, Vector]:
+        """Return the state at control time `time` [s] and the covariance of its pose, (5, 5)."""
+        if not self._noisy:
+            state = self._sent.predict(
+                self._state, self._time - self._lag, time, self._constants, self._max_step,
+                self._disturbance,
+            )
+            return state, self._covariance[:5, :5]
+        state, covariance = self._moved(time)
+        return state, covariance[:5, :5]
+
+    def _moved(self, until: float) -> tuple[Vector, Vector]:
+        """Return state and covariance once the speeds sent until then [s] have taken effect."""
+        since, numbers = self._time - self._lag, self._scaling.numbers
+        if until <= since:
+            return self._state, self._covariance
+        durations, speeds = self._sent.pieces(since, until)
+        end = propagate(
+            self._state, speeds, durations, self._constants, self._max_step, self._disturbance
+        )
+        by_constants = end.by_constants * self._scaling.nominal.as_array()
+        covariance = end.by_start @ self._covariance @ end.by_start.T
+        covariance += by_constants @ self._common @ by_constants.T
+        turned = float(np.linalg.norm(error_between(self._state, end.state)[2:5]))
+        # A random walk that comes as far within an interval as the moving horizon expects.
+        share = (until - since) / numbers.spacing
+        variances = np.zeros(8)
+        variance = numbers.rest**2 + (numbers.rolling * turned / share) ** 2
+        variances[:5] = self._noise_scale * variance * share
+        if self._disturbance is not UNDISTURBED:
+            variances[5:] = numbers.momentum_walk**2 * (until - since)
+        covariance[np.arange(8), np.arange(8)] += variances
+        return end.state, covariance

@@ -1,0 +1,136 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Constants, noise and drives estimated from the motion of an independently written plant."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.moving_horizon import MovingHorizon
+from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
+from sphere_nmpc.estimation.unknowns import CONSTANTS, KNOT, SHARE, Scaling
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_sim.scenario.perturbation import perturbed
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+
+NOMINAL = RobotParameters()
+PERIOD = 0.25
+LIMIT = 400.0
+"""Limit of the speeds that are sent [rad/s^2]."""
+SCALING = Scaling(NOMINAL.lumped, LIMIT, TABLE_1_NUMBERS)
+START = np.array([0, 0, 1.0, 0, 0, 0])
+EXACT = np.full(5, TABLE_1_NUMBERS.pose)
+
+
+def new_horizon(acceleration: float = np.inf) -> MovingHorizon:
+    scaling = dataclasses.replace(SCALING, acceleration=acceleration)
+    horizon = MovingHorizon(scaling, Posterior.initial(0.0, scaling), EXACT, momentum=True)
+    horizon.start_at(0.0, START)
+    return horizon
+
+
+def drive(
+    horizon: MovingHorizon, robot: RobotParameters, samples: int, seed: int, noise: float = 0.0
+) -> None:
+    """Roll a plant with random ramps and pass each interval to the estimator."""
+    rng = np.random.default_rng(seed)
+    plant = RollingPlant(robot, START)
+    speeds: Vector = np.zeros(2)
+    for k in range(samples):
+        after = rng.uniform(-100.0, 100.0, 2)
+        plant.advance(after, PERIOD)
+        seen = plant.state + noise * rng.normal(size=6)
+        seen[2:] /= np.linalg.norm(seen[2:])
+        plant.displace(seen)
+        durations, inputs = np.array([PERIOD] * 2), np.vstack((speeds, speeds, after))
+        interval = Interval(np.array([PERIOD]), seen[None], durations, inputs, lead=PERIOD)
+        horizon.observe(interval, (k + 1) * PERIOD)
+        speeds = after
+
+
+def errors_of_constants(horizon: MovingHorizon, robot: RobotParameters) -> Vector:
+    found = horizon.result.common[CONSTANTS] * NOMINAL.lumped.as_array()
+    return np.asarray(found / robot.lumped.as_array() - 1.0)
+
+
+def relative_error(horizon: MovingHorizon, robot: RobotParameters) -> float:
+    return float(np.max(np.abs(errors_of_constants(horizon, robot))))
+
+
+@pytest.mark.parametrize("percent", [3, 20])
+def test_wrong_parameters_are_corrected_within_two_seconds(percent: int) -> None:
+    for seed in range(2):
+        robot = perturbed(NOMINAL, percent / 100.0, np.random.default_rng(seed))
+        horizon = new_horizon()
+        drive(horizon, robot, 8, seed)
+        # The prediction's own error over a sample is 1e-5 of about 0.1 m; one path tells the two
+        # ratios apart ten times worse than that.
+        assert relative_error(horizon, robot) < 1e-3
+
+
+def test_noise_is_distinguished_from_wrong_constants() -> None:
+    robot = perturbed(NOMINAL, 0.03, np.random.default_rng(3))
+    horizon = new_horizon()
+    drive(horizon, robot, 40, 3, noise=1e-3)
+    # 12 steps of 5 components: the deviation of a deviation is 9 %; four of these.
+    assert horizon.result.noise == pytest.approx(1e-3, rel=0.36)
+    deviations = np.sqrt(np.diag(horizon.result.covariance)[KNOT : KNOT + 4])
+    assert np.all(np.abs(errors_of_constants(horizon, robot)) < 4.0 * deviations)
+    assert horizon.result.undisturbed
+
+
+def drive_weakly(
+    horizon: MovingHorizon, robot: RobotParameters, share: float, moved: float = 0.0
+) -> None:
+    """Send ramps at the limit, with pauses between, to rotors that attain a share of it.
+
+    The robot is moved by `moved` [m] in each direction during the fifth sample.
+    """
+    rng = np.random.default_rng(4)
+    plant = RollingPlant(robot, START)
+    sent: list[Vector] = [np.zeros(2)] * 5
+    for i in range(8):
+        reach = LIMIT * PERIOD
+        wanted = sent[-1] if i % 3 == 2 else sent[-1] + rng.choice([-reach, reach], 2)
+        sent.append(np.clip(wanted, -100.0, 100.0))
+        durations, inputs = np.full(5, PERIOD), np.array(sent[-6:])
+        raw = Interval(np.array([PERIOD]), plant.state[None], durations, inputs, lead=4.0 * PERIOD)
+        pieces, speeds, _ = raw.driven(share * LIMIT).window(0.0)
+        for duration, ends in zip(pieces, speeds[1:], strict=True):
+            plant.advance(ends, float(duration))
+        if i == 4:
+            plant.displace(plant.state + np.array([moved, moved, 0, 0, 0, 0]))
+        measured = dataclasses.replace(raw, poses=plant.state[None])
+        horizon.observe(measured, (i + 1) * PERIOD)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.93, 1.0])
+def test_drives_that_attain_less_acceleration_are_told_from_wrong_constants(share: float) -> None:
+    robot = perturbed(NOMINAL, 0.2, np.random.default_rng(1))
+    horizon = new_horizon(LIMIT)
+    drive_weakly(horizon, robot, share)
+    assert horizon.result.common[SHARE] == pytest.approx(share, rel=0.01)
+    assert SCALING.lag(horizon.result.common) < 5e-4
+    # Eight samples of which a third hold their speeds tell less than random ones.
+    assert relative_error(horizon, robot) < 3e-3
+
+
+@pytest.mark.parametrize("share", [0.8, 1.0])
+def test_robot_that_is_moved_does_not_count_as_one_with_weaker_drives(share: float) -> None:
+    horizon = new_horizon(LIMIT)
+    drive_weakly(horizon, NOMINAL, share, moved=-0.02)
+    assert horizon.result.common[SHARE] == pytest.approx(share, rel=0.01)
+
+
+def test_constants_far_from_the_prior_do_not_pass_for_noise() -> None:
+    # Five standard deviations from the prior; the largest that 20 % in all parameters give.
+    axial = 1.55 * NOMINAL.rotor_axial_inertia
+    robot = dataclasses.replace(NOMINAL, rotor_axial_inertia=axial)
+    horizon = new_horizon()
+    drive(horizon, robot, 4, 0)
+    assert relative_error(horizon, robot) < 3e-3
+    assert horizon.result.noise < 1e-4

@@ -126,7 +126,7 @@ class MovingHorizon:
         start = Point((*self._point.knots, reached), self._point.common)
         intervals = [*self._intervals, newest]
         fit = self._fitted(start, intervals, self._hypothesis.extended(), self._scale)
-        surprising = self._surprise(newest, fit) > numbers.improbable
+        surprising = self._surprise(newest, fit) > numbers.improbable or fit.scale > numbers.noisy
         fit = self._with_other_drives(start, intervals, fit, surprising)
         fit = self._improved(start, intervals, fit, simpler=not (surprising or self._is_noisy))
         self._prior = self._prior_of(fit.hypothesis)
@@ -233,13 +233,15 @@ class MovingHorizon:
     ) -> _Fit:
         """Return the fit of a hypothesis that differs in one respect, if it is more probable.
 
-        With `simpler` events are only taken back.
+        With `simpler` events are only taken back, or a slope is found, which grows slowly.
         """
         hypothesis, numbers = fit.hypothesis, self._numbers
         others = hypothesis.alternatives(numbers.recent, self._momentum)
         if simpler:
-            cost = hypothesis.cost(numbers)
-            others = [one for one in others if one[1].cost(numbers) < cost]
+            cost, likely = hypothesis.cost(numbers), [replace(hypothesis, torques=True)]
+            if np.sum(fit.equations.whitened**2) < numbers.rare:
+                likely = []  # No event gains more than that.
+            others = [one for one in others if one[1].cost(numbers) < cost or one[1] in likely]
         if not others:
             return fit
         intervals = self._relinearised(start, intervals)

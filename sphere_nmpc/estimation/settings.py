@@ -67,6 +67,8 @@ class EstimatorSettings:
     improbable: float = 25.0
     """Normalised square of a pose or a step above which something else has happened: exceeded by
     1 valid pose in 7000 (chi-squared, 5 degrees of freedom)."""
+    noisy: float = 2.0
+    """Scale of the noise above which something has happened, too: it hides what grows slowly."""
     slippery: int = 40
     """Intervals after slip in which the floor counts as slippery."""
     recent: int = 4

@@ -155,7 +155,8 @@ class MovingHorizon:
 
     def _surprise(self, newest: Measured, fit: _Fit) -> float:
         """Return the normalised square of the newest pose's innovation, or of a larger step."""
-        by, numbers = newest.motion.by_unknowns[:5], self._numbers
+        by, numbers = newest.motion.by_unknowns[:5].copy(), self._numbers
+        by[:, KNOT:][:, self._hypothesis.fixed] = 0.0
         measured = self.result.pose_variance(self._pose_deviations, self._scaling)
         expected = by @ self.result.covariance @ by.T + np.diag(measured)
         expected += self._scale * noise_variance(newest.motion, numbers) * np.eye(5)
@@ -248,7 +249,7 @@ class MovingHorizon:
         given = self._linearisation(start, intervals, hypothesis, fit.scale)
         # Where an event is compared with none, poses within its interval are used for neither.
         known: dict[int | None, float] = {}
-        gains: list[tuple[float, int | None, Hypothesis]] = []
+        best: dict[Event | None, tuple[float, int | None, Hypothesis]] = {}
         for changed, other in others:
             without = changed if changed in given.within else None
             if without not in known:
@@ -256,12 +257,20 @@ class MovingHorizon:
             there = given
             if self._prior_of(other) is not given.prior:
                 there = self._linearisation(start, intervals, other, fit.scale)
-            gains.append((_approximate(there, other, fit.scale, without), without, other))
-        _, without, other = min(gains, key=lambda one: one[0] - known[one[1]])
-        tried, before = self._fitted(start, intervals, other, fit.scale), fit
-        if without is not None:
-            before = self._fitted(start, intervals, hypothesis, fit.scale, without)
-        return tried if tried.equations.cost < before.equations.cost else fit
+            cost = _approximate(there, other, fit.scale, without) - known[without]
+            kind = None if changed is None else other.events[changed]
+            if cost < best.get(kind, (0.0,))[0]:
+                best[kind] = cost, without, other
+        # The motion after a push is far from linear in it, so the best of each kind is fitted.
+        found, least = fit, 0.0
+        for _, without, other in best.values():
+            tried, before = self._fitted(start, intervals, other, fit.scale), fit
+            if without is not None:
+                before = self._fitted(start, intervals, hypothesis, fit.scale, without)
+            cost = tried.equations.cost - before.equations.cost
+            if cost < least:
+                found, least = tried, cost
+        return found
 
     def _slide(self) -> None:
         """Sum up the oldest interval in the prior."""

@@ -58,6 +58,8 @@ class Hypothesis:
         Whether there was momentum or slope before the window.
     torques : bool
         Whether slope and imbalance before the window are not those known from older intervals.
+    slippery : bool
+        Whether the sphere has slipped before the window, so that it will again.
     pose_noise : float
         Noise of the poses beyond that given [rad; over the radius in m].
     """
@@ -67,6 +69,7 @@ class Hypothesis:
     weak: bool = False
     disturbed: bool = False
     torques: bool = False
+    slippery: bool = False
     pose_noise: float = 0.0
 
     @property
@@ -92,13 +95,14 @@ class Hypothesis:
     def cost(self, numbers: EstimatorSettings) -> float:
         """Return -2 log of the probability of the events."""
         count = self.events.count
-        events = count(Event.PUSHED) ** 2 + count(Event.TILTED) ** 2 + count(Event.SLIPPED)
+        events = count(Event.PUSHED) ** 2 + count(Event.TILTED) ** 2
+        slips, known = count(Event.SLIPPED), int(self.slippery or Event.SLIPPED not in self.events)
         others = self.unbalanced + self.weak + self.torques + 2 * (self.pose_noise > 0.0)
-        return numbers.rare * (events + others)
+        return numbers.rare * (events + others + 1 - known) + numbers.again * (slips - 1 + known)
 
-    def extended(self) -> "Hypothesis":
+    def extended(self, slippery: bool) -> "Hypothesis":
         """Return the hypothesis with another interval without an event."""
-        return replace(self, events=(*self.events, Event.NONE))
+        return replace(self, events=(*self.events, Event.NONE), slippery=slippery)
 
     def shortened(self) -> "Hypothesis":
         """Return the hypothesis without the oldest interval."""
@@ -156,6 +160,7 @@ def step_covariances(
             diagonals[k, POSE_ERROR] += scaling.pose_variance(numbers.slip)
         elif event is Event.PUSHED:
             covariances[k] += _at_unknown_time(by, MOMENTUM_ERROR, numbers.push)
+            diagonals[k, POSE_ERROR] += scaling.pose_variance(numbers.slide)
         elif event is Event.TILTED:
             covariances[k] += _at_unknown_time(by, SLOPE_ERROR, numbers.tilt)
         spread = numbers.share_spread * by[:, KNOT + SHARE]

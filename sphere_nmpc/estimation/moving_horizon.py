@@ -45,6 +45,8 @@ _CONVERGED = 3e-4
 """... and at which the iteration ends."""
 _SAME_SCALE = 0.05
 """Relative accuracy of the noise's scale where hypotheses are compared."""
+_CHANGES = 3
+"""Changes of the hypothesis with an interval at most."""
 _WEAKER = 0.8
 """Share of the steepest ramp from which weaker drives are looked for."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
@@ -125,10 +127,15 @@ class MovingHorizon:
         reached = np.concatenate((interval.poses[-1], newest.motion.end[POSE_SIZE:]))
         start = Point((*self._point.knots, reached), self._point.common)
         intervals = [*self._intervals, newest]
-        fit = self._fitted(start, intervals, self._hypothesis.extended(), self._scale)
+        hypothesis = self._hypothesis.extended(self.result.slipped < numbers.slippery)
+        fit = self._fitted(start, intervals, hypothesis, self._scale)
         surprising = self._surprise(newest, fit) > numbers.improbable or fit.scale > numbers.noisy
         fit = self._with_other_drives(start, intervals, fit, surprising)
-        fit = self._improved(start, intervals, fit, simpler=not (surprising or self._is_noisy))
+        simpler, before = not (surprising or self._is_noisy), None
+        for _ in range(_CHANGES):
+            if fit is before:
+                break
+            before, fit = fit, self._improved(start, intervals, fit, simpler)
         self._prior = self._prior_of(fit.hypothesis)
         self._point, self._intervals = fit.point, fit.intervals
         self._hypothesis, self._scale = fit.hypothesis, fit.scale

@@ -58,12 +58,16 @@ class EstimatorSettings:
     # Events
     push: float = 50.0
     """Standard deviation of the momentum of a push [rad/s]."""
+    slide: float = 0.02
+    """Standard deviation of the slip at a push, which is a blow [rad; over the radius in m]."""
     tilt: float = 15.0
     """Standard deviation of a step of the slope [rad/s^2]."""
     slip: float = 0.2
     """Standard deviation of slip within an interval [rad], and of its path over the radius."""
     rare: float = 14.0
     """What an event or an imbalance costs: -2 log of its probability in an interval."""
+    again: float = 4.0
+    """What slip costs on a floor on which the sphere has slipped."""
     improbable: float = 25.0
     """Normalised square of a pose or a step above which something else has happened: exceeded by
     1 valid pose in 7000 (chi-squared, 5 degrees of freedom)."""

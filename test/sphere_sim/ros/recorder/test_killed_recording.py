@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from mcap.reader import make_reader
 from patience import PATIENCE
 from ruamel.yaml import YAML
+from trajectory_msgs.msg import JointTrajectory
 from verb_process import start
 
 from sphere_sim.cli.main import main as command
@@ -34,12 +35,19 @@ def test_killed_recording_of_a_run_can_be_reported(graph, tmp_path, capsys, monk
     ]
     try:
         poses = graph.collect(PoseStamped, "pose", 100)
+        plans = graph.collect(JointTrajectory, "rotor_trajectory", 100)
+
+        def on_disk() -> float:
+            return 1e-9 * float(committed(bag)["duration"]["nanoseconds"])
+
         goals = graph.publisher(PoseStamped, "goal_pose")
         graph.until(lambda: (bag / "metadata.yaml").exists() and poses)
         goal = PoseStamped()
         goal.header.frame_id, goal.pose.position.x, goal.pose.orientation.w = "world", 0.5, 1.0
         goals.publish(goal)
-        graph.until(lambda: 1e-9 * committed(bag)["duration"]["nanoseconds"] > 3.0)
+        graph.until(lambda: plans)
+        planned = on_disk()
+        graph.until(lambda: on_disk() > planned + 2.0)
         nodes[0].send_signal(signal.SIGKILL)
         nodes[0].wait(PATIENCE)
     finally:

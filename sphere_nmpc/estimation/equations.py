@@ -127,7 +127,7 @@ class Linearisation:
         self.log_variances = count * float(np.sum(np.log(pose_variance)))
         self.log_variances -= float(np.linalg.slogdet(prior.information)[1])
         self.common, self.prior = point.common, prior
-        away = _away(prior, point, 0)
+        away = away_from(prior, point, 0)
         self.by_prior = prior.information @ away + prior.gradient
         self.cost = float(away @ (self.by_prior + prior.gradient))
         self.jacobians = np.zeros((count, KNOT, _BLOCK))
@@ -136,7 +136,7 @@ class Linearisation:
         self.within: dict[int, tuple[Vector, Vector, float]] = {}
         """Information (19, 19), gradient (19,) and cost of the poses within an interval."""
         for k, one in enumerate(intervals):
-            moved, end, away = one.motion, point.knots[k + 1], _away(one.motion, point, k)
+            moved, end, away = one.motion, point.knots[k + 1], away_from(one.motion, point, k)
             self.jacobians[k][:, _OWN] = -moved.by_unknowns
             self.residuals[k] = knot_error(moved.end, end) - moved.by_unknowns @ away
             self.innovations[k] = error_between(end[POSE], one.interval.poses[-1])
@@ -145,7 +145,7 @@ class Linearisation:
                 self.within[k] = _poses_within(moved, away, pose_variance + shared)
 
 
-def _away(known: Prior | Motion, point: Point, index: int) -> Vector:
+def away_from(known: Prior | Motion, point: Point, index: int) -> Vector:
     """Return the local unknowns of a point, with the knot `index`, from another, (19,)."""
     error = knot_error(known.knot, point.knots[index])
     return np.concatenate((error, point.common - known.common))

@@ -18,8 +18,8 @@ from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.estimation.tracker import Tracker
-from sphere_nmpc.estimation.unknowns import KNOT, Scaling, disturbance_of
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.estimation.unknowns import KNOT, Scaling
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -139,10 +139,7 @@ class Estimator:
     @property
     def disturbance(self) -> Disturbance:
         """Slope and imbalance as estimated so far."""
-        result = self._result
-        if result.undisturbed:
-            return UNDISTURBED
-        return disturbance_of(result.knot, result.common)
+        return self._result.slope_and_imbalance
 
     def observe(self, time: float, pose: Vector) -> bool:
         """Take a pose, shape (6,), measured at control time `time` [s]; False if outdated.
@@ -170,10 +167,11 @@ class Estimator:
         if not self._poses:
             return None
         self._learn()
-        self._collect()
-        state, covariance = self._tracked().predict(time)
+        plant = self.plant  # First, as it takes over a result that has arrived.
+        tracker = self._tracked()
+        state, covariance = tracker.predict(time)
         known = covariance if self._is_noisy else None
-        return Estimate(state, self.plant, known, self.disturbance)
+        return Estimate(state, plant, known, tracker.disturbance)
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over changed settings; estimates that they do not concern are kept.
@@ -292,8 +290,9 @@ class Estimator:
     def _tracked(self) -> Tracker:
         """Return the tracker of the newest poses, from the last result on."""
         if self._tracker is None:
+            plant = self.plant  # First, as it takes over a result that has arrived.
             self._tracker = Tracker(
-                self._result, self.plant, self._poses, self._sent,
+                self._result, plant, self._poses, self._sent,
                 self._result.pose_variance(self._pose_deviations, self._scaling),
                 self._scaling, self._settings.longest_step, self._is_noisy,
             )

@@ -18,6 +18,7 @@ from sphere_nmpc.estimation.equations import (
     NormalEquations,
     Point,
     Prior,
+    away_from,
 )
 from sphere_nmpc.estimation.events import Event, Hypothesis, noise_variance
 from sphere_nmpc.estimation.interval import Interval
@@ -32,7 +33,6 @@ from sphere_nmpc.estimation.unknowns import (
     SHARE,
     SLOPE_ERROR,
     Scaling,
-    knot_error,
 )
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
@@ -208,11 +208,10 @@ class MovingHorizon:
     def _relinearised(self, point: Point, intervals: list[Measured]) -> list[Measured]:
         """Return the intervals, linearised again where the point has left their range."""
         found = []
-        for knot, one in zip(point.knots, intervals, strict=False):
-            known = one.motion
-            away = np.concatenate((knot_error(known.knot, knot), point.common - known.common))
+        for k, one in enumerate(intervals):
+            away = away_from(one.motion, point, k)
             if float(np.max(np.abs(away) / self._scaling.units)) > _STILL_LINEAR:
-                again = motion(one.interval, knot, point.common, self._scaling)
+                again = motion(one.interval, point.knots[k], point.common, self._scaling)
                 one = Measured(one.interval, again)
             found.append(one)
         return found

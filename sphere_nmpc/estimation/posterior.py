@@ -17,7 +17,9 @@ from sphere_nmpc.estimation.unknowns import (
     POSE_ERROR,
     SLOPE_ERROR,
     Scaling,
+    disturbance_of,
 )
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.state import MOMENTUM, POSE, POSE_SIZE, Vector
 
 _NEVER = 1_000_000
@@ -76,6 +78,11 @@ class Posterior:
     def disturbance(self) -> Vector:
         """Momentum, slope and imbalance, shape (8,), at the places `DISTURBANCE`."""
         return np.concatenate((self.knot[MOMENTUM.start :], self.common[IMBALANCE]))
+
+    @property
+    def slope_and_imbalance(self) -> Disturbance:
+        """Slope and imbalance; `UNDISTURBED` where they are zero."""
+        return UNDISTURBED if self.undisturbed else disturbance_of(self.knot, self.common)
 
     def pose_variance(self, given: Vector, scaling: Scaling) -> Vector:
         """Return the variance of a measured pose, shape (5,), beside the deviations given."""

@@ -11,7 +11,7 @@ import numpy as np
 from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.estimation.unknowns import KNOT, Scaling, disturbance_of
+from sphere_nmpc.estimation.unknowns import KNOT, Scaling
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
@@ -40,9 +40,8 @@ class Tracker:
         self._lag, self._constants = plant.lag, plant.constants.as_array()
         self._pose_variance = pose_variance
         self._noise_scale = result.scale
-        self._disturbance = UNDISTURBED
-        if not result.undisturbed:
-            self._disturbance = disturbance_of(result.knot, result.common)
+        self.disturbance = result.slope_and_imbalance
+        """Slope and imbalance that it predicts with."""
         self._time, self._state = result.time, result.knot[:STATE_SIZE].copy()
         self._covariance = result.covariance[:8, :8].copy()
         if result.undisturbed:
@@ -63,7 +62,7 @@ class Tracker:
             return
         if not self._noisy:
             moved = self._state
-            if self._disturbance is not UNDISTURBED:
+            if self.disturbance is not UNDISTURBED:
                 moved, _ = self.predict(time - self._lag)
             self._time, self._state = time, np.concatenate((pose, moved[MOMENTUM]))
             return
@@ -93,7 +92,7 @@ class Tracker:
         if not self._noisy:
             state = self._sent.predict(
                 self._state, self._time - self._lag, time, self._constants, self._max_step,
-                self._disturbance,
+                self.disturbance,
             )
             return state, self._covariance[:5, :5]
         state, covariance = self._moved(time)
@@ -106,7 +105,7 @@ class Tracker:
             return self._state, self._covariance
         durations, speeds = self._sent.pieces(since, until)
         end = propagate(
-            self._state, speeds, durations, self._constants, self._max_step, self._disturbance
+            self._state, speeds, durations, self._constants, self._max_step, self.disturbance
         )
         by_constants = end.by_constants * self._scaling.nominal.as_array()
         covariance = end.by_start @ self._covariance @ end.by_start.T
@@ -117,7 +116,7 @@ class Tracker:
         variances = np.zeros(8)
         variance = numbers.rest**2 + (numbers.rolling * turned / share) ** 2
         variances[:5] = self._noise_scale * variance * share
-        if self._disturbance is not UNDISTURBED:
+        if self.disturbance is not UNDISTURBED:
             variances[5:] = numbers.momentum_walk**2 * (until - since)
         covariance[np.arange(8), np.arange(8)] += variances
         return end.state, covariance

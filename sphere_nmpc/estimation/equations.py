@@ -7,6 +7,7 @@ measured poses, and of the steps at the knots that the model does not explain. T
 variables are the errors of the knots (10 each), then of the common unknowns (9).
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,7 +36,7 @@ from sphere_nmpc.model.state import POSE, Vector
 _FIXED = 1e-3
 """Standard deviation of a common unknown that is fixed, in its unit."""
 _EXPECTED = 10.0
-"""Number of errors that the prior of the noise's scale, 1, weighs as much as."""
+"""Number of errors that what was known of the noise's scale before weighs as much as."""
 _BLOCK = 2 * KNOT + COMMON
 _NEXT, _MEASURED = slice(KNOT, 2 * KNOT), np.arange(KNOT, KNOT + 5)
 _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
@@ -54,18 +55,21 @@ class Prior:
         Inverse covariance of the local unknowns, for any imbalance and drives.
     gradient : ndarray, shape (19,)
         Gradient there of half the cost.
+    scale : float
+        Scale of the noise's variance to expect.
     """
 
     knot: Vector
     common: Vector
     information: Vector
     gradient: Vector
+    scale: float
 
     @classmethod
-    def of(cls, knot: Vector, common: Vector, covariance: Vector) -> "Prior":
+    def of(cls, knot: Vector, common: Vector, covariance: Vector, scale: float) -> "Prior":
         """Return a Gaussian with its mean at the point."""
         information = np.asarray(np.linalg.inv(covariance), dtype=float)
-        return cls(knot, common, information, np.zeros(LOCAL))
+        return cls(knot, common, information, np.zeros(LOCAL), scale)
 
     def blurred(self, variances: Vector) -> "Prior":
         """Return it with more variance, shape (19,), of the local unknowns."""
@@ -122,26 +126,38 @@ class Linearisation:
         count = len(intervals)
         self.scaling, self.motions = scaling, [one.motion for one in intervals]
         self.durations = np.array([one.interval.duration for one in intervals])
-        self.variances = np.array([noise_variance(m, scaling.numbers) for m in self.motions])
-        self.pose_weights: Vector = 1.0 / pose_variance
-        self.log_variances = count * float(np.sum(np.log(pose_variance)))
-        self.log_variances -= float(np.linalg.slogdet(prior.information)[1])
-        self.common, self.prior = point.common, prior
-        away = away_from(prior, point, 0)
-        self.by_prior = prior.information @ away + prior.gradient
-        self.cost = float(away @ (self.by_prior + prior.gradient))
+        turned = [one.motion.turned for one in intervals]
+        self.variances = np.array([noise_variance(one, scaling.numbers) for one in turned])
+        self.point, self.common, self.scale = point, point.common, scale
         self.jacobians = np.zeros((count, KNOT, _BLOCK))
         self.jacobians[:, :, _NEXT] = np.eye(KNOT)
         self.residuals, self.innovations = np.empty((count, KNOT)), np.empty((count, 5))
-        self.within: dict[int, tuple[Vector, Vector, float]] = {}
-        """Information (19, 19), gradient (19,) and cost of the poses within an interval."""
         for k, one in enumerate(intervals):
             moved, end, away = one.motion, point.knots[k + 1], away_from(one.motion, point, k)
             self.jacobians[k][:, _OWN] = -moved.by_unknowns
             self.residuals[k] = knot_error(moved.end, end) - moved.by_unknowns @ away
             self.innovations[k] = error_between(end[POSE], one.interval.poses[-1])
+        self._believe(prior, pose_variance)
+
+    def believing(self, prior: Prior, pose_variance: Vector) -> "Linearisation":
+        """Return it with another prior and another variance of the poses."""
+        other = copy(self)
+        other._believe(prior, pose_variance)
+        return other
+
+    def _believe(self, prior: Prior, pose_variance: Vector) -> None:
+        self.prior, away = prior, away_from(prior, self.point, 0)
+        self.by_prior = prior.information @ away + prior.gradient
+        self.cost = float(away @ (self.by_prior + prior.gradient))
+        self.cost -= float(np.linalg.slogdet(prior.information)[1])
+        self.cost += len(self.motions) * float(np.sum(np.log(pose_variance)))
+        self.pose_weights: Vector = 1.0 / pose_variance
+        self.within: dict[int, tuple[Vector, Vector, float]] = {}
+        """Information (19, 19), gradient (19,) and cost of the poses within an interval."""
+        for k, moved in enumerate(self.motions):
             if len(moved.innovations):
-                shared = len(moved.innovations) * scale * self.variances[k]
+                shared = len(moved.innovations) * self.scale * self.variances[k]
+                away = away_from(moved, self.point, k)
                 self.within[k] = _poses_within(moved, away, pose_variance + shared)
 
 
@@ -191,7 +207,7 @@ class NormalEquations:
         scale: float,
         without: int | None = None,
     ) -> None:
-        self._common = given.common
+        self._expected = given.prior.scale
         self._scale, count, numbers = scale, len(given.motions), given.scaling.numbers
         covariances = step_covariances(
             given.motions, given.durations, scale * given.variances, hypothesis, given.scaling
@@ -204,8 +220,9 @@ class NormalEquations:
         gradients = (jacobians.transpose(0, 2, 1) @ errors)[:, :, 0]
         blocks[:, _MEASURED, _MEASURED] += given.pose_weights
         gradients[:, _MEASURED] -= given.pose_weights * given.innovations
-        cost = hypothesis.cost(numbers) + given.cost + given.log_variances
-        cost += _EXPECTED * (1.0 / scale + float(np.log(scale))) + float(np.sum(errors**2))
+        cost = hypothesis.cost(numbers) + given.cost
+        cost += _EXPECTED * (given.prior.scale / scale + float(np.log(scale)))
+        cost += float(np.sum(errors**2))
         cost += 2.0 * float(np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2))))
         cost += float(np.sum(given.pose_weights * given.innovations**2))
         for k, (information, gradient, more) in given.within.items():
@@ -256,18 +273,8 @@ class NormalEquations:
         """Return the scale of the noise that the errors after the step show, at least 1."""
         errors = self.whitened[:, POSE_ERROR]
         total = self._scale * float(np.sum(errors**2))
-        return max(1.0, (total + _EXPECTED) / (errors.size + _EXPECTED))
-
-    def pull(self, unknown: int) -> float:
-        """Return how strongly the poses pull at a common unknown that is fixed.
-
-        That is about the decrease of the cost if it were free (a score test).
-        """
-        at = self.gradient.size - COMMON + unknown
-        variance = self._solved(np.eye(1, self.gradient.size, at)[0])[at]
-        away = self._common[unknown] + self.step[at] - NORMAL[unknown]
-        known = max(1.0 / float(variance) - _FIXED**-2, 1.0)
-        return float(away / _FIXED**2) ** 2 / known
+        known = _EXPECTED * self._expected
+        return max(1.0, (total + known) / (errors.size + _EXPECTED))
 
     def covariance(self) -> Vector:
         """Return that of the newest knot and the common unknowns, shape (19, 19)."""
@@ -290,5 +297,6 @@ class NormalEquations:
         gain = np.linalg.solve(information[:KNOT, :KNOT], information[:KNOT, KNOT:]).T
         kept = information[KNOT:, KNOT:] - gain @ information[:KNOT, KNOT:]
         return Prior(
-            point.knots[1], point.common, 0.5 * (kept + kept.T), by[KNOT:] - gain @ by[:KNOT]
+            point.knots[1], point.common, 0.5 * (kept + kept.T), by[KNOT:] - gain @ by[:KNOT],
+            self.next_scale(),
         )

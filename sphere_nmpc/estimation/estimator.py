@@ -293,7 +293,7 @@ class Estimator:
             plant = self.plant  # First, as it takes over a result that has arrived.
             self._tracker = Tracker(
                 self._result, plant, self._poses, self._sent,
-                self._result.pose_variance(self._pose_deviations, self._scaling),
+                self._scaling.pose_variance(self._result.pose_noise, self._pose_deviations),
                 self._scaling, self._settings.longest_step, self._is_noisy,
             )
         return self._tracker

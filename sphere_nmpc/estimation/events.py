@@ -95,7 +95,8 @@ class Hypothesis:
     def cost(self, numbers: EstimatorSettings) -> float:
         """Return -2 log of the probability of the events."""
         count = self.events.count
-        events = count(Event.PUSHED) ** 2 + count(Event.TILTED) ** 2
+        # Jumps of a sphere at rest look like a slope for a while.
+        events = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
         slips, known = count(Event.SLIPPED), int(self.slippery or Event.SLIPPED not in self.events)
         others = self.unbalanced + self.weak + self.torques + 2 * (self.pose_noise > 0.0)
         return numbers.rare * (events + others + 1 - known) + numbers.again * (slips - 1 + known)
@@ -130,9 +131,12 @@ class Hypothesis:
         return [one for one in [*found, *((None, other) for other in others)] if one[1] != self]
 
 
-def noise_variance(motion: Motion, numbers: EstimatorSettings) -> float:
-    """Return the variance of each component of a predicted pose's error [m^2, rad^2]."""
-    return numbers.rest**2 + (numbers.rolling * motion.turned) ** 2
+def noise_variance(turned: float, numbers: EstimatorSettings) -> float:
+    """Return the variance of each component of a predicted pose's error [m^2, rad^2].
+
+    `turned` is the angle rolled in the interval [rad].
+    """
+    return numbers.prediction**2 * (1.0 + turned**2)
 
 
 def step_covariances(
@@ -160,7 +164,6 @@ def step_covariances(
             diagonals[k, POSE_ERROR] += scaling.pose_variance(numbers.slip)
         elif event is Event.PUSHED:
             covariances[k] += _at_unknown_time(by, MOMENTUM_ERROR, numbers.push)
-            diagonals[k, POSE_ERROR] += scaling.pose_variance(numbers.slide)
         elif event is Event.TILTED:
             covariances[k] += _at_unknown_time(by, SLOPE_ERROR, numbers.tilt)
         spread = numbers.share_spread * by[:, KNOT + SHARE]

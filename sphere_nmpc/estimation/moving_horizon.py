@@ -44,9 +44,7 @@ _STILL_LINEAR = 3e-3
 _CONVERGED = 3e-4
 """... and at which the iteration ends."""
 _SAME_SCALE = 0.05
-"""Relative accuracy of the noise's scale where hypotheses are compared."""
-_CHANGES = 3
-"""Changes of the hypothesis with an interval at most."""
+"""Relative accuracy of the noise's scale."""
 _WEAKER = 0.8
 """Share of the steepest ramp from which weaker drives are looked for."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
@@ -85,7 +83,7 @@ class MovingHorizon:
     def _restart(self) -> None:
         """Continue from the result, with an empty window."""
         known = self.result
-        self._prior = Prior.of(known.knot, known.common, known.covariance)
+        self._prior = Prior.of(known.knot, known.common, known.covariance, known.scale)
         self._point = Point((known.knot,), known.common)
         self._intervals: list[Measured] = []
         self._hypothesis = Hypothesis(
@@ -104,7 +102,7 @@ class MovingHorizon:
         known = self.result
         if not known.undisturbed:
             known = known.with_unknown_momentum(self._numbers)
-        variance = known.pose_variance(self._pose_deviations, self._scaling)
+        variance = self._pose_variance(known.pose_noise)
         self.result = known.at_pose(time, pose, variance)
         self._restart()
 
@@ -129,13 +127,9 @@ class MovingHorizon:
         intervals = [*self._intervals, newest]
         hypothesis = self._hypothesis.extended(self.result.slipped < numbers.slippery)
         fit = self._fitted(start, intervals, hypothesis, self._scale)
-        surprising = self._surprise(newest, fit) > numbers.improbable or fit.scale > numbers.noisy
+        surprising = self._surprise(newest, fit) > numbers.improbable
         fit = self._with_other_drives(start, intervals, fit, surprising)
-        simpler, before = not (surprising or self._is_noisy), None
-        for _ in range(_CHANGES):
-            if fit is before:
-                break
-            before, fit = fit, self._improved(start, intervals, fit, simpler)
+        fit = self._improved(start, intervals, fit, not (surprising or self._is_noisy))
         self._prior = self._prior_of(fit.hypothesis)
         self._point, self._intervals = fit.point, fit.intervals
         self._hypothesis, self._scale = fit.hypothesis, fit.scale
@@ -144,16 +138,15 @@ class MovingHorizon:
     @property
     def _is_noisy(self) -> bool:
         """Whether what happens shows over many poses only."""
-        variance = self.result.pose_variance(self._pose_deviations, self._scaling)
-        return bool(variance[2] > self._numbers.rolling**2)
+        variance = self._pose_variance(self.result.pose_noise)
+        return bool(variance[2] > self._numbers.prediction**2)
 
     def _prior_of(self, hypothesis: Hypothesis) -> Prior:
         """Return the prior, of which a hypothesis may believe less."""
         known, numbers, more = self._hypothesis, self._numbers, np.zeros(LOCAL)
         # The pose at its knot was measured, too.
-        noisier = self._scaling.pose_variance(hypothesis.pose_noise)
-        noisier -= self._scaling.pose_variance(known.pose_noise)
-        more[POSE_ERROR] = np.maximum(noisier, 0.0)
+        noisier = self._pose_variance(hypothesis.pose_noise)
+        more[POSE_ERROR] = np.maximum(noisier - self._pose_variance(known.pose_noise), 0.0)
         if hypothesis.torques and not known.torques:
             more[SLOPE_ERROR] = numbers.tilt**2
             if known.unbalanced:
@@ -164,9 +157,9 @@ class MovingHorizon:
         """Return the normalised square of the newest pose's innovation, or of a larger step."""
         by, numbers = newest.motion.by_unknowns[:5].copy(), self._numbers
         by[:, KNOT:][:, self._hypothesis.fixed] = 0.0
-        measured = self.result.pose_variance(self._pose_deviations, self._scaling)
+        measured = self._pose_variance(self.result.pose_noise)
         expected = by @ self.result.covariance @ by.T + np.diag(measured)
-        expected += self._scale * noise_variance(newest.motion, numbers) * np.eye(5)
+        expected += self._scale * noise_variance(newest.motion.turned, numbers) * np.eye(5)
         error = error_between(newest.motion.end[POSE], newest.interval.poses[-1])
         steps = np.sum(fit.equations.whitened[-numbers.recent :] ** 2, axis=1)
         return max(float(error @ np.linalg.solve(expected, error)), *steps.tolist())
@@ -187,8 +180,9 @@ class MovingHorizon:
             point = point.moved(equations.step, self._scaling)
             # At first the errors are those of the linearisation, too.
             if iteration > 0:
-                scale = equations.next_scale()
-                if self._largest(equations.step) < _CONVERGED:
+                before, scale = scale, equations.next_scale()
+                same = abs(scale / before - 1.0) < _SAME_SCALE
+                if same and self._largest(equations.step) < _CONVERGED:
                     break
         return _Fit(point, intervals, equations, scale, hypothesis)
 
@@ -201,9 +195,11 @@ class MovingHorizon:
     def _linearisation(
         self, point: Point, intervals: list[Measured], hypothesis: Hypothesis, scale: float
     ) -> Linearisation:
-        variance = self._pose_deviations**2 + self._scaling.pose_variance(hypothesis.pose_noise)
-        prior = self._prior_of(hypothesis)
+        prior, variance = self._prior_of(hypothesis), self._pose_variance(hypothesis.pose_noise)
         return Linearisation(point, prior, intervals, scale, variance, self._scaling)
+
+    def _pose_variance(self, noise: float) -> Vector:
+        return self._scaling.pose_variance(noise, self._pose_deviations)
 
     def _relinearised(self, point: Point, intervals: list[Measured]) -> list[Measured]:
         """Return the intervals, linearised again where the point has left their range."""
@@ -226,8 +222,6 @@ class MovingHorizon:
         """
         hypothesis, common = fit.hypothesis, start.common.copy()
         steepest = max(one.interval.steepest for one in intervals) / self._scaling.acceleration
-        if not hypothesis.weak and not surprising:
-            surprising = fit.equations.pull(SHARE) > self._numbers.rare
         if steepest == 0.0 or not (hypothesis.weak or surprising):
             return fit
         common[SHARE] = 1.0 if hypothesis.weak else _WEAKER * steepest
@@ -261,8 +255,9 @@ class MovingHorizon:
             if without not in known:
                 known[without] = _approximate(given, hypothesis, fit.scale, without)
             there = given
-            if self._prior_of(other) is not given.prior:
-                there = self._linearisation(start, intervals, other, fit.scale)
+            if changed is None:
+                variance = self._pose_variance(other.pose_noise)
+                there = given.believing(self._prior_of(other), variance)
             cost = _approximate(there, other, fit.scale, without) - known[without]
             kind = None if changed is None else other.events[changed]
             if cost < best.get(kind, (0.0,))[0]:

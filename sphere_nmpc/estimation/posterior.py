@@ -84,10 +84,6 @@ class Posterior:
         """Slope and imbalance; `UNDISTURBED` where they are zero."""
         return UNDISTURBED if self.undisturbed else disturbance_of(self.knot, self.common)
 
-    def pose_variance(self, given: Vector, scaling: Scaling) -> Vector:
-        """Return the variance of a measured pose, shape (5,), beside the deviations given."""
-        return given**2 + scaling.pose_variance(self.pose_noise)
-
     def with_lag(self, lag: float, scaling: Scaling) -> "Posterior":
         """Return it with the prior of another lag [s] in place of its estimate."""
         common, covariance = self.common.copy(), self.covariance.copy()

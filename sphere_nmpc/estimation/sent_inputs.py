@@ -6,10 +6,10 @@ from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
+from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
-from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.solver.roll_out import roll_out
 
 _KEPT = 2048
@@ -115,21 +115,12 @@ class SentInputs:
         """Return the state at `end`, shape (9,), predicted from that at `start` [s].
 
         It is returned unchanged if `end` is not later; for the other arguments see
-        `sphere_nmpc.solver.roll_out.roll_out`. With momentum the sphere also moves before the
-        first hold, with its rotors at rest.
+        `sphere_nmpc.solver.roll_out.roll_out`. Before the first hold the rotors are at rest.
         """
         if end <= start:
             return state
-        times, speeds = self._knots(start, end)
-        idles = not times or times[0] > start
-        if idles and not is_zero(state[MOMENTUM], disturbance):
-            idle = [start, times[0] if times else end]
-            times, speeds = [*idle, *times], [np.zeros(INPUT_SIZE)] * 2 + speeds
-        if not times:
-            return state
-        states = roll_out(
-            state, np.array(speeds), np.diff(times), constants, max_step, disturbance
-        )
+        durations, speeds = self.pieces(start, end)
+        states = roll_out(state, speeds, durations, constants, max_step, disturbance)
         predicted: Vector = states[-1]
         return predicted
 
@@ -153,19 +144,6 @@ class SentInputs:
         if newest is None:
             return False
         return bool(newest.at(time).any() or newest.speeds[newest.times > time].any())
-
-    def _knots(self, start: float, end: float) -> tuple[list[float], list[Vector]]:
-        """Return the times [s] between two times at which the speeds (2,) have a knot, and these.
-
-        Where one hold replaces another the speed may jump: two values at one time.
-        """
-        times: list[float] = []
-        speeds: list[Vector] = []
-        for hold, since, until in self._in_force(start, end):
-            here = [since, *hold.knots_between(since, until), until]
-            times += here
-            speeds += [hold.at(t) for t in here]
-        return times, speeds
 
     def _in_force(self, start: float, end: float) -> list[tuple[FirstOrderHold, float, float]]:
         """Return the holds in force between two times, in order, each with start and end [s]."""

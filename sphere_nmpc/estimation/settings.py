@@ -22,7 +22,7 @@ class EstimatorSettings:
     lead: float = 1.0
     """Time before an interval from which speeds sent are kept [s]: weak drives may have fallen
     behind since."""
-    window: int = 12
+    window: int = 8
     """Intervals that are fitted together."""
     step: float = 0.05
     """Longest integration step of the prediction [s]."""
@@ -43,10 +43,9 @@ class EstimatorSettings:
     # Noises
     pose: float = 1e-5
     """Least standard deviation of a pose [m, rad]."""
-    rest: float = 1e-4
-    """Standard deviation of a prediction over an interval at rest [m, rad] ..."""
-    rolling: float = 1e-3
-    """... and of a rolling sphere, over the angle rolled [-]."""
+    prediction: float = 3e-4
+    """Standard deviation of a pose predicted over an interval at rest [m, rad], and of what is
+    added to it for each rad that is rolled."""
     share_spread: float = 0.03
     """Standard deviation of the share between intervals [-]: a limit of torque is one of
     acceleration that depends on the motion of the shell."""
@@ -58,8 +57,6 @@ class EstimatorSettings:
     # Events
     push: float = 50.0
     """Standard deviation of the momentum of a push [rad/s]."""
-    slide: float = 0.02
-    """Standard deviation of the slip at a push, which is a blow [rad; over the radius in m]."""
     tilt: float = 15.0
     """Standard deviation of a step of the slope [rad/s^2]."""
     slip: float = 0.2
@@ -71,8 +68,6 @@ class EstimatorSettings:
     improbable: float = 25.0
     """Normalised square of a pose or a step above which something else has happened: exceeded by
     1 valid pose in 7000 (chi-squared, 5 degrees of freedom)."""
-    noisy: float = 2.0
-    """Scale of the noise above which something has happened, too: it hides what grows slowly."""
     slippery: int = 40
     """Intervals after slip in which the floor counts as slippery."""
     recent: int = 4

@@ -9,6 +9,7 @@ noise of the prediction, is process noise of the state.
 import numpy as np
 
 from sphere_nmpc.estimation.estimate import PlantEstimate
+from sphere_nmpc.estimation.events import noise_variance
 from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.unknowns import KNOT, Scaling
@@ -114,8 +115,7 @@ class Tracker:
         # A random walk that comes as far within an interval as the moving horizon expects.
         share = (until - since) / numbers.spacing
         variances = np.zeros(8)
-        variance = numbers.rest**2 + (numbers.rolling * turned / share) ** 2
-        variances[:5] = self._noise_scale * variance * share
+        variances[:5] = self._noise_scale * noise_variance(turned / share, numbers) * share
         if self.disturbance is not UNDISTURBED:
             variances[5:] = numbers.momentum_walk**2 * (until - since)
         covariance[np.arange(8), np.arange(8)] += variances

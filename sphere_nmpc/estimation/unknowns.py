@@ -95,10 +95,14 @@ class Scaling:
         knot = np.repeat([1.0, numbers.push, numbers.tilt], [5, 3, 2])
         return np.concatenate((knot, self.deviations))
 
-    def pose_variance(self, noise: float) -> Vector:
-        """Return the variance, shape (5,), of poses with this noise [rad; over Rs in m]."""
+    def pose_variance(self, noise: float, given: Vector | float = 0.0) -> Vector:
+        """Return the variance, shape (5,), of poses with this noise [rad; over Rs in m].
+
+        It comes beside the deviations `given` [m, rad].
+        """
         radius = float(self.nominal.as_array()[0])
-        return np.array([noise * radius] * 2 + [noise] * 3) ** 2
+        variance: Vector = np.array([noise * radius] * 2 + [noise] * 3) ** 2 + np.square(given)
+        return variance
 
     def within(self, common: Vector) -> Vector:
         """Return the nearest common unknowns, shape (9,), within their range."""

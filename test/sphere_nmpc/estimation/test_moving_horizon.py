@@ -83,6 +83,23 @@ def test_noise_is_distinguished_from_wrong_constants() -> None:
     assert horizon.result.undisturbed
 
 
+def test_jumps_of_a_sphere_at_rest_are_hardly_ever_taken_for_momentum() -> None:
+    disturbed, samples = 0, 60
+    for seed in range(4):
+        rng, horizon, pose = np.random.default_rng(seed), new_horizon(), START.copy()
+        for k in range(samples):
+            if k % 2 == 0:
+                pose = pose + 1e-3 * rng.normal(size=6)
+                pose[2:] /= np.linalg.norm(pose[2:])
+            still = np.array([PERIOD] * 2), np.zeros((3, 2))
+            horizon.observe(
+                Interval(np.array([PERIOD]), pose[None], *still, lead=PERIOD), (k + 1) * PERIOD
+            )
+            disturbed += not horizon.result.undisturbed
+    # In each run the scale of the noise has to be learnt, within which the rotors may respond.
+    assert disturbed <= 0.02 * 4 * samples
+
+
 def drive_weakly(
     horizon: MovingHorizon, robot: RobotParameters, share: float, moved: float = 0.0
 ) -> None:

@@ -1,11 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Ablation of `time_optimal` or of the estimator: what each number of their settings is worth.
+"""Ablation of `time_optimal`: what each number of its settings is worth.
 
     python bench/documents/ablation.py --draw 200
     python bench/documents/ablation.py least_dead_band slew_weight=20
     python bench/documents/ablation.py --plant rigid_body --perturb 10
-    python bench/documents/ablation.py --estimator --perturb 3 --kind upright --push 0.2 1 tilt=5
 
 Each number is halved and doubled, or set to a given value, and the same scenarios are run as with
 the default settings. Settling times are compared run by run. What is chance shows in a slight
@@ -34,7 +33,6 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
-from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import DRAWS, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
@@ -46,7 +44,7 @@ Variant = tuple[str, Any]
 """Number of the settings and its value."""
 
 
-def variants(words: Sequence[str], defaults: Numbers) -> list[Variant]:
+def variants(words: Sequence[str], defaults: TimeOptimalSettings) -> list[Variant]:
     """Return the variants that words ask for: ``name`` or ``name=value``; all without words.
 
     A word that names no number, or a value that is not of its type, is a ValueError.
@@ -71,11 +69,13 @@ def variants(words: Sequence[str], defaults: Numbers) -> list[Variant]:
 
 
 def measured(
-    numbers: Numbers, conditions: StudyConditions, scenario: Scenario
+    numbers: Numbers, conditions: StudyConditions, scenario: Scenario,
+    metric: str = "settle_time_s",
 ) -> tuple[float, float]:
     """Make a run with other settings; called in a process of the pool.
 
-    Returns its settling time [s], nan where it did not settle, and its processor time [s].
+    Returns its settling time [s], the result `metric`, nan where it did not settle, and its
+    processor time [s].
     """
 
     def tuned(settings: ControllerSettings, robot: RobotParameters) -> TimeOptimalStrategy:
@@ -91,7 +91,7 @@ def measured(
         patch.object(estimator, "TABLE_1_NUMBERS", of_estimator),
     ):
         began = time.process_time()
-        found = run_scenario(conditions, scenario).results.get("settle_time_s")
+        found = run_scenario(conditions, scenario).results.get(metric)
         return float(found) if isinstance(found, float) else np.nan, time.process_time() - began
 
 
@@ -122,31 +122,23 @@ def main() -> None:
     """Make the runs of all variants and print their table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("variants", nargs="*", metavar="NAME[=VALUE]")
-    parser.add_argument("--estimator", action="store_true")
     parser.add_argument("--draw", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", choices=sorted(DRAWS), default="anywhere")
     parser.add_argument("--duration", type=float, default=30.0)
     parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
     parser.add_argument("--perturb", type=float, default=0.0)
-    parser.add_argument("--push", type=float, nargs=2, metavar=("LEAST", "MOST"))
-    parser.add_argument("--push-time", type=float)
-    parser.add_argument("--slope", type=float, default=0.0)
-    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE")
     parser.add_argument("--jobs", type=int, default=cores())
     given = parser.parse_args()
-    defaults: Numbers = EstimatorSettings() if given.estimator else TimeOptimalSettings()
+    defaults = TimeOptimalSettings()
     try:
         wanted = [("", ""), *variants(given.variants, defaults)]
     except (ValueError, SyntaxError) as error:
         parser.error(str(error))
     limit_library_threads()  # for the processes, which inherit it
     conditions = StudyConditions(duration=given.duration, perturbation=given.perturb)
-    assignments = [tuple(one.split("=", 1)) for one in given.set]
-    conditions = conditions.with_settings([("simulator.plant", given.plant), *assignments])
-    draws = DisturbanceDraws(given.push, given.push_time, np.radians(given.slope))
+    conditions = conditions.with_settings([("simulator.plant", given.plant)])
     scenarios = draw_scenarios(given.draw, given.seed, given.kind)
-    scenarios = [draws.applied_to(scenario) for scenario in scenarios]
     print(header(
         "number", "default", "value", "settled",
         "settling time over the default's: median / p90 / worst", "processor time a run [s]",

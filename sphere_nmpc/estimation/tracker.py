@@ -2,19 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kalman filter of the state over the poses since the last result of the moving horizon.
 
-The plant's parameters, slope and imbalance are those of the result. What they are off by, and the
-noise of the prediction, is process noise of the state.
+The plant's parameters, slope and imbalance are those of the result: what they are off by is taken
+into account, but not estimated (a Schmidt-Kalman filter).
 """
 
 import numpy as np
 
 from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.events import noise_variance
-from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.posterior import DISTURBANCE, Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.estimation.unknowns import KNOT, Scaling
+from sphere_nmpc.estimation.unknowns import (
+    CONSTANTS,
+    IMBALANCE,
+    KNOT,
+    LOCAL,
+    MOMENTUM_ERROR,
+    POSE_ERROR,
+    SLOPE_ERROR,
+    Scaling,
+)
 from sphere_nmpc.model.disturbance import UNDISTURBED
-from sphere_nmpc.model.error_state import apply_error, error_between
+from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
 from sphere_nmpc.solver.roll_out import propagate
 
@@ -44,10 +53,13 @@ class Tracker:
         self.disturbance = result.slope_and_imbalance
         """Slope and imbalance that it predicts with."""
         self._time, self._state = result.time, result.knot[:STATE_SIZE].copy()
-        self._covariance = result.covariance[:8, :8].copy()
+        self._covariance = result.covariance.copy()
+        """That of the local unknowns, shape (19, 19)."""
+        zero = DISTURBANCE if result.undisturbed else DISTURBANCE[5:]
+        if not result.unbalanced:
+            self._covariance[zero, :] = self._covariance[:, zero] = 0.0
         if result.undisturbed:
-            self._state[MOMENTUM] = self._covariance[5:, :] = self._covariance[:, 5:] = 0.0
-        self._common = result.covariance[KNOT : KNOT + 4, KNOT : KNOT + 4]
+            self._state[MOMENTUM] = 0.0
         self.outliers: set[float] = set()
         """Times of poses that were left out [s]."""
         self._in_a_row: list[float] = []
@@ -73,9 +85,11 @@ class Tracker:
         expected = self._covariance[:5, :5] + np.diag(self._pose_variance)
         square = float(innovation @ np.linalg.solve(expected, innovation))
         if square < self._scaling.numbers.improbable:
-            gain = np.linalg.solve(expected, self._covariance[:5]).T
+            known = self._covariance[:5]
+            gain = np.linalg.solve(expected, known[:, :ERROR_SIZE]).T
             self._state = apply_error(self._state, gain @ innovation)
-            self._covariance = self._covariance - gain @ self._covariance[:5]
+            self._covariance[:ERROR_SIZE] -= gain @ known
+            self._covariance[:, :ERROR_SIZE] = self._covariance[:ERROR_SIZE].T
             self._in_a_row = []
             return
         self._in_a_row.append(time)
@@ -108,15 +122,18 @@ class Tracker:
         end = propagate(
             self._state, speeds, durations, self._constants, self._max_step, self.disturbance
         )
-        by_constants = end.by_constants * self._scaling.nominal.as_array()
-        covariance = end.by_start @ self._covariance @ end.by_start.T
-        covariance += by_constants @ self._common @ by_constants.T
+        by = np.eye(LOCAL)
+        by[:ERROR_SIZE, :ERROR_SIZE] = end.by_start
+        by[:ERROR_SIZE, KNOT:][:, CONSTANTS] = end.by_constants * self._scaling.nominal.as_array()
+        by[:ERROR_SIZE, SLOPE_ERROR] = end.by_torques[:, :2]
+        by[:ERROR_SIZE, KNOT:][:, IMBALANCE] = end.by_torques[:, 2:]
         turned = float(np.linalg.norm(error_between(self._state, end.state)[2:5]))
         # A random walk that comes as far within an interval as the moving horizon expects.
         share = (until - since) / numbers.spacing
-        variances = np.zeros(8)
-        variances[:5] = self._noise_scale * noise_variance(turned / share, numbers) * share
+        variances = np.zeros(LOCAL)
+        variances[POSE_ERROR] = noise_variance(turned / share, numbers) * self._noise_scale * share
         if self.disturbance is not UNDISTURBED:
-            variances[5:] = numbers.momentum_walk**2 * (until - since)
-        covariance[np.arange(8), np.arange(8)] += variances
+            variances[MOMENTUM_ERROR] = numbers.momentum_walk**2 * (until - since)
+            variances[SLOPE_ERROR] = numbers.slope_walk**2 * (until - since)
+        covariance = by @ self._covariance @ by.T + np.diag(variances)
         return end.state, covariance

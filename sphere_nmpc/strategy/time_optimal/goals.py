@@ -127,15 +127,11 @@ class HeldGoal:
         return self._unloading
 
     def _begin(self, situation: Situation, quaternion: Vector) -> None:
-        """Begin to unload the rotors unless a slope loads them much faster.
-
-        At rest a slope and an imbalance look alike: part of the slope may be an imbalance.
-        """
+        """Begin to unload the rotors unless a slope loads them faster than that unloads them."""
         level, disturbance = situation.momentum * (1.0, 1.0, 0.0), situation.disturbance
         self._direction = level / np.linalg.norm(level)
         unload = float(np.linalg.norm(disturbance.imbalance))
-        slope = float(self._direction[:2] @ disturbance.slope)
-        if slope < self._settings.largest_slope_share * unload:
+        if float(self._direction[:2] @ disturbance.slope) < unload:
             self._unloading = quaternion
 
     def _follow(self, momentum: Vector) -> None:

@@ -258,8 +258,6 @@ class TimeOptimalSettings:
     largest_change_of_goal: float = 0.2
     """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
     cannot be held at the goal itself."""
-    largest_slope_share: float = 4.0
-    """Torque of a slope over that of the imbalance [-] above which rotors are not unloaded."""
     unloading_share: float = 0.8
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
     unloaded_share: float = -0.5

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What each number of the estimator is worth: a table of docs/algorithm.md.
+"""What each number of the estimator is worth, over eight studies.
 
     python bench/documents/estimator_numbers.py              # all of them, half an hour
     python bench/documents/estimator_numbers.py push tilt    # some
@@ -42,8 +42,6 @@ CHANGED: dict[str, Any] = {
     "improbable": 75.0, "slippery": 5, "recent": 2, "most_outliers": 0,
 }
 """Other values of the numbers."""
-
-
 _UNDISTURBED = DisturbanceDraws()
 
 

@@ -67,6 +67,5 @@ def test_lockstep_gives_the_run_without_ros_at_any_pace(graph, strategy, pace) -
         graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
         graph.until(lambda: stamp_from_ros(poses[-1].header.stamp) > COMPARED_FOR * 1e9)
     seen = {stamp_from_ros(pose.header.stamp): pose_from_ros(pose) for pose in poses}
-    # Stamps are whole nanoseconds: a solve then ends an iteration earlier at times, up to 1e-4 off.
     for time, state in zip(alone.times, alone.states, strict=True):
-        np.testing.assert_allclose(seen[round(time * 1e9)], state, atol=5e-4)
+        np.testing.assert_allclose(seen[round(time * 1e9)], state, atol=1e-6)

@@ -29,6 +29,8 @@ from sphere_nmpc.worker.in_line import InLine
 _KEY = "estimator"
 _SAME = 1e-9
 """Time [s] below which two are the same."""
+_MOST_PENDING = 4
+"""Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +226,9 @@ class Estimator:
         self._collect()
 
     def _submit(self, task: Task[Posterior | None]) -> bool:
+        """Return whether the worker takes a task."""
         reply = self._worker.submit(task)
-        self._replies.append(reply)
+        self._replies += [] if reply.error else [reply]
         return not reply.error
 
     def _collect(self) -> None:
@@ -243,33 +246,46 @@ class Estimator:
             self._is_begun = False
 
     def _learn(self) -> None:
-        """Submit the interval since the last knot, once it is long enough."""
-        poses, numbers = self._poses, self._numbers
+        """Submit the intervals since the last knot that are long enough."""
         if not self._is_begun:
             self._begin(self._result)
-        if self._knot is None:
-            self._knot, first = poses[0]
-            self._is_begun = self._submit(Observe(None, self._knot, first))
-        now, outliers = poses[-1][0], self._tracked().outliers
-        long_enough = self._index(self._knot + numbers.spacing - _SAME)
+        if self._knot is None and self._submit(Observe(None, *self._poses[0])):
+            self._knot = self._poses[0][0]
+        while self._knot is not None and self._submit_interval(self._knot):
+            self._collect()
+        # Those since the last result are fused again from the next one on. What is older than
+        # the intervals that can wait is of no use either.
+        longest, knot = self._numbers.longest, self._poses[0][0]
+        if self._knot is not None:
+            knot = max(min(self._result.time, self._knot), self._knot - longest)
+        del self._poses[: self._index(max(knot, self._poses[-1][0] - _MOST_PENDING * longest))]
+
+    def _submit_interval(self, since: float) -> bool:
+        """Submit the interval from the knot at `since` [s]; return whether that could be done."""
+        poses, numbers = self._poses, self._numbers
+        now, vacant = poses[-1][0], _MOST_PENDING - len(self._replies)
+        if vacant <= 0:
+            return False
+        spacing = max(numbers.spacing, (now - since) / vacant)
+        outliers = self._tracked().outliers
+        long_enough = self._index(since + spacing - _SAME)
         ends = (i for i in range(long_enough, len(poses)) if poses[i][0] not in outliers)
         end = next(ends, None)
         if end is None:
-            return
+            return False
         time, pose = poses[end]
         # Rotor speeds measured until then may still be on their way.
         if self._sent.is_pending(time, now):
-            return
+            return False
         interval = None
-        if time - self._knot <= numbers.longest:
-            within = poses[self._index(self._knot) + 1 : end] if self._is_noisy else []
+        if time - since <= numbers.longest:
+            within = poses[self._index(since) + 1 : end] if self._is_noisy else []
             kept = [one for one in within if one[0] not in outliers]
-            interval = self._interval(self._knot, [*kept, (time, pose)])
+            interval = self._interval(since, [*kept, (time, pose)])
+        if not self._submit(Observe(interval, time, pose)):
+            return False
         self._knot = time
-        self._is_begun = self._submit(Observe(interval, time, pose))
-        # Those since the last result are fused again from the next one on.
-        oldest = max(self._result.time, time - numbers.longest)
-        del poses[: self._index(min(oldest, time))]
+        return True
 
     def _index(self, time: float) -> int:
         """Return the index of the first pose at `time` [s] or later."""

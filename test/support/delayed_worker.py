@@ -19,14 +19,19 @@ class DelayedWorker:
         self._clock = clock
         self.delay = delay
         self.available = True
+        self.busy = False
+        """Whether it refuses all tasks."""
         self.store: Store = {}
         self.tasks: list[Any] = []
-        """All tasks so far."""
+        """All tasks taken so far."""
         self._waiting: deque[tuple[float, Reply[Any], Any]] = deque()
 
     def submit(self, task: Task[Result]) -> Reply[Result]:
         """Do a task, and keep its result."""
         reply: Reply[Result] = Reply()
+        if self.busy:
+            reply.error = "the worker is busy"
+            return reply
         self.tasks.append(task)
         result, error = None, ""
         try:

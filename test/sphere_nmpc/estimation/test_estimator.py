@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Both estimators behind the contract: live changes, learning by a worker."""
+"""The estimator behind the contract: live changes, learning by a worker, also by a slow one."""
 
 from dataclasses import replace
 
@@ -35,15 +35,30 @@ def sent() -> SentInputs:
     return made
 
 
-def track(estimator: Estimator, sent: SentInputs, until: float = DURATION) -> None:
-    """Pass the poses of a robot with a larger input gain and a lag; estimate at each of them."""
+class Clock:
+    """A clock that is set by hand."""
+
+    time = 0.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
+def track(
+    estimator: Estimator, sent: SentInputs, until: float = DURATION, clock: Clock | None = None,
+    poses_per_tick: int = 1,
+) -> None:
+    """Pass the poses of a robot with a larger input gain and a lag; estimate in each period."""
     constants = LUMPED.as_array() * np.array([1.0, GAIN, 1.0, 1.0])
     state, newest = without_momentum(START), estimator.newest
-    for time in np.arange(0.0, until + 1e-9, PERIOD).tolist():
-        state = sent.predict(state, time - PERIOD - LAG, time - LAG, constants, 0.02)
+    spacing = PERIOD / poses_per_tick
+    for number, time in enumerate(np.arange(0.0, until + 1e-9, spacing).tolist()):
+        state = sent.predict(state, time - spacing - LAG, time - LAG, constants, 0.02)
+        if clock is not None:
+            clock.time = time
         if newest is None or time > newest[0]:
             assert estimator.observe(time, state[POSE])
-            assert estimator.estimate(time) is not None
+            assert number % poses_per_tick or estimator.estimate(time) is not None
 
 
 def tracked(settings: ControllerSettings, sent: SentInputs) -> Estimator:
@@ -123,18 +138,9 @@ def test_learning_by_a_worker_gives_the_constants_of_learning_in_line(
     in_line, clock = tracked(EXACT, sent), Clock()
     worker = DelayedWorker(clock, delay)
     found = Estimator(EXACT, LUMPED, sent, worker=worker)
-    track(found, sent)
-    clock.time = 1.0
+    track(found, sent, clock=clock)
+    clock.time += delay
     assert same(found.plant, in_line.plant)
-
-
-class Clock:
-    """A clock that is set by hand."""
-
-    time = 0.0
-
-    def __call__(self) -> float:
-        return self.time
 
 
 def same(first: PlantEstimate, second: PlantEstimate) -> bool:
@@ -156,4 +162,47 @@ def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known(
     assert found.plant.constants == before.constants
     track(found, sent, LATER)
     assert not same(found.plant, before)
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+
+
+@BOTH
+def test_intervals_keep_up_with_poses_that_are_faster_than_the_control_loop(
+    sent: SentInputs, settings: ControllerSettings
+) -> None:
+    clock = Clock()
+    worker = DelayedWorker(clock, 0.0)
+    track(Estimator(settings, LUMPED, sent, worker=worker), sent, clock=clock, poses_per_tick=5)
+    spacing = PERIOD / 5
+    # Ends of intervals of 0.2 s, of which the last tick leaves less than one.
+    assert DURATION - worker.tasks[-1].time < 0.2 + spacing
+    assert np.diff([task.time for task in worker.tasks[1:]]) == pytest.approx(0.2)
+
+
+@BOTH
+def test_worker_that_is_busy_for_long_gets_few_tasks_and_then_longer_intervals(
+    sent: SentInputs, settings: ControllerSettings
+) -> None:
+    clock = Clock()
+    worker = DelayedWorker(clock, DURATION)
+    found = Estimator(settings, LUMPED, sent, worker=worker)
+    track(found, sent, clock=clock, poses_per_tick=5)
+    assert len(worker.tasks) == 4
+    worker.delay, worker.busy = 0.0, True
+    track(found, sent, DURATION + 1.0, clock=clock, poses_per_tick=5)
+    worker.busy = False
+    track(found, sent, LATER, clock=clock, poses_per_tick=5)
+    assert len(worker.tasks) > 8
+    assert max(np.diff([task.time for task in worker.tasks[1:]])) < 1.5
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+
+
+def test_worker_that_refuses_the_beginning_is_asked_again(sent: SentInputs) -> None:
+    clock = Clock()
+    worker = DelayedWorker(clock, 0.0)
+    worker.busy = True
+    found = Estimator(EXACT, LUMPED, sent, worker=worker)
+    track(found, sent, 1.0, clock=clock)
+    assert worker.tasks == []
+    worker.busy = False
+    track(found, sent, clock=clock)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)

@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver import plain
+from sphere_nmpc.solver.minimum_time import minimise_time
 from sphere_nmpc.solver.native.library import Slot, library
+from sphere_nmpc.solver.plain import minimise
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 
 
@@ -32,13 +33,15 @@ class HoldSolver:
     ) -> HoldSolution:
         """Solve a problem from the initial guess `start` of the knots u_1 ... u_N, (N, 2) [rad/s].
 
-        It is clipped to the bounds. `time_budget` is the wall time of this solve [s], instead of
+        It is clipped to the bounds, and in a minimum-time problem moved within the limits of
+        acceleration. `time_budget` is the wall time of this solve [s], instead of
         the one in the settings.
         """
         settings = self.settings
         budget = settings.time_budget if time_budget is None else time_budget
         if self._compiled is None:
-            return plain.minimise(problem, start, replace(settings, time_budget=budget))
+            plain = minimise_time if problem.error_weight > 0.0 else minimise
+            return plain(problem, start, replace(settings, time_budget=budget))
         slots: dict[Any, Any] = self._slots.__dict__
         slot: Slot | None = slots.get(problem.durations.size)
         if slot is None:

@@ -25,7 +25,7 @@ BOUND_PASSES = 4
 
 _CARRIED = 7
 """Quaternion and momentum: the numbers at the start of an interval that affect its motion."""
-_BY_KNOTS = ("q", "momentum", "u_start", "u_end")
+_BY_KNOTS = ("q", "momentum", "u_start", "u_end", "h")
 _BY_PLANT = ("q", "momentum", "p", "torques")
 
 
@@ -38,50 +38,59 @@ class Motion(NamedTuple):
         At the knots.
     derivatives : ndarray, shape (N + 1, 9, 2 N)
         d x_m / d (u_1, ..., u_N), per rad/s; zero where they are not asked for.
+    by_stretch : ndarray, shape (N + 1, 9)
+        d x_m / d log of the factor on all durations; zero where it is not asked for.
     """
 
     states: Vector
     derivatives: Vector
+    by_stretch: Vector
 
 
 def shoot(
     state: Vector, disturbance: Disturbance, inputs: Vector, durations: Vector,
     constants: Vector, max_step: float, left_out: Vector | None = None, derive: bool = False,
+    stretch: float = 1.0,
 ) -> Motion:
     """Predict the motion along a first-order hold, differentiated by the knots if asked for.
 
     Parameters as for `sphere_nmpc.solver.roll_out.roll_out`. `left_out`, shape (N,), is the time
-    [s] in each interval that is not integrated, but adds to the way in proportion.
+    [s] in each interval that is not integrated, but adds to the way in proportion. `stretch` is a
+    factor on all durations, which does not change the number of integration steps.
     """
     n = durations.size
-    # Directions of an interval: quaternion and momentum at its start, and its two knots.
-    seeds = np.eye(_CARRIED + 4) if derive else np.zeros((_CARRIED + 4, 0))
-    first, second = seeds[_CARRIED : _CARRIED + 2], seeds[_CARRIED + 2 :]
+    # Directions of an interval: quaternion and momentum at its start, its two knots, its duration.
+    seeds = np.eye(_CARRIED + 5) if derive else np.zeros((_CARRIED + 5, 0))
+    first, second = seeds[_CARRIED : _CARRIED + 2], seeds[_CARRIED + 2 : _CARRIED + 4]
     step, torques = _Step(seeds.shape[1], _BY_KNOTS), disturbance.as_array()
     ends, derivatives = np.empty((n + 1, 9)), np.zeros((n + 1, 9, 2 * n))
-    ends[0] = state
+    ends[0], by_stretch = state, np.zeros((n + 1, 9))
 
-    def by_knots(a: float, b: float) -> tuple[Vector, Vector]:
-        return (1.0 - a) * first + a * second, (1.0 - b) * first + b * second
+    def by_knots(a: float, b: float) -> tuple[Vector, Vector, Vector]:
+        by_step = (b - a) * seeds[_CARRIED + 4 :]
+        return (1.0 - a) * first + a * second, (1.0 - b) * first + b * second, by_step
 
     for m in range(n):
-        duration, scale = float(durations[m]), 1.0
-        if left_out is not None and left_out[m] != 0.0:
-            duration -= left_out[m]
-            scale = float(durations[m]) / duration
+        whole, out = stretch * float(durations[m]), 0.0 if left_out is None else float(left_out[m])
+        duration = whole - out
+        scale, steps = whole / duration, steps_for(float(durations[m]) - out, max_step)
         way, dway, y, dy = step.through(
-            ends[m, 2:], seeds[:_CARRIED], inputs[m : m + 2], duration, max_step, constants,
+            ends[m, 2:], seeds[:_CARRIED], inputs[m : m + 2], duration, steps, constants,
             torques, by_knots,
         )
         ends[m + 1] = np.concatenate((ends[m, :2] + scale * way, y))
         if derive:
             local, after = np.vstack((scale * dway, dy)), derivatives[m + 1]
+            by_duration = local[:, _CARRIED + 4].copy()
+            by_duration[:2] -= out / duration**2 * way
+            by_stretch[m + 1] = local[:, :_CARRIED] @ by_stretch[m, 2:] + whole * by_duration
+            by_stretch[m + 1, :2] += by_stretch[m, :2]
             after[:] = local[:, :_CARRIED] @ derivatives[m, 2:]
             after[:2] += derivatives[m, :2]
             if m > 0:
                 after[:, 2 * m - 2 : 2 * m] += local[:, _CARRIED : _CARRIED + 2]
-            after[:, 2 * m : 2 * m + 2] += local[:, _CARRIED + 2 :]
-    return Motion(ends, derivatives)
+            after[:, 2 * m : 2 * m + 2] += local[:, _CARRIED + 2 : _CARRIED + 4]
+    return Motion(ends, derivatives, by_stretch)
 
 
 class Propagation(NamedTuple):
@@ -128,8 +137,8 @@ def propagate(
     step, torques = _Step(15, _BY_PLANT), disturbance.as_array()
     for m, duration in enumerate(durations):
         moved, dmoved, y, dy = step.through(
-            y, dy, inputs[m : m + 2], float(duration), max_step, constants, torques,
-            lambda a, b: (seeds[6:10], seeds[10:]),
+            y, dy, inputs[m : m + 2], float(duration), steps_for(float(duration), max_step),
+            constants, torques, lambda a, b: (seeds[6:10], seeds[10:]),
         )
         way, dway = way + moved, dway + dmoved
     turn = 2.0 * _right_product(y[:4])[:, 1:].T @ dy[:4]
@@ -167,7 +176,7 @@ class _Step:
         return [array.T.copy() for array in self._found]
 
     def through(
-        self, y: Vector, dy: Vector, knots: Vector, duration: float, max_step: float,
+        self, y: Vector, dy: Vector, knots: Vector, duration: float, steps: int,
         constants: Vector, torques: Vector, seeds: Callable[[float, float], Iterable[Vector]],
     ) -> tuple[Vector, Vector, Vector, Vector]:
         """Move [q, h] over an interval between knots (2, 2); return the way and [q, h].
@@ -175,7 +184,6 @@ class _Step:
         Each with its derivatives from `dy` on: way, dway, y, dy. `seeds` returns the further ones
         of a step from a share of the interval to another.
         """
-        steps = steps_for(duration, max_step)
         start, change = knots[0], knots[1] - knots[0]
         way: Vector = np.zeros(2)
         dway: Vector = np.zeros((2, dy.shape[1]))
@@ -255,8 +263,8 @@ def _residuals(
         paper = is_zero(problem.state[MOMENTUM], problem.disturbance)
         if problem.steady_interval > 0 and paper:
             m = problem.steady_interval
-            tilt, by_quaternion = _tilt(problem.steady_axis, states[m, QUATERNION])
-            terms.append((problem.terminal_weight, tilt, by_quaternion @ by_v[m, QUATERNION]))
+            value, by_quaternion = tilt(problem.steady_axis, states[m, QUATERNION])
+            terms.append((problem.terminal_weight, value, by_quaternion @ by_v[m, QUATERNION]))
     unit = np.eye(v.size)
     reference = np.tile(problem.input_reference / problem.input_scale, problem.intervals)
     terms.append((problem.input_weight, v - reference, unit))
@@ -269,7 +277,7 @@ def _residuals(
     return terms
 
 
-def _tilt(axis: Vector, quaternion: Vector) -> tuple[Vector, Vector]:
+def tilt(axis: Vector, quaternion: Vector) -> tuple[Vector, Vector]:
     """Return the tilt of the axis, shape (1,), and its derivative by the quaternion, (1, 4)."""
     (a, b), (w, x, y, z) = axis, quaternion
     value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))

@@ -32,6 +32,16 @@ class HoldProblem:
     the knots. t is the tilt of the axis at the start of an interval of steady rolling, and 0
     without one. The paper's weights over beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
 
+    With a positive `error_weight` w the durations are variables, too: sigma h_m with one factor
+    sigma, the stretch. Then
+
+        sigma sum_{m=1}^{N} h_m + w |e|_1
+
+    is minimised subject to the bounds and |u_m - u_{m-1}| <= a sigma h_m. The terminal error e
+    consists of s (p_N - p_d), the vector part of conj(q_d) q_N, (u_N - (R(q_d)^T h_N)_1,2) / U,
+    with which the rotors hold the momentum, and r_h . h_N or t. The third part and r_h count only
+    with momentum or disturbance; without, the bounds let the last knot be zero.
+
     Attributes
     ----------
     state : ndarray, shape (9,)
@@ -51,7 +61,7 @@ class HoldProblem:
     terminal_weight, stage_weight, input_weight, slew_weight : float
         w_T, w_x, w_u, w_s.
     max_acceleration : float
-        a [rad/s^2]; has no effect unless `slew_weight` is positive.
+        a [rad/s^2]; has no effect with fixed durations unless `slew_weight` is positive.
     max_step : float
         Longest integration step [s].
     position_scale : float
@@ -74,6 +84,9 @@ class HoldProblem:
     whole_turns : float
         Time in that interval [s] that is not integrated, a multiple of what a turn of the shell
         takes: it leaves the orientation as it is and adds to the way in proportion.
+    error_weight : float
+        w, the time that a unit of the terminal error is worth [s]. Beyond the largest multiplier
+        of e = 0 the solution has no error; 0 for a problem of fixed durations.
     """
 
     state: Vector
@@ -97,6 +110,7 @@ class HoldProblem:
     steady_interval: int = 0
     steady_axis: Vector = field(default_factory=lambda: _ZERO_INPUT)
     whole_turns: float = 0.0
+    error_weight: float = 0.0
 
     @property
     def intervals(self) -> int:
@@ -129,10 +143,12 @@ class SolverSettings:
     decrease_tolerance : float
         Converged when a step lowers the cost by less than this share of it.
     decrease_floor : float
-        Converged when a step lowers the cost by less than this [cost].
+        Converged when a step lowers the cost by less than this [cost]; in a minimum-time problem,
+        when it is predicted to, whatever the other tolerances.
     initial_damping : float
         Levenberg-Marquardt damping of the first step [cost per squared scaled input]. In
-        directions of less curvature than this the first steps stay near the initial guess.
+        directions of less curvature than this the first steps stay near the initial guess. In a
+        minimum-time problem the first proximal weight.
     time_budget : float
         Wall time after which the best iterate is returned [s]; infinite by default, as a budget
         makes results depend on the machine.
@@ -166,9 +182,12 @@ class HoldSolution:
     iterations : int
         Trial steps taken.
     kkt_residual : float
-        Largest component of the projected gradient, P(v - g) - v with v = u / U.
+        Largest component of the projected gradient, P(v - g) - v with v = u / U; of a
+        minimum-time problem the decrease that the last step was predicted to have [s].
     solve_time : float
         Wall time of the solve [s], steady clock.
+    stretch : float
+        sigma, the factor on the durations of a minimum-time problem; 1 otherwise.
     """
 
     inputs: Vector
@@ -178,3 +197,4 @@ class HoldSolution:
     iterations: int
     kkt_residual: float
     solve_time: float
+    stretch: float = 1.0

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled solver and its quadratic model."""
+"""The compiled solver and its models."""
 
 import ctypes
 
@@ -40,3 +40,18 @@ def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | f
         "states": found.states,
         "sensitivities": sensitivities / problem.input_scale,
     }
+
+
+def expand_compiled_error(problem: HoldProblem, start: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return the terminal error of a minimum-time problem at `start` [rad/s], shape (8,).
+
+    With its derivatives by scaled inputs, (8, 2 N), and by the logarithm of the duration, (8,).
+    """
+    n = problem.intervals
+    slot = Slot(compiled(), n)
+    slot.write_settings(SolverSettings())
+    slot.write(problem, start, np.inf)
+    error, by_knots, by_duration = np.zeros(8), np.zeros((2 * n, 8)), np.zeros(8)
+    outputs = (array.ctypes.data for array in (error, by_knots, by_duration))
+    compiled().hold_expand_error(slot.address, *outputs)
+    return error, by_knots.T, by_duration

@@ -14,7 +14,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from compiled_solver import compiled, expand_compiled
+from compiled_solver import compiled, expand_compiled, expand_compiled_error
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.parameters import RobotParameters
@@ -33,6 +33,7 @@ WEIGHTS: tuple[dict[str, float], ...] = (
     {"stage_weight": 1.0, "terminal_weight": 0.0},
     {"input_weight": 1e-8, "slew_weight": 10.0, "max_acceleration": 150.0},
     {"stage_weight": 0.3, "slew_weight": 1.0, "max_acceleration": 150.0},
+    {"error_weight": 20.0, "max_acceleration": 150.0},
 )
 
 DISTURBANCE = Disturbance(np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
@@ -66,6 +67,7 @@ def ordinary_calls(n: int) -> None:
         for one in (problem, *steady):
             HoldSolver(SolverSettings(max_iterations=12)).solve(one, random_start(n))
             expand_compiled(one, random_start(n))
+            expand_compiled_error(one, random_start(n))
         for predict in (roll_out, propagate):
             predict(
                 problem.state, random_start(n + 1), problem.durations, problem.constants,

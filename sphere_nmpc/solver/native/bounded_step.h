@@ -232,6 +232,7 @@ static void prepare(problem *p, workspace *w)
 {
     divide(w, p->workspace, p->intervals);
     p->disturbed = is_disturbed(p->state, p->torques);
+    p->stretch = 1.0;
     for (int64_t i = 0; i < 2 * p->intervals; i++) {
         w->lower[i] = p->lower[i] / p->input_scale;
         w->upper[i] = p->upper[i] / p->input_scale;

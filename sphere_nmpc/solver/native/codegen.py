@@ -18,6 +18,7 @@ _PLACES = {
     "h": ("h", 0), "p": ("p", 0), "torques": ("torques", 0), "dxy": ("dxy", 0),
     "q_end": ("y_end", 0), "momentum_end": ("y_end", 4),
     "dq": ("dy", 0), "dmomentum": ("dy", 4), "du_start": ("du_start", 0), "du_end": ("du_end", 0),
+    "dh": ("dh", 0),
     "dp": ("dp", 0), "dtorques": ("dtorques", 0), "ddxy": ("ddxy", 0),
     "dq_end": ("dy_end", 0), "dmomentum_end": ("dy_end", 4),
 }
@@ -25,7 +26,7 @@ _PLACES = {
 quaternion and the momentum if there is one."""
 
 _BY_KNOTS = ("q", "u_start", "u_end")
-_BY_START_AND_KNOTS = ("q", "momentum", "u_start", "u_end")
+_BY_START_AND_KNOTS = ("q", "momentum", "u_start", "u_end", "h")
 _BY_PLANT = ("q", "momentum", "p", "torques")
 """What a step is differentiated by: for a solve without and with momentum, for an estimator."""
 

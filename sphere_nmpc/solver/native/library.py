@@ -27,7 +27,7 @@ _SETTINGS = span("gradient_tolerance", "initial_damping")
 _TIME_BUDGET, _MAX_ITERATIONS = index("time_budget"), index("max_iterations")
 _COST, _KKT_RESIDUAL, _SOLVE_TIME = index("cost"), index("kkt_residual"), index("solve_time")
 _STATUS, _ITERATIONS = index("status"), index("iterations")
-_STEADY_INTERVAL = index("steady_interval")
+_STEADY_INTERVAL, _STRETCH = index("steady_interval"), index("stretch")
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -63,6 +63,7 @@ def _loaded() -> ctypes.CDLL:
     address, count, number = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
     for name, result, arguments in (
         ("hold_solve", None, [address]),
+        ("hold_expand_error", None, [address] * 4),
         ("hold_roll_out", None, [count, number, *[address] * 5]),
         ("hold_propagate", None, [count, number, *[address] * 6]),
         ("hold_expand", None, [address] * 4),
@@ -108,7 +109,7 @@ class Slot:
         self._integers[span("durations", "workspace")] = pointers
         self.address = self._words.ctypes.data
         self._vectors = self._words[span("state", "steady_axis")]
-        self._scalars = self._words[span("input_scale", "whole_turns")]
+        self._scalars = self._words[span("input_scale", "error_weight")]
 
     def write_settings(self, settings: SolverSettings) -> None:
         """Write when to stop."""
@@ -130,6 +131,7 @@ class Slot:
             problem.input_scale, problem.terminal_weight, problem.stage_weight,
             problem.input_weight, problem.slew_weight, problem.max_acceleration,
             problem.max_step, problem.position_scale, problem.whole_turns,
+            problem.error_weight,
         )
         self._integers[_STEADY_INTERVAL] = problem.steady_interval
         self._durations[:] = problem.durations
@@ -145,4 +147,5 @@ class Slot:
             self._inputs.copy(), self._states.copy(), words.item(_COST),
             STATUSES[integers.item(_STATUS)], integers.item(_ITERATIONS),
             words.item(_KKT_RESIDUAL), words.item(_SOLVE_TIME),
+            words.item(_STRETCH),
         )

@@ -20,6 +20,7 @@ static inline void inputs_at(const double *u, double share, double *inputs)
 #define NAME(function) function##_undisturbed
 #define TANGENT tangent
 #define CARRIED 4 /* the quaternion */
+#define DURATION_SEED(share)
 #include "shooting.h"
 #undef NAME
 #undef TANGENT
@@ -28,6 +29,7 @@ static inline void inputs_at(const double *u, double share, double *inputs)
 #define NAME(function) function##_disturbed
 #define TANGENT wide_tangent
 #define CARRIED 7 /* quaternion and momentum */
+#define DURATION_SEED(share) (wide_tangent[]){wide_scaled(share, NAME(unit)(CARRIED + 4))},
 #include "shooting.h"
 #undef NAME
 #undef TANGENT
@@ -58,9 +60,11 @@ static void shoot(const problem *p, const double *inputs, double *states, double
     (p->disturbed ? shoot_disturbed : shoot_undisturbed)(p, inputs, states, jacobians);
 }
 
-static void terminal_rows(const problem *p, workspace *w)
+static void terminal_rows(const problem *p, workspace *w, const double (*ends)[ROW], int tilt_row,
+                          double *by_stretch)
 {
-    (p->disturbed ? terminal_rows_disturbed : terminal_rows_undisturbed)(p, w);
+    (p->disturbed ? terminal_rows_disturbed : terminal_rows_undisturbed)(
+        p, w, ends, tilt_row, by_stretch);
 }
 
 static void advance_chain(const problem *p, workspace *w, int64_t m)

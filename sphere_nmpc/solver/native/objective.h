@@ -155,7 +155,12 @@ static void expand(const problem *p, workspace *w, const double *v, const double
         dense_states_part(p, w, states);
         return;
     }
-    terminal_rows(p, w);
+    double ends[7][ROW] = {{0.0}};
+    for (int k = 0; k < 4; k++)
+        ends[k][2 + k] = 1.0;
+    for (int k = 0; k < 3; k++)
+        ends[4 + k][6] = p->momentum_row[k];
+    terminal_rows(p, w, (const double(*)[ROW])ends, 6, NULL);
     double error[ROW] = {0.0};
     for (int l = 0; l < 6; l++)
         error[l] = 2.0 * p->terminal_weight * state_residual(p, states, p->intervals, l);

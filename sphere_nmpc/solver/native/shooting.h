@@ -7,9 +7,12 @@
  *     NAME(function)  name of a function of that model
  *     TANGENT         type of its derivatives
  *     CARRIED         how many numbers y affect what follows: the quaternion (4), the momentum (3)
+ *     DURATION_SEED   that of the duration of a step of a share of the interval, with a comma, if
+ *                     the step is differentiated by it
  *
  * The derivatives of an interval have the rows x, y and those of the carried numbers, and the
- * columns [carried at its start, first knot, second knot], the rest of a TANGENT being zero.
+ * columns [carried at its start, first knot, second knot, duration], the last one only
+ * where DURATION_SEED is a seed; the rest of a TANGENT is zero.
  */
 #define DIRECTIONS ((int)(sizeof(TANGENT) / sizeof(double)))
 #define DERIVATIVE ((2 + CARRIED) * DIRECTIONS)
@@ -45,7 +48,7 @@ static void NAME(roll_out)(int64_t intervals, double max_step, const double *con
 static TANGENT NAME(unit)(int d)
 {
     const double lanes[16] = {d == 0, d == 1, d == 2, d == 3, d == 4, d == 5, d == 6, d == 7,
-                              d == 8, d == 9, d == 10};
+                              d == 8, d == 9, d == 10, d == 11};
     TANGENT t;
     memcpy(&t, lanes, sizeof t);
     return t;
@@ -67,8 +70,10 @@ static void NAME(input_seeds)(const TANGENT *first, const TANGENT *second, doubl
 static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, const double *x,
                                  double *x_end, double *jacobian)
 {
-    const double duration = p->durations[m] - (m == p->steady_interval ? p->whole_turns : 0.0);
-    const int64_t steps = steps_for(duration, p->max_step);
+    const double left_out = m == p->steady_interval ? p->whole_turns : 0.0;
+    const double whole = p->stretch * p->durations[m], duration = whole - left_out;
+    /* Their number does not depend on the stretch, which the results then depend on smoothly. */
+    const int64_t steps = steps_for(p->durations[m] - left_out, p->max_step);
     const double h = duration / (double)steps;
     const TANGENT first[2] = {NAME(unit)(CARRIED), NAME(unit)(CARRIED + 1)};
     const TANGENT second[2] = {NAME(unit)(CARRIED + 2), NAME(unit)(CARRIED + 3)};
@@ -87,7 +92,7 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
         NAME(input_seeds)(first, second, a, d_here);
         NAME(input_seeds)(first, second, b, d_there);
         NAME(tangent_step)(y, here, there, h, p->constants, p->torques, dy, d_here, d_there,
-                           moved, y_end, d_moved, dy_end);
+                           DURATION_SEED(1.0 / (double)steps) moved, y_end, d_moved, dy_end);
         memcpy(y, y_end, sizeof y);
         memcpy(dy, dy_end, sizeof dy);
         for (int c = 0; c < 2; c++) {
@@ -97,7 +102,7 @@ static void NAME(shoot_interval)(const problem *p, int64_t m, const double *u, c
         }
     }
     /* What is left out of an interval of steady rolling adds to the way in proportion. */
-    const double scale = p->durations[m] / duration;
+    const double scale = whole / duration;
     for (int c = 0; c < 2; c++) {
         x_end[c] = x[c] + scale * xy[c];
         TANGENT_SCALED(scaled, scale, dxy[c])
@@ -119,21 +124,43 @@ static void NAME(shoot)(const problem *p, const double *inputs, double *states, 
                              jacobians + m * DERIVATIVE);
 }
 
-/* rows_i = d [scaled x_N, residual of h_N or of the tilt] / d v_i, backwards: `sensitivity` is the
- * derivative by y_m, and that by xy_m the position's scale. */
-static void NAME(terminal_rows)(const problem *p, workspace *w)
+/* Derivative of the end of interval m by its duration [1/s], as a column of `terminal_rows`. Where
+ * the step is not differentiated by it: the motion depends on the products of speed and duration
+ * alone, but for the way over whole turns that are left out. */
+static void NAME(by_duration)(const problem *p, int64_t m, double (*column)[ROW], double *by)
+{
+    const double *u = p->inputs + 2 * m, *x = p->states + STATE * m;
+    const double left_out = m == p->steady_interval ? p->whole_turns : 0.0;
+    const double whole = p->stretch * p->durations[m], duration = whole - left_out;
+    if (sizeof(TANGENT) > sizeof(tangent)) {
+        memcpy(by, column[CARRIED + 4], ROW * sizeof *by);
+        return;
+    }
+    for (int l = 0; l < ROW; l++) {
+        by[l] = 0.0;
+        for (int c = 0; c < 4; c++)
+            by[l] += column[CARRIED + c][l] * u[c] / duration;
+    }
+    for (int c = 0; c < 2; c++)
+        by[c] -= p->position_scale * left_out * (x[STATE + c] - x[c]) / (whole * duration);
+}
+
+/* rows_i = d residual / d v_i, backwards, of residuals at the end: `ends` is their derivative by
+ * y_N, and that of the first two by xy_N the position's scale. The tilt is the residual `tilt_row`.
+ * `by_stretch`, if not null, is the derivative by the logarithm of the stretch. */
+static void NAME(terminal_rows)(const problem *p, workspace *w, const double (*ends)[ROW],
+                                int tilt_row, double *by_stretch)
 {
     const int64_t n = p->intervals;
-    double sensitivity[CARRIED][ROW] = {{0.0}};
-    for (int k = 0; k < 4; k++)
-        sensitivity[k][2 + k] = 1.0;
-    for (int k = 4; k < CARRIED; k++)
-        sensitivity[k][6] = p->momentum_row[k - 4];
+    double sensitivity[CARRIED][ROW];
+    memcpy(sensitivity, ends, sizeof sensitivity);
     memset(w->rows, 0, (size_t)(2 * n * ROW) * sizeof *w->rows);
+    if (by_stretch)
+        memset(by_stretch, 0, ROW * sizeof *by_stretch);
     for (int64_t m = n; m-- > 0;) {
         const double *a = w->interval + m * DERIVATIVE;
-        double column[CARRIED + 4][ROW];
-        for (int d = 0; d < CARRIED + 4; d++) {
+        double column[CARRIED + 5][ROW];
+        for (int d = 0; d < (CARRIED + 5 < DIRECTIONS ? CARRIED + 5 : DIRECTIONS); d++) {
             double sum[ROW] = {p->position_scale * a[d], p->position_scale * a[DIRECTIONS + d]};
             for (int k = 0; k < CARRIED; k++)
                 for (int l = 0; l < ROW; l++)
@@ -141,8 +168,14 @@ static void NAME(terminal_rows)(const problem *p, workspace *w)
             memcpy(column[d], sum, sizeof sum);
         }
         memcpy(sensitivity, column, sizeof sensitivity);
+        if (by_stretch) {
+            double by[ROW];
+            NAME(by_duration)(p, m, column, by);
+            for (int l = 0; l < ROW; l++)
+                by_stretch[l] += p->stretch * p->durations[m] * by[l];
+        }
         if (has_tilt(p) && m == p->steady_interval)
-            add_tilt_row(p, p->states + STATE * m + 2, sensitivity);
+            add_tilt_row(p, p->states + STATE * m + 2, tilt_row, sensitivity);
         for (int c = 0; c < 4; c++) {
             const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
             if (i < 0)
@@ -178,3 +211,4 @@ static void NAME(advance_chain)(const problem *p, workspace *w, int64_t m)
 #undef DIRECTIONS
 #undef DERIVATIVE
 #undef Y_BYTES
+#undef DURATION_SEED

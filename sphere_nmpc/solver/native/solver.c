@@ -20,14 +20,23 @@
 #define END 7 /* residuals: 6 state components at the end, and one of the momentum or the tilt */
 #define ROW 8 /* these and a right-hand side */
 
+static double now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
 #include "problem.h"
 #include "vectors.h"
 #include "kernels.h"
+#include "quadratic_program.h"
 #include "workspace.h"
 #include "steady.h"
 #include "models.h"
 #include "objective.h"
 #include "bounded_step.h"
+#include "minimum_time.h"
 #include "half_motions.h"
 #include "propagation.h"
 
@@ -46,14 +55,7 @@ const char *hold_level(void)
 
 const int64_t hold_layout = LAYOUT;
 
-static double now(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-void hold_solve(problem *p)
+static void least_squares(problem *p)
 {
     workspace w;
     const double began = now();
@@ -120,6 +122,23 @@ void hold_solve(problem *p)
     for (int64_t i = 0; i < size; i++)
         p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
     p->solve_time = now() - began;
+}
+
+void hold_solve(problem *p)
+{
+    (p->error_weight > 0.0 ? minimum_time : least_squares)(p);
+}
+
+/* For tests of the derivatives of the minimum-time problem: error (ROW), its derivatives by the
+ * scaled knots (2 N x ROW) and by the logarithm of the duration (ROW) at the initial guess. */
+void hold_expand_error(problem *p, double *error, double *rows, double *by_duration)
+{
+    workspace w;
+    prepare(p, &w);
+    w.duration = 0.0;
+    merit_at(p, &w, w.v, p->inputs, p->states, error);
+    expand_error(p, &w, by_duration);
+    memcpy(rows, w.rows, (size_t)(2 * p->intervals * ROW) * sizeof *rows);
 }
 
 /* For tests of the derivatives: cost, gradient (2 N), Hessian (2 N x 2 N) and sensitivities

@@ -16,12 +16,12 @@ static double tilt(const problem *p, const double *q)
     return 2.0 * (a[0] * (q[1] * q[3] - q[0] * q[2]) + a[1] * (q[2] * q[3] + q[0] * q[1]));
 }
 
-/* Add the derivative of the tilt by the quaternion as the seventh of each 4 x ROW. */
-static void add_tilt_row(const problem *p, const double *q, double (*sensitivity)[ROW])
+/* Add the derivative of the tilt by the quaternion to one of the ROW residuals. */
+static void add_tilt_row(const problem *p, const double *q, int row, double (*sensitivity)[ROW])
 {
     const double *a = p->steady_axis;
-    sensitivity[0][6] += 2.0 * (a[1] * q[1] - a[0] * q[2]);
-    sensitivity[1][6] += 2.0 * (a[0] * q[3] + a[1] * q[0]);
-    sensitivity[2][6] += 2.0 * (a[1] * q[3] - a[0] * q[0]);
-    sensitivity[3][6] += 2.0 * (a[0] * q[1] + a[1] * q[2]);
+    sensitivity[0][row] += 2.0 * (a[1] * q[1] - a[0] * q[2]);
+    sensitivity[1][row] += 2.0 * (a[0] * q[3] + a[1] * q[0]);
+    sensitivity[2][row] += 2.0 * (a[1] * q[3] - a[0] * q[0]);
+    sensitivity[3][row] += 2.0 * (a[0] * q[1] + a[1] * q[2]);
 }

@@ -16,7 +16,9 @@ typedef struct {
     double *interval; /* N x LARGEST_DERIVATIVE: derivatives of each interval */
     double *chain; /* STATE x 2 N, only with a stage cost: sensitivities of one state */
     double *hessian, *factor; /* 2 N x 2 N, only with a stage cost */
-    uint8_t *free; /* 2 N: 1 where the step is not fixed at a bound */
+    uint8_t *free; /* 2 N: 1 where the step is not fixed at a bound; for a program, where it is */
+    double *program; /* of a minimum-time problem, see `share` */
+    double duration; /* of all intervals before they are stretched [s] */
 } workspace;
 
 #if defined(__SANITIZE_ADDRESS__)
@@ -67,6 +69,7 @@ static int64_t divide(workspace *w, double *base, int64_t n)
     w->hessian = take(base, &used, m * m);
     w->factor = take(base, &used, m * m);
     w->free = (uint8_t *)take(base, &used, m);
+    w->program = take(base, &used, program_size(m));
     return used;
 }
 

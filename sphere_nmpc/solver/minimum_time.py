@@ -1,0 +1,304 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The minimum-time problem in its readable form, which stands in where there is no compiled one.
+
+Decision variables are the scaled knots v = u / U and a factor sigma on all durations. With the
+terminal error e, a vector of eight residuals, the merit
+
+    sigma sum_m h_m + w |e|_1
+
+is minimised subject to the bounds and |u_m - u_(m-1)| <= a sigma h_m: an exact penalty, so that
+for w beyond the multipliers of e = 0 the error vanishes at the solution. Each step solves a convex
+program for changes z of the knots and a relative change s of the duration,
+
+    min  tau s + w |e + b s + E z|_1 + r/2 sum_i c_i (z_i - a_i)^2,
+
+with all limits as they are. Where it loses to the curvature of e, the program is solved once more
+for the error that its step has led to (second-order correction). The proximal weight r follows the
+curvature that the last steps met: linear programs with a trust region instead move each rotor by
+all that is allowed, to gain nothing, where the speeds are at no limit. c_i is the time that a knot
+stands for, so that steps do not depend on the grid; a_i repeats a share of the last step
+(momentum, restarted by a step that fails), which is worth a third of the iterations.
+"""
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.disturbance import is_zero
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSITION, QUATERNION, Vector
+from sphere_nmpc.solver.plain import Motion, shoot, tilt
+from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+
+ROWS = 8
+"""Residuals of the terminal error."""
+_LARGEST_CHANGE, _LARGEST_STRETCH = 0.5, 0.15
+"""Largest change of a scaled knot, and of the logarithm of the duration, in a step."""
+_ACCEPTED, _CORRECTED = 0.1, 0.5
+"""Share of the predicted decrease from which on a step is accepted, and below which it is first
+corrected."""
+_LARGEST_PROXIMAL = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Merit and terminal error at scaled knots and a stretch.
+
+    Attributes
+    ----------
+    v : ndarray, shape (2 N,)
+        Scaled knots.
+    stretch : float
+        Factor on all durations.
+    merit : float
+        Duration and weighted error [s].
+    error : ndarray, shape (8,)
+        e: position [1/s], vector part of conj(q_d) q, speeds of rest [1/U], momentum or tilt.
+    by_knots : ndarray, shape (8, 2 N)
+        Its derivatives by v.
+    by_stretch : ndarray, shape (8,)
+        Its derivative by the logarithm of the stretch.
+    inputs : ndarray, shape (N + 1, 2)
+        u_0 ... u_N [rad/s].
+    states : ndarray, shape (N + 1, 9)
+        x_0 ... x_N.
+    """
+
+    v: Vector
+    stretch: float
+    merit: float
+    error: Vector
+    by_knots: Vector
+    by_stretch: Vector
+    inputs: Vector
+    states: Vector
+
+
+def expand_error(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> Point:
+    """Return merit, terminal error and its derivatives at scaled knots v, shape (2 N,)."""
+    inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, INPUT_SIZE)))
+    left_out = np.zeros(problem.intervals)
+    left_out[problem.steady_interval] = problem.whole_turns
+    motion = shoot(
+        problem.state, problem.disturbance, inputs, problem.durations, problem.constants,
+        problem.max_step, left_out, derive=True, stretch=stretch,
+    )
+    error, by_inputs, by_stretch = _terminal_error(problem, inputs, motion)
+    by_knots = problem.input_scale * by_inputs
+    by_knots[:, _fixed(problem)] = 0.0
+    duration = stretch * float(np.sum(problem.durations))
+    merit = duration + problem.error_weight * float(np.sum(np.abs(error)))
+    return Point(v, stretch, merit, error, by_knots, by_stretch, inputs, motion.states)
+
+
+def _terminal_error(
+    problem: HoldProblem, inputs: Vector, motion: Motion
+) -> tuple[Vector, Vector, Vector]:
+    """Return the error, (8,), with its derivatives by u_1 ... u_N, (8, 2 N), and by stretch."""
+    end, momentum = motion.states[-1], motion.states[-1, MOMENTUM]
+    error, by_end, by_last = np.zeros(ROWS), np.zeros((ROWS, 9)), np.zeros((ROWS, INPUT_SIZE))
+    scale, goal = problem.position_scale, problem.goal
+    error[:2] = scale * (end[POSITION] - goal[POSITION])
+    by_end[:2, POSITION] = scale * np.eye(2)
+    w, x, y, z = goal[QUATERNION]
+    turn = np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+    error[2:5], by_end[2:5, QUATERNION] = turn @ end[QUATERNION], turn
+    if not is_zero(problem.state[MOMENTUM], problem.disturbance):
+        hold = rotation.matrix(goal[QUATERNION])[:, :2].T / problem.input_scale
+        error[5:7] = inputs[-1] / problem.input_scale - hold @ momentum
+        by_end[5:7, MOMENTUM], by_last[5:7] = -hold, np.eye(2) / problem.input_scale
+        error[7] = problem.momentum_row @ momentum
+        by_end[7, MOMENTUM] = problem.momentum_row
+    by_knots = by_end @ motion.derivatives[-1]
+    by_knots[:, -INPUT_SIZE:] += by_last
+    by_stretch = by_end @ motion.by_stretch[-1]
+    steady = problem.steady_interval
+    if steady > 0 and is_zero(problem.state[MOMENTUM], problem.disturbance):
+        value, by_turn = tilt(problem.steady_axis, motion.states[steady, QUATERNION])
+        error[7] = value[0]
+        by_knots[7] = by_turn[0] @ motion.derivatives[steady, QUATERNION]
+        by_stretch[7] = by_turn[0] @ motion.by_stretch[steady, QUATERNION]
+    return error, by_knots, by_stretch
+
+
+def _fixed(problem: HoldProblem) -> NDArray[np.bool_]:
+    """Return which scaled knots the bounds fix, shape (2 N,)."""
+    return np.asarray(problem.lower >= problem.upper).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Limits of scaled knots v: bounds, and the change of each that a duration allows."""
+
+    lower: Vector
+    upper: Vector
+    first: Vector
+    """u_0 / U."""
+    reach: Vector
+    """a h_m / U for each of the 2 N knots."""
+
+    @classmethod
+    def of(cls, problem: HoldProblem) -> "_Limits":
+        scale = problem.input_scale
+        reach = problem.max_acceleration / scale * np.repeat(problem.durations, INPUT_SIZE)
+        lower, upper = problem.lower.ravel() / scale, problem.upper.ravel() / scale
+        return cls(lower, upper, problem.input_in_force / scale, reach)
+
+    def changes(self, v: Vector) -> Vector:
+        """Return the change of each knot from the one before."""
+        return v - np.concatenate((self.first, v[:-INPUT_SIZE]))
+
+    def kept(self, start: Vector) -> tuple[Vector, float]:
+        """Return knots within the limits, near `start`, and the stretch that this takes.
+
+        Those that can be reached from the start, and of these those from which the last one can.
+        """
+        v = np.clip(start, self.lower, self.upper)
+        for i in range(v.size):
+            before, reach = v[i - 2] if i >= 2 else self.first[i], self.reach[i]
+            v[i] = np.clip(np.clip(v[i], before - reach, before + reach), self.lower[i],
+                           self.upper[i])
+        for i in range(v.size - 3, -1, -1):
+            after, reach = v[i + 2], self.reach[i + 2]
+            v[i] = np.clip(np.clip(v[i], after - reach, after + reach), self.lower[i],
+                           self.upper[i])
+        return v, max(1.0, float(np.max(np.abs(self.changes(v)) / self.reach)))
+
+
+def minimise_time(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
+    """Solve a minimum-time problem from an initial guess of the knots, shape (N, 2) [rad/s].
+
+    The module explains the method. `SolverSettings.initial_damping` is the first proximal weight.
+    """
+    began = time.perf_counter()
+    limits, whole = _Limits.of(problem), float(np.sum(problem.durations))
+    program = _Program(problem, limits)
+    v, stretch = limits.kept(start.ravel() / problem.input_scale)
+    here = expand_error(problem, v, stretch)
+    proximal, succession = settings.initial_damping, 0
+    pull: Vector = np.zeros(v.size)
+    iterations, residual = 0, math.inf
+    status = SolveStatus.CAPPED if math.isfinite(here.merit) else SolveStatus.NOT_FINITE
+    while status is SolveStatus.CAPPED and iterations < settings.max_iterations:
+        if time.perf_counter() - began > settings.time_budget:
+            status = SolveStatus.BUDGET
+            break
+        iterations += 1
+        step = program.step(here, proximal, pull, here.error)
+        if step is None:
+            status = SolveStatus.STALLED
+            break
+        z, s = step
+        linear = here.error + here.by_stretch * s + here.by_knots @ z
+        error = problem.error_weight * float(np.sum(np.abs(linear)))
+        residual = here.merit - here.stretch * (1.0 + s) * whole - error
+        trial = _moved(problem, limits, here, z, s)
+        if not here.merit - trial.merit >= _CORRECTED * residual:
+            again = program.step(here, proximal, pull, here.error + trial.error - linear)
+            corrected = None if again is None else _moved(problem, limits, here, *again)
+            if corrected is not None and again is not None and corrected.merit < trial.merit:
+                trial, (z, s) = corrected, again
+        decrease = here.merit - trial.merit
+        square = max(float(np.sum(program.metric * z * z)), 1e-12)
+        curvature = 2.0 * (residual - decrease) / square
+        if decrease >= _ACCEPTED * residual and decrease > 0.0:
+            here, succession = trial, succession + 1
+            pull = succession / (succession + 3.0) * z
+            proximal = min(max(curvature, 0.25 * proximal), 4.0 * proximal)
+        else:
+            pull, succession = np.zeros(v.size), 0
+            proximal = min(max(2.0 * proximal, curvature), 16.0 * proximal)
+        if residual < settings.decrease_floor:
+            status = SolveStatus.CONVERGED
+        elif not proximal < _LARGEST_PROXIMAL:
+            status = SolveStatus.STALLED
+    inputs = here.inputs.copy()
+    # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
+    inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
+    return HoldSolution(
+        inputs, here.states, here.merit, status, iterations, residual,
+        time.perf_counter() - began, here.stretch,
+    )
+
+
+def _moved(problem: HoldProblem, limits: _Limits, here: Point, z: Vector, s: float) -> Point:
+    """Return the point after a step."""
+    v = np.clip(here.v + z, limits.lower, limits.upper)
+    return expand_error(problem, v, here.stretch * (1.0 + s))
+
+
+class _Program:
+    """The convex program of a step, solved by an interior-point method of CasADi.
+
+    Its variables are z, s, and by how much each residual is above and below zero.
+    """
+
+    def __init__(self, problem: HoldProblem, limits: _Limits) -> None:
+        self._problem, self._limits = problem, limits
+        size = limits.lower.size
+        self._free = ~_fixed(problem)
+        self._solver, self._rows = _convex_program(size)
+        after = np.append(problem.durations[1:], 0.0)
+        self.metric = np.repeat(
+            0.5 * (problem.durations + after) / np.mean(problem.durations), INPUT_SIZE
+        )
+
+    def step(
+        self, here: Point, proximal: float, pull: Vector, error: Vector
+    ) -> tuple[Vector, float] | None:
+        """Return the changes of the knots and of the duration; None where there are none.
+
+        `error` is the terminal error that the step is to bring to zero.
+        """
+        limits, problem, size = self._limits, self._problem, here.v.size
+        down = np.where(self._free, np.maximum(limits.lower - here.v, -_LARGEST_CHANGE), 0.0)
+        up = np.where(self._free, np.minimum(limits.upper - here.v, _LARGEST_CHANGE), 0.0)
+        reach, change = here.stretch * limits.reach, limits.changes(here.v)
+        infinite = np.full(ROWS, np.inf)
+        duration = here.stretch * float(np.sum(problem.durations))
+        weights = np.full(2 * ROWS, problem.error_weight)
+        rows = self._rows(here.by_knots, here.by_stretch, reach)
+        found = self._solver(
+            h=casadi.diag(np.concatenate((proximal * self.metric, np.zeros(1 + 2 * ROWS)))),
+            g=np.concatenate((-proximal * self.metric * pull, [duration], weights)),
+            a=rows,
+            lba=np.concatenate((-error, -np.inf * reach, -reach - change)),
+            uba=np.concatenate((-error, reach - change, np.inf * reach)),
+            lbx=np.concatenate((down, [-_LARGEST_STRETCH], np.zeros(2 * ROWS))),
+            ubx=np.concatenate((up, [_LARGEST_STRETCH], infinite, infinite)),
+        )
+        if not self._solver.stats()["success"]:
+            return None
+        x = np.asarray(found["x"]).ravel()
+        return x[:size], float(x[size])
+
+
+def _convex_program(size: int) -> tuple[Any, Any]:
+    """Return CasADi's solver for `size` knots, and the function that returns its rows.
+
+    Rows: E z + b s - above + below, then changes of knots less and plus what s adds to the reach.
+    """
+    difference = np.eye(size) - np.eye(size, k=-INPUT_SIZE)
+    none = np.zeros((size, 2 * ROWS))
+
+    def rows(by_knots: Vector, by_stretch: Vector, reach: Vector) -> Vector:
+        return np.vstack((
+            np.hstack((by_knots, by_stretch[:, None], -np.eye(ROWS), np.eye(ROWS))),
+            np.hstack((difference, -reach[:, None], none)),
+            np.hstack((difference, reach[:, None], none)),
+        ))
+
+    columns = size + 1 + 2 * ROWS
+    structure = {
+        "h": casadi.Sparsity.diag(columns), "a": casadi.Sparsity.dense(ROWS + 2 * size, columns),
+    }
+    options = {
+        "print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False,
+    }
+    return casadi.conic("step", "ipqp", structure, options), rows

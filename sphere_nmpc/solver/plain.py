@@ -225,15 +225,20 @@ class Expansion(NamedTuple):
     motion: Motion
 
 
-def expand(problem: HoldProblem, v: Vector) -> Expansion:
-    """Return the cost, a sum of weighted squares, and its model at scaled knots v, (2 N,)."""
+def shoot_knots(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> tuple[Vector, Motion]:
+    """Return the inputs u_0 ... u_N at scaled knots v, (2 N,), and the motion along them."""
     inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, INPUT_SIZE)))
     left_out = np.zeros(problem.intervals)
     left_out[problem.steady_interval] = problem.whole_turns
-    motion = shoot(
+    return inputs, shoot(
         problem.state, problem.disturbance, inputs, problem.durations, problem.constants,
-        problem.max_step, left_out, derive=True,
+        problem.max_step, left_out, derive=True, stretch=stretch,
     )
+
+
+def expand(problem: HoldProblem, v: Vector) -> Expansion:
+    """Return the cost, a sum of weighted squares, and its model at scaled knots v, (2 N,)."""
+    inputs, motion = shoot_knots(problem, v)
     cost, gradient, hessian = 0.0, np.zeros(v.size), np.zeros((v.size, v.size))
     for weight, residual, jacobian in _residuals(problem, v, inputs, motion):
         if weight > 0.0:

@@ -18,6 +18,14 @@ def compiled() -> ctypes.CDLL:
     return found
 
 
+def _slot(problem: HoldProblem, start: Vector) -> Slot:
+    """Return the memory of a problem with the initial guess `start` [rad/s]."""
+    slot = Slot(compiled(), problem.intervals)
+    slot.write_settings(SolverSettings())
+    slot.write(problem, start, np.inf)
+    return slot
+
+
 def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | float]:
     """Return the quadratic model of the compiled solver at `start` [rad/s].
 
@@ -25,9 +33,7 @@ def expand_compiled(problem: HoldProblem, start: Vector) -> dict[str, Vector | f
     (N + 1, 9); ``sensitivities`` (N + 1, 6, 2 N) per rad/s.
     """
     n = problem.intervals
-    slot = Slot(compiled(), n)
-    slot.write_settings(SolverSettings())
-    slot.write(problem, start, np.inf)
+    slot = _slot(problem, start)
     gradient, hessian = np.zeros(2 * n), np.zeros((2 * n, 2 * n))
     sensitivities = np.zeros((n + 1, 6, 2 * n))
     outputs = (array.ctypes.data for array in (gradient, hessian, sensitivities))
@@ -48,9 +54,7 @@ def expand_compiled_error(problem: HoldProblem, start: Vector) -> tuple[Vector, 
     With its derivatives by scaled inputs, (8, 2 N), and by the logarithm of the duration, (8,).
     """
     n = problem.intervals
-    slot = Slot(compiled(), n)
-    slot.write_settings(SolverSettings())
-    slot.write(problem, start, np.inf)
+    slot = _slot(problem, start)
     error, by_knots, by_duration = np.zeros(8), np.zeros((2 * n, 8)), np.zeros(8)
     outputs = (array.ctypes.data for array in (error, by_knots, by_duration))
     compiled().hold_expand_error(slot.address, *outputs)

@@ -233,9 +233,21 @@ static void prepare(problem *p, workspace *w)
     divide(w, p->workspace, p->intervals);
     p->disturbed = is_disturbed(p->state, p->torques);
     p->stretch = 1.0;
+    w->duration = 0.0;
+    for (int64_t m = 0; m < p->intervals; m++)
+        w->duration += p->durations[m];
     for (int64_t i = 0; i < 2 * p->intervals; i++) {
         w->lower[i] = p->lower[i] / p->input_scale;
         w->upper[i] = p->upper[i] / p->input_scale;
         w->v[i] = clip(p->start[i] / p->input_scale, w->lower[i], w->upper[i]);
     }
+}
+
+/* Make the trial the point of the solve. */
+static void accept_trial(problem *p, workspace *w)
+{
+    const int64_t size = 2 * p->intervals;
+    memcpy(w->v, w->trial, (size_t)size * sizeof *w->v);
+    memcpy(p->inputs, w->inputs, (size_t)(size + 2) * sizeof *w->inputs);
+    memcpy(p->states, w->states, (size_t)(STATE * (p->intervals + 1)) * sizeof *w->states);
 }

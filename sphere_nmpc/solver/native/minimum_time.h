@@ -26,7 +26,6 @@ static void body_axes(const double *q, double (*axes)[3])
  * momentum at the end or the tilt. */
 static void terminal_error(const problem *p, const double *inputs, const double *states, double *e)
 {
-    double body[2][3];
     const double *x = states + STATE * p->intervals, *q = x + 2, *g = p->goal + 2;
     e[0] = p->position_scale * (x[0] - p->goal[0]);
     e[1] = p->position_scale * (x[1] - p->goal[1]);
@@ -34,12 +33,14 @@ static void terminal_error(const problem *p, const double *inputs, const double 
     e[3] = g[0] * q[2] + g[1] * q[3] - g[2] * q[0] - g[3] * q[1];
     e[4] = g[0] * q[3] - g[1] * q[2] + g[2] * q[1] - g[3] * q[0];
     e[5] = e[6] = 0.0;
-    body_axes(g, body);
-    if (p->disturbed)
+    if (p->disturbed) {
+        double body[2][3];
+        body_axes(g, body);
         for (int c = 0; c < 2; c++)
             e[5 + c] = (inputs[2 * p->intervals + c] - body[c][0] * x[6] - body[c][1] * x[7]
                         - body[c][2] * x[8])
                        / p->input_scale;
+    }
     e[7] = seventh_residual(p, states);
 }
 
@@ -111,10 +112,7 @@ static double one_norm(const double *e)
 static double merit_at(problem *p, workspace *w, const double *v, double *inputs, double *states,
                        double *e)
 {
-    memcpy(inputs, p->input_in_force, sizeof p->input_in_force);
-    for (int64_t i = 0; i < 2 * p->intervals; i++)
-        inputs[i + 2] = p->input_scale * v[i];
-    shoot(p, inputs, states, w->interval);
+    shoot_knots(p, v, inputs, states, w->interval);
     terminal_error(p, inputs, states, e);
     return p->stretch * w->duration + p->error_weight * one_norm(e);
 }
@@ -124,8 +122,8 @@ static void set_program(const problem *p, const workspace *w, program *q)
     const double mean = w->duration / (double)p->intervals;
     for (int64_t i = 0; i < q->size; i++) {
         const double after = i + 2 < q->size ? p->durations[i / 2 + 1] : 0.0;
-        q->down[i] = q->fixed[i] ? -1.0 : fmax(w->lower[i] - w->v[i], -LARGEST_CHANGE);
-        q->up[i] = q->fixed[i] ? 1.0 : fmin(w->upper[i] - w->v[i], LARGEST_CHANGE);
+        q->down[i] = q->free[i] ? fmax(w->lower[i] - w->v[i], -LARGEST_CHANGE) : -1.0;
+        q->up[i] = q->free[i] ? fmin(w->upper[i] - w->v[i], LARGEST_CHANGE) : 1.0;
         q->metric[i] = 0.5 * (p->durations[i / 2] + after) / mean;
         q->change[i] = w->v[i] - knot_before(p, w->v, i);
         q->limit[i] = reach_of(p, i / 2);
@@ -163,24 +161,20 @@ static double squared_step(const program *q)
     return sum;
 }
 
-static void minimum_time(problem *p)
+static void minimum_time(problem *p, double began)
 {
     workspace w;
     program q;
-    const double began = now();
     const int64_t size = 2 * p->intervals;
     double error[ROW], in_succession = 0.0;
     prepare(p, &w);
     divide_program(&q, w.program, size);
     q.rows = w.rows;
-    q.fixed = w.free;
+    q.free = w.free;
     q.r = p->initial_damping;
     q.tolerance = PROGRAM_TOLERANCE * p->decrease_floor;
     for (int64_t i = 0; i < size; i++)
-        q.fixed[i] = !(w.lower[i] < w.upper[i]);
-    w.duration = 0.0;
-    for (int64_t m = 0; m < p->intervals; m++)
-        w.duration += p->durations[m];
+        w.free[i] = w.lower[i] < w.upper[i];
     keep_acceleration(p, &w);
     p->status = CAPPED;
     p->iterations = 0;
@@ -227,9 +221,7 @@ static void minimum_time(problem *p)
         p->kkt_residual = predicted;
         const int small = predicted < p->decrease_floor;
         if (decrease >= ACCEPTED * predicted && decrease > 0.0) {
-            memcpy(w.v, w.trial, (size_t)size * sizeof *w.v);
-            memcpy(p->inputs, w.inputs, (size_t)(size + 2) * sizeof *w.inputs);
-            memcpy(p->states, w.states, (size_t)(STATE * (p->intervals + 1)) * sizeof *w.states);
+            accept_trial(p, &w);
             memcpy(error, found, sizeof error);
             p->cost = merit;
             in_succession += 1.0;
@@ -249,8 +241,4 @@ static void minimum_time(problem *p)
         else if (!(q.r < LARGEST_PROXIMAL))
             p->status = STALLED;
     }
-    /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
-    for (int64_t i = 0; i < size; i++)
-        p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
-    p->solve_time = now() - began;
 }

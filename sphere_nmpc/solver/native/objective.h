@@ -84,14 +84,21 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
            + p->slew_weight * slew;
 }
 
-/* Cost, states and the derivatives of the intervals at v; the results of `expand` are kept. */
-static double evaluate(const problem *p, const double *v, double *inputs, double *states,
-                       double *jacobians)
+/* Inputs and states at scaled knots v, and the derivatives of the intervals. */
+static void shoot_knots(const problem *p, const double *v, double *inputs, double *states,
+                        double *jacobians)
 {
     memcpy(inputs, p->input_in_force, sizeof p->input_in_force);
     for (int64_t i = 0; i < 2 * p->intervals; i++)
         inputs[i + 2] = p->input_scale * v[i];
     shoot(p, inputs, states, jacobians);
+}
+
+/* Cost, states and the derivatives of the intervals at v; the results of `expand` are kept. */
+static double evaluate(const problem *p, const double *v, double *inputs, double *states,
+                       double *jacobians)
+{
+    shoot_knots(p, v, inputs, states, jacobians);
     return cost_of(p, v, inputs, states);
 }
 

@@ -27,7 +27,7 @@ typedef struct {
     int64_t size, group, own, count; /* of z; of a group; inequalities before the excesses; all */
     const double *rows; /* size x ROW: E transposed, 0 for fixed knots */
     double *down, *up, *change, *limit, *metric, *pull; /* size + PAD: c and a are the last two */
-    uint8_t *fixed; /* size */
+    const uint8_t *free; /* size: 0 for fixed knots */
     double e[ROW], b[ROW], g, w, r, s_down, s_up, tolerance;
     double *z, s; /* result */
     double *slack, *multiplier, *d_slack, *d_multiplier; /* count */
@@ -147,7 +147,7 @@ static void solve_small(const double *a, double *x)
 static void factorise(program *q)
 {
     const int64_t n = q->size;
-    double sums[ROW][ROW] = {{0.0}}, with_s[ROW] = {0.0}, square = 0.0;
+    double with_s[ROW] = {0.0}, square = 0.0;
     for (int64_t i = 0; i < q->count; i++) {
         q->inverse[i] = 1.0 / q->slack[i];
         q->weight[i] = q->multiplier[i] * q->inverse[i];
@@ -163,7 +163,7 @@ static void factorise(program *q)
         by_s += q->limit[i] * q->limit[i] * here;
     }
     for (int64_t i = 0; i < n; i++)
-        if (q->fixed[i])
+        if (!q->free[i])
             q->diagonal[i] += FIXED;
     memcpy(q->solved, q->rows, (size_t)(n * ROW) * sizeof *q->solved);
     memcpy(q->solved_s, q->by_s, (size_t)n * sizeof *q->solved_s);
@@ -185,15 +185,16 @@ static void factorise(program *q)
         for (int l = 0; l < ROW; l++)
             row[l] = inverse * row[l] - ratio * row[l + PAD * ROW];
         q->solved_s[i] = inverse * q->solved_s[i] - ratio * q->solved_s[i + PAD];
-        for (int k = 0; k < ROW; k++)
-            for (int l = 0; l < ROW; l++)
-                sums[k][l] += e[k] * row[l];
         for (int l = 0; l < ROW; l++)
             with_s[l] += e[l] * q->solved_s[i];
         square += q->by_s[i] * q->solved_s[i];
     }
     for (int k = 0; k < ROW; k++) {
-        memcpy(q->schur + SPAN * k, sums[k], sizeof sums[k]);
+        double sum[ROW] = {0.0}; /* one row at a time, which a compiler keeps in registers */
+        for (int64_t i = 0; i < n; i++)
+            for (int l = 0; l < ROW; l++)
+                sum[l] += q->rows[i * ROW + k] * q->solved[i * ROW + l];
+        memcpy(q->schur + SPAN * k, sum, sizeof sum);
         q->schur[(SPAN + 1) * k] += 1.0 / excess[k] + 1.0 / excess[ROW + k];
         q->schur[SPAN * ROW + k] = with_s[k] - q->b[k];
     }
@@ -277,7 +278,9 @@ static double residuals(program *q)
     for (int k = 0; k < ROW; k++)
         q->row_residual[k] = q->e[k] + q->b[k] * q->s - q->slack[own + k] + q->slack[own + ROW + k];
     for (int64_t i = 0; i < n; i++) {
-        double sum = q->r * q->metric[i] * (q->z[i] - q->pull[i]) + (q->fixed[i] ? FIXED : 0.0) * q->z[i];
+        double sum = q->r * q->metric[i] * (q->z[i] - q->pull[i]);
+        if (!q->free[i])
+            sum += FIXED * q->z[i];
         for (int k = 0; k < ROW; k++) {
             sum += q->rows[i * ROW + k] * q->n[k];
             q->row_residual[k] += q->rows[i * ROW + k] * q->z[i];

@@ -132,7 +132,7 @@ static void NAME(by_duration)(const problem *p, int64_t m, double (*column)[ROW]
     const double *u = p->inputs + 2 * m, *x = p->states + STATE * m;
     const double left_out = m == p->steady_interval ? p->whole_turns : 0.0;
     const double whole = p->stretch * p->durations[m], duration = whole - left_out;
-    if (sizeof(TANGENT) > sizeof(tangent)) {
+    if (DIRECTIONS > CARRIED + 4) {
         memcpy(by, column[CARRIED + 4], ROW * sizeof *by);
         return;
     }

@@ -55,10 +55,9 @@ const char *hold_level(void)
 
 const int64_t hold_layout = LAYOUT;
 
-static void least_squares(problem *p)
+static void least_squares(problem *p, double began)
 {
     workspace w;
-    const double began = now();
     const int64_t size = 2 * p->intervals;
     double damping = p->initial_damping, growth = 2.0;
     int expanded = 0, small = 0;
@@ -104,9 +103,7 @@ static void least_squares(problem *p)
             damping *= fmax(1.0 / 3.0, 1.0 - pow(2.0 * gain - 1.0, 3.0));
             damping = fmax(damping, MIN_DAMPING);
             growth = 2.0;
-            memcpy(w.v, w.trial, (size_t)size * sizeof *w.v);
-            memcpy(p->inputs, w.inputs, (size_t)(size + 2) * sizeof *w.inputs);
-            memcpy(p->states, w.states, (size_t)(STATE * (p->intervals + 1)) * sizeof *w.states);
+            accept_trial(p, &w);
             p->cost = value;
             expanded = 0;
         } else {
@@ -118,15 +115,16 @@ static void least_squares(problem *p)
             }
         }
     }
-    /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
-    for (int64_t i = 0; i < size; i++)
-        p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
-    p->solve_time = now() - began;
 }
 
 void hold_solve(problem *p)
 {
-    (p->error_weight > 0.0 ? minimum_time : least_squares)(p);
+    const double began = now();
+    (p->error_weight > 0.0 ? minimum_time : least_squares)(p, began);
+    /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
+    for (int64_t i = 0; i < 2 * p->intervals; i++)
+        p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
+    p->solve_time = now() - began;
 }
 
 /* For tests of the derivatives of the minimum-time problem: error (ROW), its derivatives by the
@@ -135,7 +133,6 @@ void hold_expand_error(problem *p, double *error, double *rows, double *by_durat
 {
     workspace w;
     prepare(p, &w);
-    w.duration = 0.0;
     merit_at(p, &w, w.v, p->inputs, p->states, error);
     expand_error(p, &w, by_duration);
     memcpy(rows, w.rows, (size_t)(2 * p->intervals * ROW) * sizeof *rows);

@@ -16,8 +16,8 @@ typedef struct {
     double *interval; /* N x LARGEST_DERIVATIVE: derivatives of each interval */
     double *chain; /* STATE x 2 N, only with a stage cost: sensitivities of one state */
     double *hessian, *factor; /* 2 N x 2 N, only with a stage cost */
-    uint8_t *free; /* 2 N: 1 where the step is not fixed at a bound; for a program, where it is */
-    double *program; /* of a minimum-time problem, see `share` */
+    uint8_t *free; /* 2 N: 1 where the step is not fixed at a bound */
+    double *program; /* of a minimum-time problem, see `divide_program` */
     double duration; /* of all intervals before they are stretched [s] */
 } workspace;
 

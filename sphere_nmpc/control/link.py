@@ -44,6 +44,8 @@ _SHRINKING = 0.99
 """Window over that before it, after a command that took effect in time."""
 _FORGETTING = 0.95
 """Weight of what is known about losses after one more command."""
+_LEAST_DELAY = 5e-3
+"""Delay of poses [s] below which there is no link, only the time that a message takes."""
 _IN_TIME = 10
 """Commands in time, one after another, after which measured speeds tell nothing more."""
 _LOSSY = 0.01
@@ -97,6 +99,45 @@ class Commands:
         return limited.ending_at_rest(self._max_acceleration)
 
 
+class PoseLink:
+    """Delay and loss of the newest poses, as far as their stamps show them.
+
+    Times are control times [s].
+    """
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=_POSES)
+        self._ages: deque[float] = deque(maxlen=_POSES)
+
+    def received(self, time: float, age: float) -> None:
+        """Record a pose measured at `time` [s], which is `age` old; nan if that is unknown."""
+        if self._times and time <= self._times[-1]:
+            if time > self._times[0]:
+                return  # Overtaken by a newer one.
+            self._times.clear()
+            self._ages.clear()
+        self._times.append(time)
+        self._ages.append(age)
+
+    @property
+    def delay(self) -> float:
+        """Mean age of the poses when they were received [s]; nan if unknown.
+
+        Where the clock is a topic, it is delayed as well, so that the age shows the difference.
+        """
+        known = [age for age in self._ages if not math.isnan(age)]
+        return sum(known) / len(known) if known else math.nan
+
+    @property
+    def loss(self) -> float:
+        """Share of poses that were not received, from the gaps between stamps; nan if unknown."""
+        if len(self._times) < 3:
+            return math.nan
+        gaps = np.diff(self._times)
+        missing = float(np.sum(np.maximum(0.0, np.round(gaps / np.median(gaps)) - 1.0)))
+        return missing / (missing + gaps.size)
+
+
 class RotorFeedback:
     """Comparison of measured rotor speeds with the commands that were sent.
 
@@ -104,6 +145,7 @@ class RotorFeedback:
     speeds sent; where it takes effect later it is entered again from then on. So a command that is
     late or lost on its way is taken neither for another plant nor for momentum. From the delays
     follows the commitment window: how far ahead a new plan may first differ from the one in force.
+    Without measured speeds commands are expected to be as late, and lost as often, as poses.
 
     Times are control times [s].
 
@@ -118,10 +160,10 @@ class RotorFeedback:
     def __init__(self, sent: SentInputs, acceleration: float) -> None:
         self._sent = sent
         self._acceleration = acceleration
-        self.window = 0.0
-        """Delay that commands may have without being late [s]; 0 without a link."""
-        self.loss = 0.0
-        """Share of the newest commands that did not take effect before the next one."""
+        self.poses = PoseLink()
+        """What the poses tell of the link."""
+        self._is_measured = False
+        self._window = self._loss = 0.0
         self.delay = float("nan")
         """Delay of the newest late command from sending to its effect [s]; nan without any."""
         self.reset()
@@ -138,6 +180,21 @@ class RotorFeedback:
     def resume(self) -> None:
         """Ask for measured speeds again, as the link may be another one."""
         self._in_time = 0
+
+    @property
+    def window(self) -> float:
+        """Delay that commands may have without being late [s]; 0 without a link."""
+        if self._is_measured:
+            return self._window
+        delay = self.poses.delay
+        return min(delay, _LONGEST_WINDOW) if delay > _LEAST_DELAY else 0.0
+
+    @property
+    def loss(self) -> float:
+        """Share of the newest commands that did not take effect before the next one."""
+        if self._is_measured:
+            return self._loss
+        return 0.0 if math.isnan(self.poses.loss) else self.poses.loss
 
     @property
     def is_needed(self) -> bool:
@@ -162,7 +219,7 @@ class RotorFeedback:
         since, before = self._measured
         if time <= since:
             return
-        self._measured = (time, speeds)
+        self._measured, self._is_measured = (time, speeds), True
         if np.isfinite(since):
             self._gaps.append(time - since)
         self._sent.known_until = time
@@ -219,12 +276,12 @@ class RotorFeedback:
                 self.delay = delay
         if delay > self._negligible:
             self._in_time = 0
-            self.window = max(self.window, min(delay, _LONGEST_WINDOW))
+            self._window = max(self._window, min(delay, _LONGEST_WINDOW))
         else:
             self._in_time += 1
-            self.window *= _SHRINKING
-            if self.window < _NEGLIGIBLE:
-                self.window = 0.0
+            self._window *= _SHRINKING
+            if self._window < _NEGLIGIBLE:
+                self._window = 0.0
         self._followed = hold
         self._between = []
 
@@ -251,47 +308,8 @@ class RotorFeedback:
                 self._waiting[i] = (hold, True)
 
     def _count(self, lost: bool) -> None:
-        self.loss = _FORGETTING * self.loss + (1.0 - _FORGETTING) * lost
+        self._loss = _FORGETTING * self._loss + (1.0 - _FORGETTING) * lost
 
 
 def _distance(one: Vector, other: Vector) -> float:
     return float(np.max(np.abs(one - other)))
-
-
-class PoseLink:
-    """Delay and loss of the newest poses, as far as their stamps show them.
-
-    Times are control times [s].
-    """
-
-    def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_POSES)
-        self._ages: deque[float] = deque(maxlen=_POSES)
-
-    def received(self, time: float, age: float) -> None:
-        """Record a pose measured at `time` [s], which is `age` old; nan if that is unknown."""
-        if self._times and time <= self._times[-1]:
-            if time > self._times[0]:
-                return  # Overtaken by a newer one.
-            self._times.clear()
-            self._ages.clear()
-        self._times.append(time)
-        self._ages.append(age)
-
-    @property
-    def delay(self) -> float:
-        """Mean age of the poses when they were received [s]; nan if unknown.
-
-        Where the clock is a topic, it is delayed as well, so that the age shows the difference.
-        """
-        known = [age for age in self._ages if not math.isnan(age)]
-        return sum(known) / len(known) if known else math.nan
-
-    @property
-    def loss(self) -> float:
-        """Share of poses that were not received, from the gaps between stamps; nan if unknown."""
-        if len(self._times) < 3:
-            return math.nan
-        gaps = np.diff(self._times)
-        missing = float(np.sum(np.maximum(0.0, np.round(gaps / np.median(gaps)) - 1.0)))
-        return missing / (missing + gaps.size)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from rclpy.node import Node
 
-from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.control.timing import MissedSamples
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.graph_monitor import (
@@ -44,8 +43,6 @@ class ControllerMonitor:
         """Whether control time was the same at the check before."""
         self.is_steady = True
         """Whether the clock had not jumped shortly before the last check."""
-        self.pose_link = PoseLink()
-        """Delay and loss of the poses."""
         self._samples = MissedSamples()
         self._counted = (0, 0, 1.0)
         self._time_changed_at = self._pose_seen_at = time.monotonic()
@@ -59,10 +56,9 @@ class ControllerMonitor:
         """The present faults, the most severe first."""
         return self._graph.faults
 
-    def pose_received(self, time: float, age: float) -> None:
-        """Record a pose of control time `time` [s], `age` behind the clock; nan if unknown."""
+    def pose_received(self, age: float) -> None:
+        """Record a pose, `age` behind the clock [s]; nan if unknown."""
         self._pose_received, self._pose_age = True, age
-        self.pose_link.received(time, age)
 
     def sampled(self, used: int, missed: int, period: float) -> None:
         """Record the numbers of sampling instants, `period` [s] apart, with a plan and without."""

@@ -100,7 +100,7 @@ class ControllerNode(RunnableNode):
             self._monitor, self._event_log, self._frame,
         )
         self._rotor_receiver = RotorReceiver(
-            self, self.controller, self._control_clock, self._use_window
+            self, self.controller, self._control_clock
         ) if self._schedule.is_real_time else None
         self._subscribe()
         self._timer: Timer | None = None
@@ -194,6 +194,7 @@ class ControllerNode(RunnableNode):
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
         if now is not None:
+            self._schedule.window = self.controller.rotor_feedback.window
             self._carry_out(self._schedule.tick(now))
 
     def _start(self) -> None:
@@ -250,7 +251,9 @@ class ControllerNode(RunnableNode):
         try:
             stamp = header_stamp(message)
             measured = self._control_clock.time_of(stamp)
-            self._monitor.pose_received(measured, self._schedule.pose_age(measured, now))
+            age = self._schedule.pose_age(measured, now)
+            self._monitor.pose_received(age)
+            self.controller.rotor_feedback.poses.received(measured, age)
             pose = TimedPose(stamp, measured, pose_of_message(message, self._frame))
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
@@ -259,9 +262,6 @@ class ControllerNode(RunnableNode):
         self._carry_out(actions)
         if actions.observe is not None:
             self._start()
-
-    def _use_window(self, window: float) -> None:
-        self._schedule.window = window
 
     def _receive_goal(self, message: PoseStamped) -> None:
         try:

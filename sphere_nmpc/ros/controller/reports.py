@@ -78,7 +78,7 @@ class ControllerReports:
         self._frame = frame
         self._period = settings.control_period
         self._strategy = settings.strategy
-        self._status_values = ControllerStatus(controller, robot, settings, monitor.pose_link)
+        self._status_values = ControllerStatus(controller, robot, settings)
         self._solve_times: deque[float] = deque(maxlen=_KEPT)
         self._tick_times: deque[float] = deque(maxlen=_KEPT)
         self._gaps: deque[float] = deque(maxlen=_KEPT)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscription of the measured rotor speeds, only while they are of use."""
 
-from collections.abc import Callable
 from math import inf
 from time import monotonic
 
@@ -32,16 +31,11 @@ class RotorReceiver:
     """
 
     def __init__(
-        self,
-        node: Node,
-        controller: Controller,
-        clock: ControlClock,
-        on_window: Callable[[float], object],
+        self, node: Node, controller: Controller, clock: ControlClock
     ) -> None:
         self._node = node
         self._controller = controller
         self._clock = clock
-        self._on_window = on_window
         self._subscription: Subscription | None = None
         self._read_at = -inf
         self.update()
@@ -73,4 +67,3 @@ class RotorReceiver:
         if abs(time - now) < _OTHER_CLOCK:
             self._read_at = wall
             self._controller.observe_rotors(time, speeds)
-            self._on_window(self._controller.rotor_feedback.window)

@@ -9,7 +9,6 @@ import numpy as np
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
 from sphere_nmpc.model.disturbance import (
@@ -36,9 +35,7 @@ class ControllerStatus:
         controller: Controller,
         robot: RobotParameters,
         settings: ControllerSettings,
-        pose_link: PoseLink,
     ) -> None:
-        self._pose_link = pose_link
         self._controller = controller
         self._robot = robot
         self._settings = settings
@@ -108,8 +105,8 @@ class ControllerStatus:
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
-            "pose_delay_s": self._pose_link.delay,
-            "pose_loss": self._pose_link.loss,
+            "pose_delay_s": controller.rotor_feedback.poses.delay,
+            "pose_loss": controller.rotor_feedback.poses.loss,
         }
 
     def _plant_values(self) -> dict[str, float]:

@@ -117,7 +117,9 @@ class Robot:
         self.graph.until(lambda: len(self.goals) > received)
 
     def holds(self) -> list:
-        return [hold_from_trajectory(message, 0) for message in self.trajectories]
+        """Holds sent, each once: on a busy machine poses are late and commands are repeated."""
+        sent = (hold_from_trajectory(message, 0) for message in self.trajectories)
+        return list({hold.start: hold for hold in sent}.values())
 
     @property
     def reported(self) -> list[DiagnosticStatus]:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.link import PoseLink
 from sphere_nmpc.model.disturbance import (
     Disturbance,
     imbalance_of_offset,
@@ -30,7 +29,7 @@ CONSTANTS = ["learnt_shell_radius_m", "learnt_c1", "learnt_r1", "learnt_r3"]
 def status_values(**settings: Any) -> dict[str, Any]:
     chosen = ControllerSettings(**settings)
     controller = Controller(chosen, ROBOT)
-    status = ControllerStatus(controller, ROBOT, chosen, PoseLink())
+    status = ControllerStatus(controller, ROBOT, chosen)
     return status.values(controller.decide(0.0), 0.0, 0.0, 0)
 
 

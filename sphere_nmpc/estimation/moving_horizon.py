@@ -127,7 +127,7 @@ class MovingHorizon:
         intervals = [*self._intervals, newest]
         hypothesis = self._hypothesis.extended(self.result.slipped < numbers.slippery)
         fit = self._fitted(start, intervals, hypothesis, self._scale)
-        surprising = self._surprise(newest, fit) > numbers.improbable
+        surprising = self._surprise(newest, fit) > numbers.rare
         fit = self._with_other_drives(start, intervals, fit, surprising)
         fit = self._improved(start, intervals, fit, not (surprising or self._is_noisy))
         self._prior = self._prior_of(fit.hypothesis)

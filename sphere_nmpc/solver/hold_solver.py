@@ -14,7 +14,7 @@ from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
 
 
 class HoldSolver:
-    """Solver with fixed stopping rules; safe to call from several threads.
+    """Solver of both kinds of problems; safe to call from several threads.
 
     Parameters
     ----------
@@ -29,15 +29,16 @@ class HoldSolver:
         self._slots = threading.local()
 
     def solve(
-        self, problem: HoldProblem, start: Vector, time_budget: float | None = None
+        self, problem: HoldProblem, start: Vector, time_budget: float | None = None,
+        settings: SolverSettings | None = None,
     ) -> HoldSolution:
         """Solve a problem from the initial guess `start` of the knots u_1 ... u_N, (N, 2) [rad/s].
 
         It is clipped to the bounds, and in a minimum-time problem moved within the limits of
-        acceleration. `time_budget` is the wall time of this solve [s], instead of
-        the one in the settings.
+        acceleration. `time_budget` is the wall time of this solve [s] and `settings` those of
+        this solve, instead of the solver's own.
         """
-        settings = self.settings
+        settings = self.settings if settings is None else settings
         budget = settings.time_budget if time_budget is None else time_budget
         if self._compiled is None:
             plain = minimise_time if problem.error_weight > 0.0 else minimise
@@ -46,7 +47,7 @@ class HoldSolver:
         slot: Slot | None = slots.get(problem.durations.size)
         if slot is None:
             slot = slots[problem.durations.size] = Slot(self._compiled, problem.durations.size)
-            slot.write_settings(settings)
+        slot.write_settings(settings)
         slot.write(problem, start, budget)
         self._compiled.hold_solve(slot.address)
         return slot.read()

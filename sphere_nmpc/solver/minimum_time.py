@@ -180,7 +180,11 @@ def minimise_time(problem: HoldProblem, start: Vector, settings: SolverSettings)
     proximal, succession = settings.initial_damping, 0
     pull: Vector = np.zeros(v.size)
     iterations, residual = 0, math.inf
-    status = SolveStatus.CAPPED if math.isfinite(here.merit) else SolveStatus.NOT_FINITE
+    status = SolveStatus.CAPPED
+    if not math.isfinite(here.merit):
+        status = SolveStatus.NOT_FINITE
+    elif here.merit - here.stretch * whole < settings.target_cost:
+        status = SolveStatus.CONVERGED
     while status is SolveStatus.CAPPED and iterations < settings.max_iterations:
         if time.perf_counter() - began > settings.time_budget:
             status = SolveStatus.BUDGET
@@ -210,7 +214,8 @@ def minimise_time(problem: HoldProblem, start: Vector, settings: SolverSettings)
         else:
             pull, succession = np.zeros(v.size), 0
             proximal = min(max(2.0 * proximal, curvature), 16.0 * proximal)
-        if residual < settings.decrease_floor:
+        left = here.merit - here.stretch * whole
+        if residual < settings.decrease_floor or left < settings.target_cost:
             status = SolveStatus.CONVERGED
         elif not proximal < _LARGEST_PROXIMAL:
             status = SolveStatus.STALLED

@@ -153,7 +153,8 @@ class SolverSettings:
         Wall time after which the best iterate is returned [s]; infinite by default, as a budget
         makes results depend on the machine.
     target_cost : float
-        Converged as soon as the cost is below this; for feasibility searches.
+        Converged as soon as the cost is below this; for feasibility searches. In a minimum-time
+        problem as soon as w |e|_1 is, be it with the initial guess.
     """
 
     max_iterations: int = 100

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Best known times: those of the fastest motion from start to goal that was found.
 
-A long multi-start search for arrivals on a coarse grid of knots, whose best result is shortened
-on finer and finer grids: to rest, |u| <= u_max, |du/dt| <= the limit of acceleration and torque.
+A long multi-start search for arrivals, the best of which is solved again on finer knots: to rest,
+|u| <= u_max, |du/dt| <= the limit of acceleration and torque.
 The true minimum time may be shorter.
 """
 
@@ -28,16 +28,16 @@ from sphere_nmpc.model.state import MOMENTUM, POSE, nearer_sign, state_error, wi
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, DistantSearch, KnotGrid
+from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, settling_index, state_errors
-from sphere_sim.study.motion import AT_REST, Motion
+from sphere_sim.study.motion import Motion
 from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
 
-SEARCH_VERSION = 2
+SEARCH_VERSION = 3
 """To be raised with any change of the search that finds other times: times of another version in
 the cache are not used."""
 SEARCHES = 2
@@ -45,26 +45,19 @@ SEARCHES = 2
 EFFORT = 400_000
 """Work of each search by default: solver iterations times intervals, about a microsecond each."""
 _TUNING = TimeOptimalSettings()
-"""Tuning of the searches: that of the strategy."""
-_FINE = replace(_TUNING, manoeuvre_time=4.0)
-"""Tuning on finer grids, with knots over more of a long motion."""
-GRIDS = (0.25, 0.125, 0.0625)
-"""Spacing of the knots [s], coarse to fine; the search uses the first."""
+"""Tuning of the searches: that of the strategy ..."""
+_FINER = 2
+"""... and factor on the number of knots on which the best motion is solved again."""
+_ITERATIONS = 200
+"""Cap on the iterations of that."""
 _STEP = 0.0625
 """Longest integration step of the final motion [s]."""
-_ITERATIONS = 40
-"""Cap on the iterations of a solve on a finer grid."""
 _MOMENTUM_STEPS = 16
 """Steps in which momentum and disturbance are raised."""
-_MOMENTUM_VERSION = 1
+_MOMENTUM_VERSION = 2
 """As `SEARCH_VERSION`, for times with momentum alone."""
-_STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
-"""Factors of the duration that are tried in turn on a finer grid [-]."""
 _RESOLUTION = 0.01
 """Resolution of the settling time [s], that of the runs."""
-_LARGEST_SHARE, _SMALLEST_SHARE = 0.08, 0.003
-"""Share of the duration by which a motion is shortened, at first and at last [-]."""
-
 _log = logging.getLogger("sphere_nmpc")
 
 
@@ -93,12 +86,13 @@ def best_known_time(
     situation = Situation(
         0.0, motion.start, goal, motion.speeds, robot.lumped, disturbance=motion.disturbance
     )
+    solver = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing), _TUNING)
+    fine = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing / _FINER), _TUNING)
     earliest: Arrival | None = None
     for seed in range(SEARCHES):
-        arrival = _searched(situation, robot, seed, round(factor * EFFORT))
-        for period in GRIDS[1:]:
-            if arrival is not None:
-                arrival = _refined(arrival, period, situation, robot)
+        arrival = _searched(situation, solver, seed, round(factor * EFFORT))
+        if arrival is not None:
+            arrival = _solved(fine, situation, arrival)
         if arrival is not None and (
             earliest is None or arrival.duration < earliest.duration
         ):
@@ -127,72 +121,37 @@ def _settling(arrival: Arrival, situation: Situation) -> float:
 
 
 def _searched(
-    situation: Situation, robot: RobotParameters, seed: int, work: int
+    situation: Situation, solver: ArrivalSolver, seed: int, work: int
 ) -> Arrival | None:
-    """Return the earliest arrival that a search finds on the coarsest grid.
+    """Return the earliest arrival that a search finds.
 
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
     without, from which momentum and disturbance are raised in steps.
     """
     if is_zero(situation.momentum, situation.disturbance):
-        grid = KnotGrid(GRIDS[0], _TUNING)
-        planner = ArrivalPlanner(robot, GRIDS[0], grid, iter((seed,)), _TUNING)
-        return DistantSearch(planner, situation, new_plan=True).improve(work)
-    search = ArrivalSearch(robot, GRIDS[0], situation, GRIDS[0], seed, _TUNING)
-    arrival = search.improve(work)
+        return ArrivalSearch(solver, situation, seed).improve(work)
     if state_error(situation.state, situation.goal) < SETTLED_ERROR:
-        return arrival  # without momentum it would be there in no time
+        # Without momentum it would be there in no time.
+        return ArrivalSearch(solver, situation, seed).improve(work)
     still = replace(
         situation, state=without_momentum(situation.state), disturbance=UNDISTURBED
     )
-    raised = _searched(still, robot, seed, work)
-    solver = ArrivalSolver(robot, GRIDS[0], _accuracy(2 * _ITERATIONS), _TUNING)
+    raised = _searched(still, solver, seed, work)
     for step in range(1, _MOMENTUM_STEPS + 1):
         if raised is not None:
             share, state = step / _MOMENTUM_STEPS, still.state.copy()
             state[MOMENTUM] = share * situation.state[MOMENTUM]
             disturbance = Disturbance.from_array(share * situation.disturbance.as_array())
             between = replace(situation, state=state, disturbance=disturbance)
-            raised = _stretched(solver, raised, GRIDS[0], between)
-    if raised is not None:
-        search.start_from(raised)
-    return search.improve(work)
+            raised = _solved(solver, between, raised)
+    return ArrivalSearch(solver, situation, seed, raised).improve(work)
 
 
-def _accuracy(iterations: int) -> Accuracy:
-    return Accuracy(iterations, _STEP, 0.1 * _TUNING.coarse_error, AT_REST)
-
-
-def _stretched(
-    solver: ArrivalSolver, guess: Arrival, period: float, situation: Situation
-) -> Arrival | None:
-    """Return an arrival in the shortest of `_STRETCHES` that has one; None where none has."""
-    for stretch in _STRETCHES:
-        duration = _FINE.stretched(guess.duration, stretch)
-        found = solver.solve(situation, guess.goal, duration, guess.hold, period)
-        if found.error <= _TUNING.coarse_error:
-            return found
-    return None
-
-
-def _refined(
-    arrival: Arrival, period: float, situation: Situation, robot: RobotParameters
-) -> Arrival | None:
-    """Return a shorter arrival with knots `period` [s] apart; None where there is none."""
-    solver = ArrivalSolver(robot, period, _accuracy(_ITERATIONS), _FINE.of(robot))
-    # The search integrates with coarse steps: its arrival may have to be slightly later.
-    best = _stretched(solver, arrival, period, situation)
-    if best is None:
-        return None
-    share = _LARGEST_SHARE
-    while share > _SMALLEST_SHARE:
-        duration = _FINE.stretched(best.duration, 1.0 - share)
-        shorter = solver.solve(situation, best.goal, duration, best.hold, period)
-        if shorter.error > _TUNING.coarse_error:
-            share *= 0.5
-        else:
-            best = shorter
-    return best
+def _solved(solver: ArrivalSolver, situation: Situation, guess: Arrival) -> Arrival | None:
+    """Return the fastest arrival near a guess; None where it leaves an error."""
+    refined = replace(guess, hold=solver.grid.refined(guess.hold))
+    *_, found = solver.solves(situation, refined, iterations=_ITERATIONS)
+    return found if found.error <= _TUNING.arrival_error else None
 
 
 def best_known_times(
@@ -221,7 +180,7 @@ def best_known_times(
 def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
     """Return a key of all that the best known times depend on, to nine digits."""
     limits = (robot.max_rotor_speed, within_torque(robot).max_rotor_acceleration)
-    search = (SEARCH_VERSION, SEARCHES, round(factor * EFFORT), *GRIDS)
+    search = (SEARCH_VERSION, SEARCHES, round(factor * EFFORT), _FINER)
     numbers = [*motion.start[POSE], *motion.goal, *robot.lumped.as_array(), *limits, *search]
     if not motion.starts_in_model_of_paper:
         numbers += [*motion.speeds, *motion.start[MOMENTUM], *motion.disturbance.as_array()]

@@ -180,10 +180,12 @@ static void minimum_time(problem *p, double began)
     p->iterations = 0;
     p->kkt_residual = INFINITY;
     p->cost = merit_at(p, &w, w.v, p->inputs, p->states, error);
-    if (isfinite(p->cost))
-        expand_error(p, &w, q.b);
-    else
+    if (!isfinite(p->cost))
         p->status = NOT_FINITE;
+    else if (p->error_weight * one_norm(error) < p->target_cost)
+        p->status = CONVERGED;
+    else
+        expand_error(p, &w, q.b);
     while (p->status == CAPPED && p->iterations < p->max_iterations) {
         if (p->time_budget < INFINITY && now() - began > p->time_budget) {
             p->status = BUDGET;
@@ -236,7 +238,7 @@ static void minimum_time(problem *p, double began)
             memset(q.pull, 0, (size_t)size * sizeof *q.pull);
             q.r = fmin(fmax(2.0 * q.r, curvature), 16.0 * q.r);
         }
-        if (small)
+        if (small || p->error_weight * one_norm(error) < p->target_cost)
             p->status = CONVERGED;
         else if (!(q.r < LARGEST_PROXIMAL))
             p->status = STALLED;

@@ -1,13 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The fixed-time problem behind the strategy: end at the goal, at rest, after a given time.
+"""Arrivals: rotor speeds that lead to the goal and end at rest there.
 
-At rest the rotors turn at the speeds that hold the momentum. A slope changes it by a known amount
-until then; with a centre of mass beside the centre it depends on the path, and the problem is
-solved again with the momentum of its last solution until both agree.
+A trial ends as near to the goal as possible in a given time, by least squares on a coarse grid of
+knots, from a guess far away. An arrival is a local solution of the minimum-time problem on the
+knots of its guess, with every limit exact; at its end the rotors hold the momentum.
 """
 
 import math
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,35 +24,39 @@ from sphere_nmpc.model.disturbance import (
 )
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import (
-    INPUT_SIZE,
-    MOMENTUM,
-    QUATERNION,
-    Vector,
-    flipped_sign,
-    without_momentum,
-)
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, QUATERNION, Vector, without_momentum
 from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings, SolveStatus
+from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import speeds_of_rest
+from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
 
 _REGULARISATION = 1e-12
-"""Input weight that only keeps the normal equations regular."""
+"""Input weight of a trial that only keeps the normal equations regular."""
 _LEAST_DECREASE = 1e-6
-"""Decrease of the cost by an iteration [of the cost] below which a solve stops."""
+"""Decrease of the cost by an iteration [of the cost] below which a trial stops."""
+_TRIAL_TARGET = 1e-8
+"""Cost at which a trial stops: a terminal error of 1e-4."""
+_LEAST_GAIN = 1e-4
+"""Decrease of the duration by a step [of the unit of time] below which an arrival is converged."""
+_FIRST_PROXIMAL = 1.0
+"""First proximal weight of a minimum-time problem [of the unit of time]."""
+_KEEPING = 100.0
+"""The same where a guess is to change little."""
 _CALL_WORK = 60
 """Work of a call apart from its iterations."""
-_SOLVES = 3
-"""Solves at most until the speeds of rest agree with the momentum at the end."""
+_STEP_WORK = 6
+"""Work of an iteration of a minimum-time problem for each interval."""
+_RAISED = 5.0
+"""Factor by which the weight of the error is raised while an error is left."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """Rotor speeds that lead to the goal in a given time, the solution of a fixed-time problem.
+    """Rotor speeds that lead to the goal.
 
     Attributes
     ----------
@@ -59,16 +65,16 @@ class Arrival:
     states : ndarray, shape (K, 9)
         Predicted states at the knots.
     goal : ndarray, shape (6,)
-        Goal with the quaternion sign that is aimed at.
+        Goal; a trial ends near the sign of its quaternion.
     error : float
-        Predicted terminal error, norm in R^6: square root of the cost, which also contains what
-        exceeds the acceleration limit; inf where it is not finite, so that nothing is reached.
+        Predicted terminal error, inf where it is not finite: the norm in R^6 for a trial, the sum
+        of the absolute residuals of `HoldProblem` for a minimum-time problem.
     iterations : int
         Solver iterations used.
     kkt_residual : float
         First-order optimality.
     work : int
-        Iterations times intervals: cost of the solve, the same on every machine.
+        Cost of the solve in microseconds or so, the same on every machine.
     disturbance : Disturbance
         Slope and imbalance that it was planned with.
     turns : int
@@ -95,77 +101,38 @@ class Arrival:
         """Predicted momentum at the arrival, shape (3,) [rad/s; world frame]."""
         return self.states[-1, MOMENTUM]
 
-    def speeds(self, factor: float) -> Vector:
-        """Return rotor speeds at the knots [rad/s], (K, 2), for rolling `factor` times as fast.
-
-        The sphere rolls in proportion to their difference from those that hold the momentum.
-        """
-        held = np.array([rest_speeds(x[MOMENTUM], x[QUATERNION]) for x in self.states])
-        speeds: Vector = held + factor * (self.hold.speeds - held)
-        return speeds
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Limits of a single solve.
-
-    Attributes
-    ----------
-    max_iterations : int
-        Cap on solver iterations.
-    max_step : float
-        Longest integration step [s].
-    error : float
-        Terminal error [norm in R^6] at which the solve stops.
-    rest_speed : float
-        Error of the rotor speeds at rest [rad/s] above which the problem is solved again.
-    """
-
-    max_iterations: int
-    max_step: float
-    error: float
-    rest_speed: float = np.inf
-
 
 class ArrivalSolver:
-    """Solver of fixed-time problems.
+    """Solver of trials and of minimum-time problems.
 
     Parameters
     ----------
     robot : RobotParameters
         Limits of the drives.
-    period : float
-        Sample period: spacing of the knots [s].
-    accuracy : Accuracy
-        Limits of each solve.
+    grid : Grid
+        Spacing of the knots, units of the robot.
     settings : TimeOptimalSettings
-        Spacing of the knots, share of the acceleration limit, weight of the penalty.
+        Tuning of both problems.
     """
 
     def __init__(
-        self, robot: RobotParameters, period: float, accuracy: Accuracy,
-        settings: TimeOptimalSettings,
+        self, robot: RobotParameters, grid: Grid, settings: TimeOptimalSettings
     ) -> None:
+        self.robot, self.grid, self.settings = robot, grid, settings
         self._max_speed = robot.max_rotor_speed
-        self._acceleration = settings.acceleration_share * robot.max_rotor_acceleration
-        self._period = period
-        self._max_step = accuracy.max_step
-        self._rest_speed = accuracy.rest_speed
-        self._settings = settings
-        self._solver = HoldSolver(
+        self._acceleration = robot.max_rotor_acceleration
+        self._trial = HoldSolver(
             SolverSettings(
-                max_iterations=accuracy.max_iterations,
-                gradient_tolerance=0.0,
-                decrease_tolerance=_LEAST_DECREASE,
-                target_cost=accuracy.error**2,
+                max_iterations=settings.trial_iterations, gradient_tolerance=0.0,
+                decrease_tolerance=_LEAST_DECREASE, target_cost=_TRIAL_TARGET,
             )
         )
+        self._fastest = HoldSolver()
 
-    def solve(
-        self, situation: Situation, goal: Vector, duration: float, guess: FirstOrderHold,
-        to_first_knot: float, unaware: bool = False,
+    def trial(
+        self, situation: Situation, goal: Vector, guess: FirstOrderHold, aware: bool = False
     ) -> Arrival:
-        """Find rotor speeds that end at `goal` after `duration`, or as near as possible.
+        """Return the motion of the duration of a guess that ends nearest to the goal.
 
         Parameters
         ----------
@@ -173,70 +140,114 @@ class ArrivalSolver:
             State of the robot and speeds of its rotors at the start.
         goal : ndarray, shape (6,)
             Goal with the quaternion sign that is aimed at.
-        duration : float
-            Time to the arrival [s].
         guess : FirstOrderHold
-            Initial guess; it is stretched in time to end at `duration`.
-        to_first_knot : float
-            Time to the first knot [s].
-        unaware : bool, optional
-            Whether the guess is for a sphere without momentum: what holds the momentum along its
-            motion is then added, so that the same motion results but for a turn about the body's
-            z axis.
+            Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
+            momentum along its motion is added, so that the same motion results but for a turn
+            about the body's z axis.
+        aware : bool, optional
+            Whether the guess has that already.
         """
-        durations = knot_durations(
-            duration, self._period, to_first_knot, self._settings,
-            everywhere=not self._settings.is_small(situation),
-        )
-        rolling = SteadyRolling.of(situation.constants, self._max_speed)
-        steady, turns = (0, 0)
-        if self._settings.is_small(situation):
+        durations, knots = np.diff(guess.times), guess.speeds[1:]
+        if not aware and not is_zero(situation.momentum, situation.disturbance):
+            knots = knots + self._compensation(situation, durations, knots)
+        momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
+        rest = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
+        problem = self._problem(situation, goal, durations, self.grid.spacing)
+        problem.lower[-1] = problem.upper[-1] = rest
+        problem.input_weight = _REGULARISATION
+        problem.slew_weight = self.settings.slew_weight
+        solution = self._trial.solve(problem, knots)
+        work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
+        error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
+        return _arrival(situation, problem, solution, goal, error, work)
+
+    def solve(
+        self, situation: Situation, goal: Vector, guess: FirstOrderHold, iterations: int,
+        weight: float, budget: float = math.inf, kept_error: float = 0.0, coarse: bool = False,
+    ) -> Arrival:
+        """Return the fastest motion near a guess that ends at the goal.
+
+        Parameters
+        ----------
+        situation, goal
+            As for `trial`; the sign of the quaternion does not matter.
+        guess : FirstOrderHold
+            Initial guess, whose knots are kept in units of the duration.
+        iterations : int
+            Cap on solver iterations.
+        weight : float
+            Time that a unit of the terminal error is worth [of the unit of time].
+        budget : float, optional
+            Wall time of the solve [s].
+        kept_error : float, optional
+            Terminal error at which the solve stops, to change the guess no more than it takes; by
+            default the duration is minimised.
+        coarse : bool, optional
+            Whether it is integrated in steps twice as long.
+        """
+        durations = np.diff(guess.times)
+        steady, turns, rolling = 0, 0, SteadyRolling.of(situation.constants, self._max_speed)
+        if self.settings.is_small(situation):
             steady, turns = steady_interval(durations, rolling)
         if turns:
             # It bends the way to the near goal by less than what is corrected on it.
             situation = replace(
                 situation, state=without_momentum(situation.state), disturbance=UNDISTURBED
             )
-        times = np.concatenate(([0.0], np.cumsum(durations)))
-        scaled = times[1:] * (guess.end / duration)
-        start = np.column_stack([np.interp(scaled, guess.times, row) for row in guess.speeds.T])
-        if unaware and not is_zero(situation.momentum, situation.disturbance):
-            start = start + self._compensation(situation, durations, start)
-        momentum = self._momentum_at_end(situation, durations, start)
-        # A turn of the shell changes the sign of the quaternion.
-        target = flipped_sign(goal) if turns % 2 else goal
-        iterations = 0
-        for _ in range(_SOLVES):
-            rest = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
-            problem = self._problem(situation, target, durations, rest)
-            if steady:
-                self._roll_steadily(problem, rolling, start, steady, turns)
-            solution = self._solver.solve(problem, start)
-            iterations += solution.iterations
-            if not situation.disturbance.imbalance.any():
-                break
-            momentum = solution.states[-1, MOMENTUM]
-            ended = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
-            if np.max(np.abs(ended - rest)) <= self._rest_speed:
-                break
-            start = solution.inputs[1:]
+        max_step = (2.0 if coarse else 1.0) * self.grid.fine
+        problem = self._problem(situation, goal, durations, max_step)
+        problem.error_weight = weight * self.grid.unit
+        if is_zero(situation.momentum, situation.disturbance):
+            problem.lower[-1] = problem.upper[-1] = 0.0
+        elif self.settings.is_out_of_balance(situation) and not situation.uncertainty > 0.0:
+            # Where poses are noisy the estimate of this component changes from sample to sample
+            # by more than a plan can follow, and it is left to the tilt at rest.
+            body_z = rotation.matrix(goal[QUATERNION])[:, 2]
+            problem.momentum_row = self.settings.momentum_weight * body_z
+        if turns:
+            self._roll_steadily(problem, rolling, guess.speeds[1:], steady, turns)
+        settings = SolverSettings(
+            max_iterations=iterations, decrease_floor=_LEAST_GAIN * self.grid.unit,
+            initial_damping=(_KEEPING if kept_error else _FIRST_PROXIMAL) * self.grid.unit,
+            time_budget=budget,
+            target_cost=kept_error * problem.error_weight,
+        )
+        solution = self._fastest.solve(problem, guess.speeds[1:], settings=settings)
+        duration = solution.stretch * guess.end
+        error = math.inf
+        if _is_finite(solution):
+            error = max(0.0, solution.cost - duration) / problem.error_weight
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
-        finite = solution.status is not SolveStatus.NOT_FINITE
-        error = math.sqrt(solution.cost) if finite else math.inf
-        return Arrival(
-            FirstOrderHold(times, solution.inputs), solution.states, goal,
-            error, iterations, solution.kkt_residual,
-            _CALL_WORK + (iterations + 1) * problem.intervals,
-            situation.disturbance, turns,
-        )
+        work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
+        return _arrival(situation, problem, solution, goal, error, work, turns)
+
+    def solves(
+        self, situation: Situation, known: Arrival, deadline: float = math.inf,
+        iterations: int | None = None,
+    ) -> Iterator[Arrival]:
+        """Yield solutions from a known arrival on, the last of which has no error if one has none.
+
+        The error weighs more from one to the next. `deadline` is a steady clock reading [s],
+        `iterations` another cap than that of the settings.
+        """
+        settings, weight = self.settings, self.settings.error_weight
+        for _ in range(settings.raises + 1):
+            known = self.solve(
+                situation, known.goal, known.hold, iterations or settings.final_iterations, weight,
+                deadline - time.perf_counter(),
+            )
+            yield known
+            if known.error <= settings.arrival_error:
+                return
+            weight *= _RAISED
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
         """Return the speeds that hold the momentum along knots u_1 ... u_N [rad/s], (N, 2)."""
         inputs = np.vstack((situation.input_in_force, knots))
         states = roll_out(
             without_momentum(situation.state), inputs, durations,
-            situation.constants.as_array(), self._max_step,
+            situation.constants.as_array(), self.grid.spacing,
         )
         momenta = (
             after_slope(situation.momentum, situation.disturbance, float(time))
@@ -246,31 +257,6 @@ class ArrivalSolver:
             rest_speeds(momentum, state[QUATERNION])
             for momentum, state in zip(momenta, states[1:], strict=True)
         ])
-
-    def _momentum_at_end(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
-        """Return the momentum after knots u_1 ... u_N [rad/s], shape (N, 2)."""
-        disturbance = situation.disturbance
-        if disturbance.imbalance.any():
-            inputs = np.vstack((situation.input_in_force, knots))
-            states = roll_out(
-                situation.state, inputs, durations, situation.constants.as_array(),
-                self._max_step, disturbance,
-            )
-            return states[-1, MOMENTUM]
-        return after_slope(situation.momentum, disturbance, float(np.sum(durations)))
-
-    def _momentum_row(self, situation: Situation, goal: Vector) -> Vector:
-        """Return what lets a plan end without momentum along the body's z axis, shape (3,).
-
-        On the way an imbalance changes that component; all else leaves it as it is. Where poses
-        are noisy its estimate changes from sample to sample by more than a plan can follow, and
-        it is left to the tilt at rest.
-        """
-        balanced = not self._settings.is_out_of_balance(situation)
-        if balanced or situation.uncertainty > 0.0:
-            return np.zeros(3)
-        row: Vector = self._settings.momentum_weight * rotation.matrix(goal[QUATERNION])[:, 2]
-        return row
 
     def _roll_steadily(
         self, problem: HoldProblem, rolling: SteadyRolling, guess: Vector, interval: int,
@@ -288,69 +274,28 @@ class ArrivalSolver:
         problem.steady_axis = weight * corner / np.linalg.norm(corner)
 
     def _problem(
-        self, situation: Situation, goal: Vector, durations: Vector, rest: Vector
+        self, situation: Situation, goal: Vector, durations: Vector, max_step: float
     ) -> HoldProblem:
-        """Return the problem that ends with rotor speeds `rest` [rad/s], shape (2,)."""
+        """Return a problem with the bounds of the drives; trials use a little less of a ramp."""
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
-        lower = -upper
-        # The acceleration limit of the first and the last ramp is exact, as a bound on the knot
-        # whose neighbour is fixed; between other knots it is a penalty.
-        in_force = np.clip(situation.input_in_force, -self._max_speed, self._max_speed)
-        first, last = self._acceleration * durations[0], self._acceleration * durations[-1]
-        upper[0] = np.minimum(upper[0], in_force + first)
-        lower[0] = np.maximum(lower[0], in_force - first)
-        if durations.size > 1:
-            stop_upper = np.minimum(upper[-2], rest + last)
-            stop_lower = np.maximum(lower[-2], rest - last)
-            compatible = stop_lower <= stop_upper
-            upper[-2] = np.where(compatible, stop_upper, upper[-2])
-            lower[-2] = np.where(compatible, stop_lower, lower[-2])
-        upper[-1] = lower[-1] = rest
         return HoldProblem(
-            state=situation.state,
-            goal=goal,
-            input_in_force=situation.input_in_force,
-            durations=durations,
-            constants=situation.constants.as_array(),
-            lower=lower,
-            upper=upper,
-            input_scale=self._max_speed,
-            input_weight=_REGULARISATION,
-            slew_weight=self._settings.slew_weight,
-            max_acceleration=self._acceleration,
-            max_step=self._max_step,
-            disturbance=situation.disturbance,
-            momentum_row=self._momentum_row(situation, goal),
+            state=situation.state, goal=goal, input_in_force=situation.input_in_force,
+            durations=durations, constants=situation.constants.as_array(), lower=-upper,
+            upper=upper, input_scale=self._max_speed, max_acceleration=self._acceleration,
+            max_step=max_step, disturbance=situation.disturbance,
         )
 
 
-def knot_durations(
-    duration: float, period: float, to_first_knot: float, settings: TimeOptimalSettings,
-    everywhere: bool = False,
-) -> Vector:
-    """Return interval lengths [s] with knots at the sampling instants and at `duration`.
+def _is_finite(solution: HoldSolution) -> bool:
+    return solution.status is not SolveStatus.NOT_FINITE
 
-    The first interval reaches to the next sampling instant; the last is as short as the time of
-    the arrival makes it. A long plan is a manoeuvre, one long interval of steady rolling and
-    another manoeuvre, so that the size of the problem does not grow with the distance.
 
-    Parameters
-    ----------
-    duration : float
-        Time to the arrival [s], positive.
-    period : float
-        Sample period [s].
-    to_first_knot : float
-        Time to the first knot [s].
-    settings : TimeOptimalSettings
-        Shortest interval, length of a manoeuvre.
-    everywhere : bool, optional
-        Whether a long plan has knots during steady rolling, too: with momentum the rotor speeds
-        change there with each turn of the shell.
-    """
-    last = duration - settings.shortest_interval * period
-    instants: Vector = np.arange(to_first_knot, last, period, dtype=np.float64)
-    manoeuvre = settings.manoeuvre_time
-    if duration > 2.0 * manoeuvre + 2.0 * period and not everywhere:
-        instants = instants[(instants <= manoeuvre) | (instants >= duration - manoeuvre)]
-    return np.diff(np.concatenate(([0.0], instants, [duration])))
+def _arrival(
+    situation: Situation, problem: HoldProblem, solution: HoldSolution, goal: Vector,
+    error: float, work: int, turns: int = 0,
+) -> Arrival:
+    times = np.concatenate(([0.0], np.cumsum(solution.stretch * problem.durations)))
+    return Arrival(
+        FirstOrderHold(times, solution.inputs), solution.states, goal, error,
+        solution.iterations, solution.kkt_residual, work, situation.disturbance, turns,
+    )

@@ -41,19 +41,15 @@ class Guess(NamedTuple):
         Rotor speeds, from time 0 on.
     goal : ndarray, shape (6,)
         Goal with the quaternion sign that they lead to.
-    missed : float
-        Distance at which half motions miss each other [m]; zero for other guesses.
     """
 
     hold: FirstOrderHold
     goal: Vector
-    missed: float = 0.0
 
 
 def meeting_guesses(
     rng: np.random.Generator, situation: Situation, drives: Drives,
-    durations: tuple[float, float], numbers: tuple[int, int], delay: float,
-    settings: TimeOptimalSettings,
+    durations: tuple[float, float], share: float, settings: TimeOptimalSettings,
 ) -> tuple[list[Guess], int]:
     """Draw half motions and return pairs that nearly meet, the most promising first.
 
@@ -67,13 +63,12 @@ def meeting_guesses(
         Spacing of the knots and limits of the rotors.
     durations : tuple of float
         Shortest and longest duration of a guess [s].
-    numbers : tuple of int
-        Numbers of half motions, a multiple of 16, and of guesses.
-    delay : float
-        Delay for each metre by which half motions miss each other [s/m]: the best guesses are
-        those of the least sum of duration and delay.
+    share : float
+        Share of the half motions and guesses of the settings that are drawn.
     settings : TimeOptimalSettings
-        Distribution of the switches, weight of the orientation.
+        Numbers of half motions and of guesses; distribution of the switches; weight of the
+        orientation and delay for each metre by which half motions miss each other: the best
+        guesses are those of the least sum of duration and delay.
 
     Returns
     -------
@@ -83,18 +78,21 @@ def meeting_guesses(
         Effort of finding them, in microseconds or so.
     """
     start, goal, period = situation.state[POSE], situation.goal, drives.period
+    radius = situation.constants.shell_radius
+    unit = 1.0 / (situation.constants.input_gain * drives.limit)
     speed = SteadyRolling.of(situation.constants, drives.limit).speed
     first, last = max(2, int(durations[0] / period)), int(durations[1] / period)
     levels = (last + 1) // 2
-    count, wanted = numbers
-    signals = _signals(rng, count, levels * period, settings)
+    count = 16 * round(share * settings.half_motions / 16)
+    wanted = round(share * settings.tried_guesses)
+    signals = _signals(rng, count, levels * period, unit, settings)
     constants = situation.constants.as_array()
     in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)
     forth = half_motions(start, in_force, signals, levels, drives, constants)
     back = half_motions(goal, _AT_REST, signals, levels, drives, constants)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
-        delay, settings.turn_weight,
+        settings.delay_of_distance * unit / radius, settings.turn_weight * radius**2,
     )
     best = np.argsort(found.scores, kind="stable")[:wanted]
     best = best[np.isfinite(found.scores[best])]
@@ -109,18 +107,21 @@ def meeting_guesses(
         same_sign = forth.states[before, 2:, i] @ back.states[after, 2:, j] > 0.0
         times: Vector = period * np.arange(periods + 1, dtype=np.float64)
         hold = FirstOrderHold(times, speeds)
-        missed = (float(found.scores[i]) - hold.end) / delay
-        guesses.append(Guess(hold, goal if same_sign else flipped_sign(goal), missed))
+        guesses.append(Guess(hold, goal if same_sign else flipped_sign(goal)))
     work = count * (20 + levels) // 40 + found.pairs // 1000
     return guesses, work
 
 
 def _signals(
-    rng: np.random.Generator, count: int, longest: float, settings: TimeOptimalSettings
+    rng: np.random.Generator, count: int, longest: float, unit: float,
+    settings: TimeOptimalSettings,
 ) -> Floats:
-    """Draw signs of both rotors and times of their switches [s], shape (6, `count`)."""
+    """Draw signs of both rotors and times of their switches [s], shape (6, `count`).
+
+    `longest` is the latest switch and `unit` the robot's unit of time [s].
+    """
     shape = (INPUT_SIZE, 2, count)
-    near_end = settings.mean_switch * rng.standard_exponential(shape, dtype=np.float32)
+    near_end = unit * settings.mean_switch * rng.standard_exponential(shape, dtype=np.float32)
     anywhere = longest * rng.random(shape, dtype=np.float32)
     times = np.where(
         rng.random(shape, dtype=np.float32) < settings.switches_anywhere, anywhere, near_end

@@ -1,48 +1,56 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Multi-start search for an early arrival that can be stopped at any time and continued.
+"""Multi-start search for the earliest arrival that can be stopped at any time and continued.
 
-In each round a few dozen initial guesses are solved for a given duration, with few iterations. The
-most promising ones are solved further, and from there Newton's method finds the duration at which
-the least terminal error becomes zero. A motion in a slightly different time is nearly the same
-motion with all speeds scaled, which gives the derivative of the error without another solve.
+In each round a few dozen guesses are tried by least squares, which reaches motions far from a
+guess with little work. Those that promise the earliest arrivals are polished as minimum-time
+problems on finer knots, and the best of these are solved to the end.
+
+Whole turns of steady rolling lead from a near goal to a distant one, at the same orientation. So
+the search aims at the near goal, whatever the distance; what it finds is extended by the turns and
+solved again, as the direction to the near goal is slightly another one.
 """
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import FARTHEST, POSE, POSITION, flipped_sign, state_error
+from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, nearer_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
-from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Accuracy, Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
     Guess,
     meeting_guesses,
     perturbed,
     random_hold,
 )
-from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
+from sphere_nmpc.strategy.time_optimal.steady_rolling import (
+    SteadyRolling,
+    with_turns,
+    without_turns,
+)
 
-_SCALING = 1e-6
-"""Change of the rotor speeds for the derivative of the terminal error by their scale [-]."""
-
-_SAME_DURATION, _SAME_ERROR = 1e-3, 1e-4
-"""Durations [s] and terminal errors [-] up to which two solves have the same result."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Attempt:
-    """A solve for a given duration, and the duration at which it would reach the goal [s]."""
-
-    arrival: Arrival
-    predicted: float
+_COMPARED: Vector = np.arange(1, 16) / 16.0
+"""Times at which two motions are compared [of their durations] ..."""
+_ALIKE = 0.2
+"""... and mean difference of their speeds [of the largest] up to which they are alike."""
+_FIRST_TURNS, _GROWTH = 8, 2
+"""Whole turns that are added to a near arrival first, and factor by which they grow then."""
+_FIRST_SHARE = 0.25
+"""Share of half motions and guesses that are tried in the first round."""
+_LATER = 1.5
+"""Factor on the delay of the shortest guess after each round without an arrival."""
+_TIME_OF_ERROR = 2.5
+"""Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
+_PROMISING = 1.1
+"""Sum of duration and delay [of the best arrival] up to which a trial is polished."""
+_REACHED, _REACHED_SHARE = 0.05, 0.1
+"""Terminal error [-], and share of that at the start, below which a polished arrival is solved to
+the end."""
 
 
 class ArrivalSearch:
@@ -50,62 +58,45 @@ class ArrivalSearch:
 
     Parameters
     ----------
-    robot : RobotParameters
-        Limits of the drives.
-    period : float
-        Sample period: spacing of the knots [s].
+    solver : ArrivalSolver
+        Solver with the limits of the drives.
     situation : Situation
-        State at the start, and the goal, which is aimed at with both signs of the quaternion.
-    to_first_knot : float
-        Time to the first knot [s].
+        State at the start, and the goal.
     seed : int
         Seed of the initial guesses.
-    settings : TimeOptimalSettings
-        Tuning of the search.
-    strict : bool, optional
-        Whether only the least terminal error counts as an arrival: near the goal a coarse solution
-        may be so short that it reaches the goal with none of the delays that are tried.
+    known : Arrival, optional
+        An arrival from this situation, before which another is searched for.
     """
 
     def __init__(
-        self, robot: RobotParameters, period: float, situation: Situation, to_first_knot: float,
-        seed: int, settings: TimeOptimalSettings, strict: bool = False,
+        self, solver: ArrivalSolver, situation: Situation, seed: int, known: Arrival | None = None
     ) -> None:
-        def solver(max_iterations: int) -> ArrivalSolver:
-            accuracy = Accuracy(max_iterations, settings.coarse_step, settings.coarse_target)
-            return ArrivalSolver(robot, period, accuracy, settings)
-
-        self._settings = settings
-        self._situation = situation
-        self._to_first_knot = to_first_knot
-        acceleration = settings.acceleration_share * robot.max_rotor_acceleration
-        limit = robot.max_rotor_speed
-        self._drives = Drives(period, limit / acceleration, limit)
-        self._max_step = settings.coarse_step
+        settings, grid, robot = solver.settings, solver.grid, solver.robot
+        self._solver, self._settings, self._grid = solver, settings, grid
+        self._situation, self._known = situation, known
+        self._rolling = SteadyRolling.of(situation.constants, robot.max_rotor_speed)
+        ramp = robot.max_rotor_speed / robot.max_rotor_acceleration
+        self._drives = Drives(grid.spacing, ramp, robot.max_rotor_speed)
         self._rng = np.random.default_rng(seed)
-        self._trial = solver(settings.trial_iterations)
-        self._refining = solver(settings.refining_iterations)
-        self._shortening = solver(settings.shortening_iterations)
-        way = situation.goal[POSITION] - situation.state[POSITION]
-        distance = float(np.linalg.norm(way))
-        self._window = settings.window
-        speed = SteadyRolling.of(situation.constants, limit).speed
-        self._least = distance / speed + self._drives.ramp
-        share = 0.0 if strict else settings.coarse_error_share
-        error = share * state_error(situation.state, situation.goal)
-        self._tolerance = min(settings.coarse_error, max(settings.least_coarse_error, error))
-        self._later, self._is_given = 0.0, False
-        self._delay = settings.delay_of_distance
+        self._turns = 0
+        self._turn: Vector = np.zeros(2)
+        """Displacement of a turn [m]."""
+        self._near = situation
+        if settings.is_small(situation):
+            self._aim_near(known)
+        way = self._near.goal[POSITION] - situation.state[POSITION]
+        self._least = float(np.linalg.norm(way)) / self._rolling.speed + ramp
+        self._reached = _REACHED
+        if settings.is_small(situation):  # otherwise the sphere leaves the goal by itself
+            error = state_error(situation.state, situation.goal)
+            self._reached = min(_REACHED, _REACHED_SHARE * error)
+        self._window, self._later = settings.window * grid.unit, 0.0
         self._steps = self._rounds()
-        self.best: Arrival | None = None
+        self.best: Arrival | None = known
         """The earliest arrival found so far."""
         self.work = 0
-        """Solver iterations times intervals used so far, and as much for the initial guesses."""
-
-    def start_from(self, arrival: Arrival) -> None:
-        """Take a known arrival as the best so far, unless a better one is known."""
-        self._keep(arrival)
-        self._is_given = True
+        """Work so far, in microseconds or so."""
+        self._deadline = np.inf
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
         """Continue the search.
@@ -113,7 +104,7 @@ class ArrivalSearch:
         Parameters
         ----------
         work : int
-            Work to use: solver iterations times intervals, about a microsecond each.
+            Work to use, in microseconds or so.
         deadline : float, optional
             Steady clock reading at which to stop [s]; makes the result depend on the machine.
 
@@ -122,152 +113,184 @@ class ArrivalSearch:
         Arrival or None
             The earliest arrival so far.
         """
-        end = self.work + work
+        end, self._deadline = self.work + work, deadline
         while self.work < end and time.perf_counter() < deadline:
             next(self._steps)
         return self.best
 
+    def improve_once(self, deadline: float = np.inf) -> Arrival | None:
+        """Search for one round, or until the deadline; see `improve`."""
+        self._deadline = deadline
+        if self.best is not None:
+            for _ in self._finished(self.best, added=self._turns):
+                pass
+        for _ in self._round(1.0):
+            if time.perf_counter() > deadline:
+                break
+        return self.best
+
     def _rounds(self) -> Iterator[None]:
         """Search without end; each step is one solve or one draw of guesses."""
+        # So that the first arrival takes little work.
+        yield from self._round(_FIRST_SHARE)
         while True:
-            yield from self._round()
+            yield from self._round(1.0)
 
-    def _round(self) -> Iterator[None]:
-        settings, trials, delays = self._settings, list[_Attempt](), list[float]()
-        guesses = self._guesses()
+    def _round(self, share: float) -> Iterator[None]:
+        settings, trials = self._settings, list[Arrival]()
+        guesses = self._guesses(share)
         yield
         for guess in guesses:
-            duration = guess.hold.end
-            if self.best is not None:
-                duration = min(duration, settings.earlier * self.best.duration)
-            trials.append(self._solve(self._trial, guess, duration, unaware=True))
-            if guess.missed > 0.0:
-                delays.append((trials[-1].predicted - guess.hold.end) / guess.missed)
+            hold = guess.hold
+            trials.append(self._counted(self._solver.trial(self._near, guess.goal, hold)))
             yield
-        if delays:
-            self._delay = max(settings.delay_of_distance, float(np.median(delays)))
-        delay = settings.delay_of_error
-        trials.sort(key=lambda trial: trial.arrival.duration + delay * trial.arrival.error)
-        trials = _different(trials)
-        refined = list[_Attempt]()
-        for trial in trials[: int(np.ceil(settings.kept_guesses * len(trials)))]:
-            refined.append(self._again(self._refining, trial, trial.arrival.duration))
+        survivors = _different(trials, self._promise)[: settings.polished]
+        longest, polished = np.inf, list[Arrival]()
+        if self.best is not None:
+            longest = self.best.duration - self._turns * self._rolling.turn_time
+        for arrival in survivors:
+            if self._promise(arrival) > _PROMISING * longest:
+                break
+            if arrival.error > self._reached:
+                arrival = self._with_more_time(arrival)
+            polished.append(self._polished(self._near, arrival.goal, arrival.hold))
             yield
-        for attempt in _different(sorted(refined, key=lambda attempt: attempt.predicted)):
-            yield from self._shortened(attempt)
+        different = _different(polished, self._promise)
+        reached = [polished for polished in different if polished.error < self._reached]
+        for arrival in reached[: settings.finished]:
+            if arrival.duration > longest:
+                break
+            yield from self._finished(arrival)
         # The shortest guesses may all be too short.
-        self._later = 0.0 if self.best is not None else 1.5 * self._later + settings.later
+        short = (bool(polished) and not reached) or self.best is None
+        self._later = _LATER * self._later + self._grid.spacing if short else 0.0
 
-    def _guesses(self) -> list[Guess]:
+    def _promise(self, arrival: Arrival) -> float:
+        """Return the duration with what its error is worth [s]."""
+        return arrival.duration + self._settings.delay_of_error * self._grid.unit * arrival.error
+
+    def _with_more_time(self, arrival: Arrival) -> Arrival:
+        """Return a trial from another one, in the time that the error of that takes longer."""
+        hold = arrival.hold
+        factor = 1.0 + _TIME_OF_ERROR * self._grid.unit * arrival.error / arrival.duration
+        slower = FirstOrderHold(factor * hold.times, hold.speeds / factor)
+        return self._counted(self._solver.trial(self._near, arrival.goal, slower, aware=True))
+
+    def _polished(self, situation: Situation, goal: Vector, guess: FirstOrderHold) -> Arrival:
+        settings = self._settings
+        return self._counted(self._solver.solve(
+            situation, goal, guess, settings.polishing_iterations, settings.error_weight,
+            self._deadline - time.perf_counter(), coarse=True,
+        ))
+
+    def _finished(self, arrival: Arrival, added: int = 0) -> Iterator[None]:
+        """Solve a polished arrival to the end, at the goal, and keep it.
+
+        `added` are the whole turns that it has; near the goal none.
+        """
+        for turns, more in self._steps_to_goal(added):
+            longer = more * self._rolling.turn_time
+            if arrival.turns:
+                guess = self._lengthened(arrival, longer)
+            else:
+                guess = with_turns(arrival.hold, longer, self._drives.limit)
+            goal = self._goal_after(arrival.goal, turns)
+            arrival = self._polished(self._situation, goal, guess)
+            yield
+        arrival = replace(arrival, hold=self._grid.refined(arrival.hold))
+        for found in self._solver.solves(self._situation, arrival, self._deadline):
+            arrival = self._counted(found)
+            yield
+        earlier = self.best is None or arrival.duration < self.best.duration
+        if arrival.error <= self._settings.arrival_error and earlier:
+            self.best = arrival
+
+    def _counted(self, arrival: Arrival) -> Arrival:
+        self.work += arrival.work
+        return arrival
+
+    def _guesses(self, share: float) -> list[Guess]:
         settings, best = self._settings, self.best
-        if best is None or self._is_given:
-            numbers = settings.first_half_motions, settings.first_tried_guesses
-        else:
-            numbers = settings.half_motions, settings.tried_guesses
-        shortest = self._least + self._later
-        longest = shortest + self._window
+        longest = self._least + self._later + self._window
         if best is not None:
-            longest = min(longest, best.duration)
+            longest = min(longest, best.duration - self._turns * self._rolling.turn_time)
+        if self._least + self._later > longest - self._grid.spacing:
+            self._later = 0.0
+        shortest = self._least + self._later
         found, work = meeting_guesses(
-            self._rng, self._situation, self._drives, (shortest, longest), numbers,
-            self._delay, settings,
+            self._rng, self._near, self._drives, (shortest, longest), share, settings
         )
         self.work += work
         if not found and best is None:
-            self._window = min(2.0 * self._window, settings.longest_window)
-        slow = self._drives.ramp > settings.long_ramp
-        if slow or self._later > 0.0:
+            self._window *= 2.0
+        slow = self._drives.ramp > settings.long_ramp * self._grid.unit
+        if self._later > 0.0 or slow:
             for k in range(settings.random_guesses):
-                duration = shortest + settings.window * self._rng.random()
+                duration = shortest + self._window * self._rng.random()
                 hold = random_hold(self._rng, duration, self._drives.limit)
-                goal = self._situation.goal
-                found.append(Guess(hold, goal if k % 2 else flipped_sign(goal)))
+                goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
+                found.append(Guess(self._grid.coarse(hold), goal))
         if best is not None:
+            turns = best.turns * self._rolling.turn_time
+            near = self._lengthened(best, -turns) if turns else best.hold
             for _ in range(settings.perturbations):
                 amount = settings.largest_perturbation * self._rng.random()
-                hold = perturbed(self._rng, best.hold, amount, self._drives.limit)
-                found.append(Guess(hold, best.goal))
+                hold = perturbed(self._rng, self._grid.coarse(near), amount, self._drives.limit)
+                found.append(Guess(hold, nearer_sign(self._near.goal, best.states[-1])))
         return found
 
-    def _shortened(self, attempt: _Attempt) -> Iterator[None]:
-        """Find the shortest duration by Newton's method on the terminal error."""
-        settings, too_short = self._settings, 0.0
-        least_step, longest = settings.least_step, settings.stretch * attempt.arrival.duration
-        error = np.inf
-        for _ in range(settings.attempts):
-            arrival = attempt.arrival
-            if self._arrives(attempt):
-                self._keep(arrival)
-                if too_short > settings.bracket * arrival.duration:
-                    return
-                middle = 0.5 * (too_short + arrival.duration)
-                duration = max(settings.probe * arrival.duration, middle)
-            else:
-                too_short = max(too_short, arrival.duration)
-                later = (1.0 + least_step) * arrival.duration
-                duration = max(settings.overshoot * attempt.predicted, later)
-                least_step *= 2.0
-                if duration > longest or arrival.error > settings.progress * error:
-                    return
-                error = arrival.error
-                if self.best and duration >= settings.least_gain * self.best.duration:
-                    return
-            attempt = self._again(self._shortening, attempt, duration)
-            yield
+    def _lengthened(self, arrival: Arrival, longer: float) -> FirstOrderHold:
+        """Return the hold of an arrival with whole turns, rolling steadily for longer [s]."""
+        interval = int(np.argmax(np.diff(arrival.hold.times)))
+        return without_turns(arrival.hold, interval, -longer)
 
-    def _arrives(self, attempt: _Attempt) -> bool:
-        return attempt.arrival.error <= self._tolerance
+    def _aim_near(self, known: Arrival | None) -> None:
+        """Leave whole turns of a distant goal out of the search."""
+        situation, rolling, goal = self._situation, self._rolling, self._situation.goal
+        way = goal[POSITION] - situation.state[POSITION]
+        if known is None:
+            beyond = float(np.linalg.norm(way)) - self._settings.near_distance(self._solver.robot)
+            self._turns = max(0, int(beyond / rolling.turn_length))
+        else:
+            self._turns = known.turns
+            interval = int(np.argmax(np.diff(known.hold.times)))
+            way = known.states[interval + 1, POSITION] - known.states[interval, POSITION]
+        if self._turns:
+            self._turn = rolling.turn_length / float(np.linalg.norm(way)) * way
+            near = goal.copy()
+            near[POSITION] = goal[POSITION] - self._turns * self._turn
+            self._near = replace(situation, goal=near)
 
-    def _again(self, solver: ArrivalSolver, attempt: _Attempt, duration: float) -> _Attempt:
-        arrival = attempt.arrival
-        if self._arrives(attempt) and duration == arrival.duration:
-            return attempt
-        hold = arrival.hold
-        if duration > arrival.duration:
-            # The same motion in a longer time, which stretched alone would lead too far.
-            hold = FirstOrderHold(hold.times, arrival.speeds(arrival.duration / duration))
-        return self._solve(solver, Guess(hold, arrival.goal), duration)
+    def _steps_to_goal(self, added: int) -> Iterator[tuple[int, int]]:
+        """Yield the whole turns that have been added after each step, and how many in it.
 
-    def _solve(
-        self, solver: ArrivalSolver, guess: Guess, duration: float, unaware: bool = False
-    ) -> _Attempt:
-        arrival = solver.solve(
-            self._situation, guess.goal, duration, guess.hold, self._to_first_knot, unaware
-        )
-        self.work += arrival.work
-        return _Attempt(arrival, duration + arrival.error / self._rate(arrival))
-
-    def _rate(self, arrival: Arrival) -> float:
-        """Return the decrease of the terminal error with the duration [1/s].
-
-        At the least error it changes with the duration alone (envelope theorem), and a longer time
-        is as good as higher speeds.
+        Continuation: the nearer the goal, the more its direction differs from that of the distant
+        one.
         """
-        situation = self._situation
-        if not self._tolerance < arrival.error < FARTHEST:
-            return self._settings.typical_rate
-        # Both ends by the same integration: that of the solver is another one on a long interval.
-        end, faster = (
-            roll_out(
-                situation.state, arrival.speeds(factor), np.diff(arrival.hold.times),
-                situation.constants.as_array(), self._max_step, situation.disturbance,
-            )[-1]
-            for factor in (1.0, 1.0 + _SCALING)
-        )
-        missing = arrival.goal - arrival.states[-1, POSE]
-        along = float(missing @ (faster - end)[POSE]) / (_SCALING * arrival.duration)
-        return max(self._settings.least_rate, along / float(np.linalg.norm(missing)))
+        while added < self._turns:
+            more = min(self._turns, max(_FIRST_TURNS, _GROWTH * added)) - added
+            added += more
+            yield added, more
 
-    def _keep(self, arrival: Arrival) -> None:
-        if self.best is None or arrival.duration < self.best.duration:
-            self.best = arrival
+    def _goal_after(self, near: Vector, turns: int) -> Vector:
+        """Return the goal that is `turns` whole turns beyond the near one."""
+        goal = near.copy()
+        goal[POSITION] = self._situation.goal[POSITION] - (self._turns - turns) * self._turn
+        return goal
 
 
-def _different(attempts: list[_Attempt]) -> list[_Attempt]:
-    """Return the first of those that have come to the same motion: to the same terminal error."""
-    found: dict[tuple[float, float], _Attempt] = {}
-    for attempt in attempts:
-        arrival = attempt.arrival
-        key = round(arrival.duration / _SAME_DURATION), round(arrival.error / _SAME_ERROR)
-        found.setdefault(key, attempt)
-    return list(found.values())
+def _different(
+    arrivals: list[Arrival], promise: Callable[[Arrival], float]
+) -> list[Arrival]:
+    """Return arrivals in the order of their promise, of motions that are alike the first alone."""
+    found, signatures = list[Arrival](), list[Vector]()
+    for arrival in sorted(arrivals, key=promise):
+        hold = arrival.hold
+        times = hold.end * _COMPARED
+        signature = np.array([np.interp(times, hold.times, row) for row in hold.speeds.T])
+        largest = float(np.max(np.abs(hold.speeds)))
+        alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
+        if np.isfinite(arrival.error) and all(d > _ALIKE * largest for d in alike):
+            found.append(arrival)
+            signatures.append(signature)
+    return found

@@ -20,14 +20,7 @@ import time
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import (
-    POSITION,
-    QUATERNION,
-    Vector,
-    angle_error,
-    nearer_sign,
-    state_error,
-)
+from sphere_nmpc.model.state import QUATERNION, Vector, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -37,16 +30,14 @@ from sphere_nmpc.strategy.rest import (
     is_saturated,
     speeds_of_rest,
 )
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, KnotGrid
 from sphere_nmpc.strategy.time_optimal.searches import (
-    Purpose,
-    SearchesBeside,
-    SearchResult,
-    WorkerSearch,
+    Searches,
+    SearchTask,
     later,
-    search_task,
+    solver_for,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.states import (
@@ -55,10 +46,12 @@ from sphere_nmpc.strategy.time_optimal.states import (
     Saturated,
     Searching,
     State,
-    improved,
-    replan,
 )
 from sphere_nmpc.worker.contract import Worker
+from sphere_nmpc.worker.in_line import InLine
+
+_LEAST_GAIN = 5e-3
+"""Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
 
 
 class TimeOptimalStrategy:
@@ -84,7 +77,8 @@ class TimeOptimalStrategy:
         self._goals = IntermediateGoals(self._tuning)
         self._held_goal = HeldGoal(robot.max_rotor_speed, self._tuning)
         self._rest_at_goal = RestAtGoal(settings, robot, self._tuning)
-        self._beside: SearchesBeside | None = None
+        self._in_line = Searches(InLine())
+        self._beside: Searches | None = None
         self.reset()
 
     def search_beside(self, worker: Worker) -> None:
@@ -93,7 +87,8 @@ class TimeOptimalStrategy:
         A changed goal is then found by comparison, and needs no `reset`: the plan in force is
         followed until there is one to the new goal.
         """
-        self._beside = SearchesBeside(worker, self._tuning)
+        tuning = self._tuning
+        self._beside = Searches(worker, tuning.search_ahead, tuning.search_farthest_ahead)
 
     def is_due(self, now: float) -> bool:
         """Return whether a search has ended whose plan begins at `now` [s] or before."""
@@ -102,8 +97,8 @@ class TimeOptimalStrategy:
     @property
     def searches(self) -> bool:
         """Whether a plan is being searched for beside the loop, other than an earlier arrival."""
-        beside = self._beside
-        return beside is not None and beside.purpose in (Purpose.NEW, Purpose.REDIRECT)
+        task = None if self._beside is None else self._beside.task
+        return task is not None and task.known is None
 
     def change(self, settings: ControllerSettings) -> None:
         """Use another planning effort and other weights; plan and started search are kept."""
@@ -115,43 +110,44 @@ class TimeOptimalStrategy:
         self._state: State = Searching()
         self._goal: Vector | None = None
         self._improved_at = -np.inf
-        if self._beside is not None:
-            self._beside.cancel()
-        self._grid = KnotGrid(self._settings.period, self._tuning)
+        for searches in (self._in_line, self._beside):
+            if searches is not None:
+                searches.cancel()
         self._seeds = itertools.count(1)
-        limit = self._robot.max_rotor_acceleration
-        self._acceleration = limit
-        self._full = self._planner(limit)
-        self._slippery = self._planner(self._tuning.slip_acceleration * limit)
-        self._goals.reset()
-        self._held_goal.reset()
-        self._rest_at_goal.reset()
+        self._solver = self._solver_with(1.0)
+        self._forget_goal()
 
-    def _planner(self, acceleration: float) -> ArrivalPlanner:
-        """Return a planner with this limit of the rotors' acceleration [rad/s^2]."""
-        robot = dataclasses.replace(self._robot, max_rotor_acceleration=acceleration)
-        return ArrivalPlanner(robot, self._settings.period, self._grid, self._seeds, self._tuning)
+    def _forget_goal(self) -> None:
+        for part in (self._goals, self._held_goal, self._rest_at_goal):
+            part.reset()
+
+    def _solver_with(self, share: float) -> ArrivalSolver:
+        """Return a solver with this share of the limit of the rotors' acceleration."""
+        limit = share * self._robot.max_rotor_acceleration
+        robot = dataclasses.replace(self._robot, max_rotor_acceleration=limit)
+        return solver_for(robot, self._tuning)
 
     def _use_attained(self, situation: Situation) -> None:
         """Plan with the acceleration that the drives attain, also what remains of a plan."""
-        share = self._tuning.attained_share
-        limit = min(self._robot.max_rotor_acceleration, share * situation.acceleration)
-        limit = max(limit, self._tuning.slip_acceleration * self._robot.max_rotor_acceleration)
-        if abs(limit - self._acceleration) <= self._tuning.same_acceleration * limit:
+        tuning, limit = self._tuning, self._robot.max_rotor_acceleration
+        share = min(1.0, tuning.attained_share * situation.acceleration / limit)
+        share = max(share, tuning.slip_acceleration)
+        before = self._solver.robot.max_rotor_acceleration / limit
+        if abs(share - before) <= tuning.same_acceleration * share:
             return
-        followed, self._acceleration, self._full = self._full, limit, self._planner(limit)
+        followed, self._solver = self._solver, self._solver_with(share)
         state = self._state
-        if isinstance(state, Following) and state.planner is followed:
-            self._state = dataclasses.replace(state, planner=self._full)
+        if isinstance(state, Following) and state.solver is followed:
+            self._state = dataclasses.replace(state, solver=self._solver)
 
     def plan(self, situation: Situation) -> Plan:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
-        self._grid.begin(situation.time)
+        if self._goal is None or not np.array_equal(self._goal, situation.goal):
+            self._goal = situation.goal
+            self._forget_goal()
         self._use_attained(situation)
-        if self._beside is not None:
-            situation = self._with_goal_of_plan(situation, self._beside)
-        situation = self._aim(self._holdable(situation))
+        situation = self._aimed(situation)
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)
         if not plan.given_up and self._held_goal.given_up:
@@ -176,200 +172,137 @@ class TimeOptimalStrategy:
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows from `state` and the present situation.
 
-        Following -> Following while the rest of the plan reaches the goal. A plan that has ended,
-        or can no longer reach it, ends in Holding if the sphere rests within the dead band, else
-        in a search. Holding -> Searching when the error leaves the dead band. Searching ->
-        Following once there is a plan, -> Holding if the sphere rests within the dead band. Any
-        but Following -> Saturated while the rotors cannot hold the momentum at the goal, and back
-        -> Searching.
+        ========= ======================================================= ==========
+        state     condition                                               next state
+        ========= ======================================================= ==========
+        Following a search has found an earlier plan, or another goal's   Following
+        Following the plan has not ended                                  Following
+        other     the rotors cannot hold the momentum at the goal         Saturated
+        Holding   the error is within the dead band or `leaving_error`    Holding
+        other     the sphere rests within the dead band                   Holding
+        other     a search has found a plan                               Following
+        other                                                             Searching
+        ========= ======================================================= ==========
         """
-        tuning, settings = self._tuning, self._settings
+        tuning, goal = self._tuning, situation.goal
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
+        error = state_error(situation.state, goal)
+        found, is_fruitless = self._found(situation, dead_band, deadline)
         if isinstance(state, Following):
-            followed = self._followed(state, situation, dead_band, deadline)
+            plan = state.turned_to(goal) if state.leads_to(goal) else state
+            kept = plan.solved_again(situation, dead_band, deadline)
+            if kept is not None and is_fruitless:
+                kept = dataclasses.replace(kept, fruitless=kept.fruitless + 1)
+            followed = _better(kept, found, goal)
             if followed is not None:
-                return followed
+                return self._searched_beyond(followed, situation, dead_band, deadline)
             state = Searching()
-        limit = self._robot.max_rotor_speed
-        if is_saturated(situation.momentum, situation.goal[QUATERNION], limit):
+        if is_saturated(situation.momentum, goal[QUATERNION], self._robot.max_rotor_speed):
             return Saturated()
-        if isinstance(state, Saturated):
-            state = Searching()
-        error = state_error(situation.state, situation.goal)
+        if isinstance(state, Holding) and error < max(dead_band, state.leaving_error):
+            return state
         at_rest = self._is_at_rest(situation)
-        if isinstance(state, Holding):
-            if error < max(dead_band, state.leaving_error):
-                return state
-            state = Searching()
-        elif at_rest and error < self._resting_band(dead_band, situation):
+        band = dead_band
+        if not tuning.is_small(situation):
+            band = max(dead_band, tuning.held_dead_band)
+        if not isinstance(state, Holding | Saturated) and at_rest and error < band:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
-        if self._beside is not None and self._beside.available:
-            return self._found_beside(state, situation, self._beside, at_rest, dead_band, deadline)
-        planner, now = self._planner_for(situation), situation.time
-        task = search_task(
-            planner, situation, self._grid.origin(now),
-            round(self._growth(state, situation, at_rest) * settings.planning_effort),
-            deadline - time.perf_counter(), state.strict,
+        fruitless = state.fruitless if isinstance(state, Searching) else 0
+        fruitless = fruitless + 1 if is_fruitless else fruitless
+        if found is None and self._searches.task is None:
+            found, is_fruitless = self._searched_anew(
+                situation, fruitless, at_rest, dead_band, deadline
+            )
+            fruitless = fruitless + 1 if is_fruitless else fruitless
+        return Searching(fruitless) if found is None else found
+
+    @property
+    def _searches(self) -> Searches:
+        """The searches of the worker; in line where there is none to be had."""
+        beside = self._beside
+        return beside if beside is not None and beside.available else self._in_line
+
+    def _found(
+        self, situation: Situation, dead_band: float, deadline: float
+    ) -> tuple[Following | None, bool]:
+        """Return the plan of a search whose plan begins now, and whether one was fruitless."""
+        outcome = self._searches.take(situation.time, self._settings.control_period)
+        if outcome is None:
+            return None, False
+        if outcome.arrival is None:
+            return None, True
+        begins = situation.time if outcome.task.from_rest else outcome.task.situation.time
+        plan = Following(outcome.arrival, begins, solver_for(outcome.task.robot, self._tuning))
+        return plan.solved_again(situation, dead_band, deadline), False
+
+    def _search(
+        self, start: Situation, solver: ArrivalSolver, effort: int, longest: float,
+        plan: Following | None = None, from_rest: bool = False,
+    ) -> None:
+        """Begin a search from a situation on, for an earlier arrival if there is a plan."""
+        known = None if plan is None else plan.rest(start.time)
+        task = SearchTask(
+            solver.robot, self._tuning, start, next(self._seeds), effort, longest, from_rest, known
         )
-        return self._planned(task(), state, planner, now)
+        self._searches.begin(task)
 
-    def _planner_for(self, situation: Situation) -> ArrivalPlanner:
-        """Return the planner with the limit of acceleration that the floor allows."""
-        return self._slippery if situation.slippery else self._full
-
-    def _growth(self, state: Searching, situation: Situation, at_rest: bool) -> float:
-        """Return the factor [-] on the effort of a search for a plan where there is none."""
+    def _searched_anew(
+        self, situation: Situation, fruitless: int, at_rest: bool, dead_band: float,
+        deadline: float,
+    ) -> tuple[Following | None, bool]:
+        """Begin a search where there is no plan; return what it has found in line."""
+        tuning, searches = self._tuning, self._searches
+        start = situation
+        if not at_rest and searches.ahead:
+            ramp = come_to_rest(situation, self._robot, tuning.rest_time, "").hold
+            start = later(situation, ramp, situation.time + searches.ahead, self._solver.grid.fine)
         # In motion the next search has another problem, which may be easier.
-        return self._tuning.growth(state.fruitless) if at_rest else 1.0
+        growth = tuning.growth(fruitless) if at_rest else 1.0
+        solver = self._solver
+        if situation.slippery:
+            solver = self._solver_with(tuning.slip_acceleration)
+        longest = self._longest(growth, deadline)
+        effort = round(growth * self._settings.planning_effort)
+        self._search(start, solver, effort, longest, from_rest=at_rest)
+        return self._found(situation, dead_band, deadline)
 
-    def _planned(
-        self, result: SearchResult, state: Searching, planner: ArrivalPlanner, begins: float
-    ) -> Searching | Following:
-        """Return the state after a search for a plan that begins at `begins` [s]."""
-        if result.arrival is None:
-            strict = state.strict or not result.found_none
-            return Searching(strict, state.fruitless + 1 if result.found_none else 0)
-        return Following(result.arrival, begins, planner)
+    def _longest(self, growth: float, deadline: float) -> float:
+        """Return the wall time of a search [s]."""
+        if self._searches is self._in_line:
+            return deadline - time.perf_counter()
+        return growth * self._tuning.longest_search
 
-    def _followed(
-        self, state: Following, situation: Situation, dead_band: float, deadline: float
-    ) -> Following | None:
-        """Return what remains of the plan, or of an earlier arrival; None if it has ended."""
-        settings, beside = self._settings, self._beside
-
-        def rest(plan: Following) -> Following | None:
-            return replan(plan, situation, dead_band, deadline, settings)
-
-        if beside is None or not beside.available:
-            kept = rest(state)
-            return None if kept is None else improved(kept, situation, deadline, settings)
-        followed: Following | None = None
-        if beside.purpose is Purpose.EARLIER:
-            outcome = beside.take(situation.time, settings.control_period)
-            if outcome is not None and not outcome.is_late:
-                arrival, begins = outcome.result.arrival, outcome.situation.time
-                if arrival is None:
-                    state = dataclasses.replace(state, fruitless=state.fruitless + 1)
-                else:
-                    followed = rest(Following(arrival, begins, outcome.planner))
-        # The plan in force arrives as planned or with a delay: one that arrives before is compared
-        # with it without solving for it.
-        if not _arrives_before(followed, state):
-            kept = rest(state)
-            if kept is not None and not _arrives_before(followed, kept):
-                followed = kept
-        return None if followed is None else self._search_earlier(followed, situation, beside)
-
-    def _search_earlier(
-        self, plan: Following, situation: Situation, beside: SearchesBeside
+    def _searched_beyond(
+        self, plan: Following, situation: Situation, dead_band: float, deadline: float
     ) -> Following:
-        """Begin a search for an earlier arrival, once a sample period; return the plan."""
-        tuning, settings, now = plan.planner.tuning, self._settings, situation.time
-        begins = now + max(beside.ahead, settings.control_period)
-        idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
-        over = plan.fruitless >= tuning.fruitless_searches or plan.time_left(begins) < (
-            tuning.fixed_time
+        """Begin a search for a better plan, once a sample period; return the best one so far."""
+        tuning, settings, now = self._tuning, self._settings, situation.time
+        searches = self._searches
+        begins = now + (max(searches.ahead, settings.control_period) if searches.ahead else 0.0)
+        suits = plan.reaches and plan.leads_to(situation.goal)
+        over = suits and (
+            plan.fruitless >= tuning.fruitless_searches
+            or plan.time_left(begins) < tuning.fixed_time * plan.solver.grid.unit
         )
-        if beside.purpose is None and idle and plan.work and not over:
-            self._improved_at = now
-            hold = plan.arrival.hold.delayed(plan.planned_at)
-            start = later(situation, hold, begins, tuning.precise_step)
-            start = dataclasses.replace(start, goal=plan.arrival.goal)
-            known = plan.rest(begins)
-            beside.begin(Purpose.EARLIER, plan.planner, start, plan.work, known=known)
-        return plan
-
-    def _found_beside(
-        self, state: Searching, situation: Situation, beside: SearchesBeside, at_rest: bool,
-        dead_band: float, deadline: float,
-    ) -> Searching | Following:
-        """Return the plan that a search beside the loop has found, or go on searching."""
-        settings, outcome = self._settings, None
-        if beside.purpose is Purpose.NEW:
-            outcome = beside.take(situation.time, settings.control_period)
-        if outcome is not None and self._is_for(outcome, situation.goal):
-            at_once = outcome.from_rest and at_rest
-            begins = situation.time if at_once else outcome.situation.time
-            found = self._planned(outcome.result, state, outcome.planner, begins)
-            if isinstance(found, Searching):
-                return found
-            self._grid.begin_again(begins)
-            if at_once and outcome.begins_in(situation):
-                return found
-            followed = replan(found, situation, dead_band, deadline, settings)
-            return Searching() if followed is None else followed
-        if beside.purpose is not Purpose.NEW:
-            start = situation
-            if not at_rest:
-                ramp = come_to_rest(situation, self._robot, self._tuning.rest_time, "").hold
-                begins = situation.time + beside.ahead
-                start = later(situation, ramp, begins, self._tuning.precise_step)
-            beside.begin(
-                Purpose.NEW, self._planner_for(situation), start, settings.planning_effort,
-                self._growth(state, situation, at_rest), at_rest, state.strict,
-            )
-        return state
-
-    def _is_for(self, outcome: WorkerSearch, goal: Vector) -> bool:
-        """Return whether a search was for this goal, but for what momentum changes of it."""
-        aimed = outcome.situation.goal
-        turned = angle_error(goal, aimed) < self._tuning.largest_change_of_goal
-        return turned and np.array_equal(aimed[POSITION], goal[POSITION])
-
-    def _with_goal_of_plan(self, situation: Situation, beside: SearchesBeside) -> Situation:
-        """Return the situation with the goal of the plan that is followed.
-
-        To another goal a plan is searched for that begins a little later on the way; where that is
-        not possible everything begins anew.
-        """
-        state, wanted = self._state, situation.goal
-        goal = self._goal = wanted if self._goal is None else self._goal
-        if np.array_equal(wanted, goal):
-            if beside.purpose is Purpose.REDIRECT:
-                beside.cancel()
-            return situation
-        outcome = None
-        if beside.purpose is Purpose.REDIRECT:
-            outcome = beside.take(situation.time, self._settings.control_period)
-        simple = self._is_aimed_at(dataclasses.replace(situation, goal=wanted))
-        if simple and isinstance(state, Searching) and beside.purpose is Purpose.NEW:
-            # Goals that arrive faster than a search takes would otherwise prevent any plan.
-            return dataclasses.replace(situation, goal=goal)
-        arrival = None if outcome is None else outcome.result.arrival
-        failed = outcome is not None and arrival is None
-        if not isinstance(state, Following) or not simple or failed or not beside.available:
-            self.reset()
-            self._grid.begin(situation.time)
-            self._goal = wanted
-            return situation
-        if outcome is not None and arrival is not None and not outcome.is_late:
-            begins = outcome.situation.time
-            for part in (self._goals, self._held_goal, self._rest_at_goal):
-                part.reset()
-            self._grid.begin_again(begins)
-            goal = self._goal = outcome.situation.goal
-            self._state = Following(arrival, begins, outcome.planner)
-        elif beside.purpose is not Purpose.REDIRECT:
-            hold = state.arrival.hold.delayed(state.planned_at)
-            begins = situation.time + beside.ahead
-            start = later(situation, hold, begins, self._tuning.precise_step)
-            beside.begin(
-                Purpose.REDIRECT, self._planner_for(situation),
-                dataclasses.replace(start, goal=wanted), self._settings.planning_effort,
-            )
-        return dataclasses.replace(situation, goal=goal)
-
-    def _is_aimed_at(self, situation: Situation) -> bool:
-        """Return whether a new goal is aimed at as it is given."""
-        goal = HeldGoal(self._robot.max_rotor_speed, self._tuning).goal(situation, None, False)
-        aimed, _ = IntermediateGoals(self._tuning).aim(situation, 0.0)
-        return goal is situation.goal and aimed is situation
-
-    def _resting_band(self, dead_band: float, situation: Situation) -> float:
-        """Return the error below which a sphere at rest stays: with momentum it is corrected."""
-        small = self._tuning.is_small(situation)
-        return dead_band if small else max(dead_band, self._tuning.held_dead_band)
+        idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
+        if searches.task is not None or over or not (idle or not suits):
+            return plan
+        self._improved_at = now
+        start = later(
+            situation, plan.arrival.hold.delayed(plan.planned_at), begins, plan.solver.grid.fine
+        )
+        goal = plan.arrival.goal if suits else situation.goal
+        start = dataclasses.replace(start, goal=goal)
+        known = plan if suits else None
+        longest = self._longest(1.0, deadline)
+        self._search(start, plan.solver, settings.planning_effort, longest, known)
+        if searches.ahead:
+            return plan
+        found, is_fruitless = self._found(situation, dead_band, deadline)
+        if is_fruitless:
+            return dataclasses.replace(plan, fruitless=plan.fruitless + 1)
+        return _better(plan, found, situation.goal) or plan
 
     def _is_at_rest(self, situation: Situation) -> bool:
         """Return whether the rotors turn at the speeds at which the sphere rests."""
@@ -379,46 +312,19 @@ class TimeOptimalStrategy:
         near = tuning.small_momentum + tuning.held_speed_factor * situation.uncertainty
         return bool(np.all(np.abs(in_force - held) < near))
 
-    def _holdable(self, situation: Situation) -> Situation:
-        """Return the situation with a goal at which the rotors hold the momentum.
-
-        A plan that is being followed is kept and aims at the changed goal from then on, unless
-        that is far from the last one.
-        """
-        state, end = self._state, None
+    def _aimed(self, situation: Situation) -> Situation:
+        """Return the situation with a goal that is near enough and can be held."""
+        state, end, left = self._state, None, 0.0
         if isinstance(state, Following):
-            end = state.momentum_at_arrival(situation)
-        found_none = isinstance(state, Searching) and state.found_none
+            end, left = state.momentum_at_arrival(situation), state.time_left(situation.time)
+        found_none = isinstance(state, Searching) and state.fruitless > 0
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
-        if isinstance(state, Following):
-            turned = state.arrival.goal.copy()
-            turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]
-            change = 0.0
-            if not np.array_equal(turned, state.arrival.goal):
-                change = angle_error(turned, state.arrival.goal)
-            if change > self._tuning.largest_change_of_goal:
-                self._state = Searching()
-            elif change > 0.0:
-                arrival = dataclasses.replace(state.arrival, goal=turned)
-                self._state = dataclasses.replace(state, arrival=arrival)
-        return situation if goal is situation.goal else dataclasses.replace(situation, goal=goal)
-
-    def _aim(self, situation: Situation) -> Situation:
-        """Return the situation with a goal near enough to plan for.
-
-        Where that is another than before, the plan is dropped.
-        """
-        state = self._state
-        left = state.time_left(situation.time) if isinstance(state, Following) else 0.0
-        found_none = isinstance(state, Searching) and state.found_none
-        aimed, is_new = self._goals.aim(situation, left, found_none)
-        if is_new and isinstance(state, Searching | Following):
-            self._state = Searching(strict=isinstance(state, Searching) and state.strict)
-        return aimed
+        if goal is not situation.goal:
+            situation = dataclasses.replace(situation, goal=goal)
+        return self._goals.aim(situation, left, found_none)[0]
 
     def _as_plan(self, state: Following) -> Plan:
         arrival, start = state.arrival, state.planned_at
-        late = arrival.error > self._tuning.arrival_error
         states = arrival.states
         hold = hold_momentum(
             arrival.hold.delayed(start), arrival.momentum, arrival.disturbance,
@@ -426,7 +332,7 @@ class TimeOptimalStrategy:
         )
         rests = np.tile(states[-1], (hold.times.size - len(states), 1))
         return Plan(
-            PlanStatus.BEST_SO_FAR if late else PlanStatus.SOLVED,
+            PlanStatus.SOLVED if state.reaches else PlanStatus.BEST_SO_FAR,
             hold,
             np.vstack((states, rests)),
             arrival=start + arrival.duration,
@@ -437,6 +343,15 @@ class TimeOptimalStrategy:
         )
 
 
-def _arrives_before(plan: Following | None, other: Following) -> bool:
-    """Return whether there is a plan that reaches the goal before another one does."""
-    return plan is not None and plan.reaches and plan.arrives < other.arrives
+def _better(
+    kept: Following | None, found: Following | None, goal: Vector
+) -> Following | None:
+    """Return the plan to follow of the one in force and one that was found."""
+    if found is None or kept is None:
+        return found if kept is None else kept
+    if not kept.leads_to(goal):
+        return found
+    if not found.leads_to(goal) or not found.reaches:
+        return kept
+    gain = _LEAST_GAIN * kept.solver.grid.unit
+    return found if not kept.reaches or found.arrives < kept.arrives - gain else kept

@@ -20,7 +20,8 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.planner import ArrivalPlanner, DistantSearch, KnotGrid
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     SteadyRolling,
@@ -69,17 +70,15 @@ def test_path_is_straight_from_the_start_at_every_distance(strategy, distance) -
     assert along > 0.4 * duration * ROLLING.speed
     assert np.max(aside) < 1.0
     # Work of each sample: knots of a manoeuvre at either end, whatever lies between, and of rest.
-    most = max(d.plan.hold.times.size for d in trajectory.decisions)
-    assert most <= 2 * (TUNING.manoeuvre_time / 0.25 + 1) + 7
+    assert max(d.plan.hold.times.size for d in trajectory.decisions) <= 80
 
 
-def planned(distance: float, seed: int) -> tuple[Situation, DistantSearch]:
+def planned(distance: float, seed: int) -> tuple[Situation, ArrivalSearch]:
     rng = np.random.default_rng(seed)
     start = make_state((0.0, 0.0), random_quaternion(rng))
     goal = make_state(distance * DIRECTION, random_quaternion(rng))
     beginning = Situation(0.0, without_momentum(start), goal, np.zeros(2), ROBOT.lumped)
-    planner = ArrivalPlanner(ROBOT, 0.25, KnotGrid(0.25, TUNING), iter(range(9)), TUNING)
-    return beginning, DistantSearch(planner, beginning, new_plan=True)
+    return beginning, ArrivalSearch(solver_for(ROBOT, TUNING), beginning, 0)
 
 
 @pytest.mark.parametrize("distance", [8.0, 100.0])
@@ -91,17 +90,18 @@ def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(di
     assert turns >= distance / ROLLING.turn_length - 4
     # Steady rolling is integrated exactly in steps of any length.
     inputs, durations, constants = found.hold.speeds, np.diff(found.hold.times), ROBOT.lumped
-    step = TUNING.precise_step
+    step = solver_for(ROBOT, TUNING).grid.fine
     end = roll_out(beginning.state, inputs, durations, constants.as_array(), step)[-1]
-    assert state_error(end, found.goal) < TUNING.arrival_error
+    # The direction, which is corrected on the way, is within the terminal error.
+    assert state_error(end, found.goal) < distance * TUNING.arrival_error
     assert found.duration < distance / ROLLING.speed + 2.5
 
 
 def test_known_arrival_is_improved_and_the_goal_is_reached_at_top_speed() -> None:
     beginning, search = planned(25.0, seed=2)
-    found = search.improve(20_000)
+    found = search.improve(60_000)
     assert found is not None
-    again = DistantSearch(search._planner, beginning, new_plan=True, start=found)
+    again = ArrivalSearch(solver_for(ROBOT, TUNING), beginning, 1, known=found)
     better = again.improve(40_000)
     assert better is not None and better.duration <= found.duration
     trajectory = run("time_optimal", 15.0, 15.0 / ROLLING.speed + 3.0)

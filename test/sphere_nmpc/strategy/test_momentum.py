@@ -53,7 +53,8 @@ def test_sphere_that_is_pushed_arrives_and_stays(start: Vector, latest: float) -
     loop.run(1.0)
     loop.plant.push(np.array([0.8, -0.5]))
     after = loop.run(9.0)
-    assert statuses(after) == {PlanStatus.HOLDING, PlanStatus.SOLVED}
+    # What remains of a plan at the push may lead past the goal.
+    assert statuses(after[1:]) == {PlanStatus.HOLDING, PlanStatus.SOLVED}
     # At the goal half a second after the push was measured.
     assert 1.0 < settling_time(loop) < latest
     # Momentum of the push: 0.94 N s of 37.5 rad/s each.

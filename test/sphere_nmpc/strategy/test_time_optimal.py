@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixed-time problem, search for an early arrival, and the strategy in closed loop."""
+"""Search for the earliest arrival, and the strategy in closed loop."""
 
 import dataclasses
 import itertools
@@ -19,6 +19,7 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -32,6 +33,7 @@ SETTINGS = ControllerSettings(strategy="time_optimal")
 HIGH_RATE = ControllerSettings(strategy="time_optimal", control_rate=100.0)
 PERIOD = SETTINGS.period
 TUNING = TimeOptimalSettings()
+SOLVER = solver_for(ROBOT, TUNING)
 LIMIT = ROBOT.max_rotor_acceleration
 AT_ORIGIN = np.array([0, 0, 1.0, 0, 0, 0])
 
@@ -68,7 +70,7 @@ def settling_time(found: Trajectory, goal: Vector, within: float = 1e-2) -> floa
 def test_search_stops_at_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     readings = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: next(readings))
-    search = ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, 5, TUNING)
+    search = ArrivalSearch(SOLVER, situation(PAPER_CASES[1]), 5)
     # The clock advances by a second with each reading, and is read before each initial guess.
     search.improve(100_000_000, deadline=4.5)
     assert 0 < search.work < 20_000
@@ -85,26 +87,23 @@ def check_limits(speeds: Vector, times: Vector) -> None:
 
 def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> None:
     scenario = PAPER_CASES[2]
-    search = ArrivalSearch(ROBOT, PERIOD, situation(scenario), PERIOD, 0, TUNING)
-    found = search.improve(40_000)
-    assert found is not None and found.error <= TUNING.coarse_error
-    check_limits(found.hold.speeds, found.hold.times)
+    found = ArrivalSearch(SOLVER, situation(scenario), 0).improve(60_000)
+    assert found is not None and found.error <= TUNING.arrival_error
     np.testing.assert_array_equal(found.hold.speeds[[0, -1]], np.zeros((2, 2)))
     plan = TimeOptimalStrategy(SETTINGS, ROBOT).plan(situation(scenario))
     plant = RollingPlant(ROBOT, scenario.start)
-    # The search integrates coarsely: steps of 0.25 s err by some 1e-2 each at full speed. The
-    # strategy solves it again in steps of 0.05 s: 3e-6 each, amplified on the way.
-    for hold, error in ((found.hold, 1.0), (plan.hold, 1e-3)):
+    for hold in (found.hold, plan.hold):
+        check_limits(hold.speeds, hold.times)
         plant.reset(scenario.start)
         for speeds, duration in zip(hold.speeds[1:], np.diff(hold.times), strict=True):
             plant.advance(speeds, float(duration))
-        assert state_error(plant.state, scenario.goal) < error
+        # Steps of 62.5 ms err by 1e-5 each at full speed, amplified on the way.
+        assert state_error(plant.state, scenario.goal) < 1e-3
 
 
 def test_search_continues_where_it_stopped_repeats_itself_and_never_gets_worse() -> None:
     first, second = (
-        ArrivalSearch(ROBOT, PERIOD, situation(PAPER_CASES[1]), PERIOD, 3, TUNING)
-        for _ in range(2)
+        ArrivalSearch(SOLVER, situation(PAPER_CASES[1]), 3) for _ in range(2)
     )
     durations = []
     for _ in range(4):
@@ -161,7 +160,8 @@ def test_case_of_the_paper_settles_near_the_time_limit(
     check_limits(found.speeds, found.times)
     arrivals = np.array([d.plan.arrival for d in found.decisions])
     arrivals = arrivals[np.isfinite(arrivals)]
-    assert rate or np.all(np.diff(arrivals) <= 1e-9), "never delayed without disturbance"
+    # By what the integration error of the plan takes to correct.
+    assert rate or np.all(np.diff(arrivals) <= 1e-3), "never delayed without disturbance"
 
 
 def test_goal_that_changes_every_second_violates_no_limit() -> None:
@@ -185,10 +185,10 @@ def test_goal_that_changes_every_second_violates_no_limit() -> None:
     assert controller.failures == 0
 
 
-def test_tuning_and_attained_acceleration_are_used_and_no_time_leads_to_no_plan() -> None:
+def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
     now = situation(PAPER_CASES[3])
-    given = dataclasses.replace(TUNING, acceleration_share=0.5)
-    assert steepest(TimeOptimalStrategy(SETTINGS, ROBOT, given).plan(now)) <= 0.501 * LIMIT
+    weak = dataclasses.replace(now, acceleration=0.5 * LIMIT)
+    assert steepest(TimeOptimalStrategy(SETTINGS, ROBOT).plan(weak)) <= 0.5 * LIMIT
     plan = TimeOptimalStrategy(SETTINGS, ROBOT).plan(now)
     assert plan.status is PlanStatus.SOLVED
     beyond = dataclasses.replace(now, acceleration=1.1 * LIMIT)
@@ -219,8 +219,7 @@ def test_plan_that_is_followed_keeps_to_an_acceleration_learnt_meanwhile() -> No
     moving = dataclasses.replace(advanced(now, plan.hold), acceleration=attained)
     slower = strategy.plan(moving)
     assert slower.status is PlanStatus.SOLVED
-    # The penalty between inner knots leaves up to a per cent beyond the limit.
-    assert steepest(slower) < 1.01 * TUNING.attained_share * attained
+    assert steepest(slower) < TUNING.attained_share * attained + 1e-3
 
 
 @pytest.mark.parametrize(

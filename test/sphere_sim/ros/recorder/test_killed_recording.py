@@ -18,6 +18,8 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report import report_files
 
+TOPICS = {"/controller/active_goal", "/controller/status", "/rotor_trajectory"}
+
 
 def committed(bag: Path) -> dict[str, Any]:
     """Return the metadata of what is on disk."""
@@ -46,6 +48,20 @@ def test_killed_recording_of_a_run_can_be_reported(graph, tmp_path, capsys, monk
         goal.header.frame_id, goal.pose.position.x, goal.pose.orientation.w = "world", 0.5, 1.0
         goals.publish(goal)
         graph.until(lambda: plans)
+
+        def is_recorded() -> bool:
+            """Another goal until the recorder has found all topics, after any arrival."""
+            if {
+                one["topic_metadata"]["name"]
+                for one in committed(bag)["topics_with_message_count"] if one["message_count"]
+            } >= TOPICS:
+                return True
+            goal.pose.position.x = 1.5 - goal.pose.position.x
+            goals.publish(goal)
+            graph.spin_for(2.0)
+            return False
+
+        graph.until(is_recorded)
         planned = on_disk()
         graph.until(lambda: on_disk() > planned + 2.0)
         nodes[0].send_signal(signal.SIGKILL)

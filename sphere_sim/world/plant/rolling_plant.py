@@ -122,6 +122,8 @@ class RollingPlant:
     @property
     def rotor_torques(self) -> Vector:
         """Motor torques over the last step [N m], shape (2,) (Eq. 45)."""
+        if not any(self._acceleration) and self._is_equilibrium:
+            return np.zeros(2)  # as in `advance`: most rows of a study are at rest
         turn, up = matrix(self.state[2:]), np.array([0.0, 0.0, 1.0])
         rate = np.array(self._world_rate(self._y, *self._speeds))
         inertia = turn @ np.diag(self._inertia) @ turn.T
@@ -144,6 +146,11 @@ class RollingPlant:
         torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
         return torques
 
+    @property
+    def _is_equilibrium(self) -> bool:
+        """Whether rotors and shell are at rest and nothing moves them."""
+        return not any(self._speeds) and not any(self.rate(self._y, 0.0, 0.0))
+
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step of `duration` [s]; the rotor speeds ramp to `speeds_end` [rad/s]."""
         a1, a2 = self._speeds
@@ -152,8 +159,8 @@ class RollingPlant:
         self._angles = (self._angles[0] + half * (a1 + b1), self._angles[1] + half * (a2 + b2))
         self._acceleration = ((b1 - a1) / duration, (b2 - a2) / duration)
         self._speeds = (b1, b2)
-        if a1 == a2 == b1 == b2 == 0.0 and not any(self.rate(self._y, 0.0, 0.0)):
-            return  # an equilibrium, which costs no time
+        if a1 == a2 == 0.0 and self._is_equilibrium:
+            return  # which costs no time
         steps = max(1, math.ceil(duration / self._max_step - 1e-9))
         h = duration / steps
         for i in range(steps):

@@ -50,8 +50,8 @@ _CALL_WORK = 60
 """Work of a call apart from its iterations."""
 _STEP_WORK = 6
 """Work of an iteration of a minimum-time problem for each interval."""
-_RAISED = 5.0
-"""Factor by which the weight of the error is raised while an error is left."""
+RAISES = (1.0, 5.0, 25.0, 125.0)
+"""Factors by which the weight of the error is raised while an error is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,16 +231,15 @@ class ArrivalSolver:
         The error weighs more from one to the next. `deadline` is a steady clock reading [s],
         `iterations` another cap than that of the settings.
         """
-        settings, weight = self.settings, self.settings.error_weight
-        for _ in range(settings.raises + 1):
+        settings = self.settings
+        for factor in RAISES:
             known = self.solve(
-                situation, known.goal, known.hold, iterations or settings.final_iterations, weight,
-                deadline - time.perf_counter(),
+                situation, known.goal, known.hold, iterations or settings.iterations,
+                factor * settings.error_weight, deadline - time.perf_counter(),
             )
             yield known
             if known.error <= settings.arrival_error:
                 return
-            weight *= _RAISED
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
         """Return the speeds that hold the momentum along knots u_1 ... u_N [rad/s], (N, 2)."""

@@ -25,6 +25,8 @@ from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
+_FAR = 2.5
+"""Distance over that of the intermediate goals beyond which there are any with momentum."""
 _MANOEUVRE = 2.0
 """Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
@@ -144,10 +146,13 @@ class HeldGoal:
 
 
 class IntermediateGoals:
-    """Replacement of a far goal by one on the way to it, at distances of the settings."""
+    """Replacement of a far goal by one on the way to it.
 
-    def __init__(self, settings: TimeOptimalSettings) -> None:
-        self._settings = settings
+    With momentum it is as far away as goals from which no whole turns are left out, `near` [m].
+    """
+
+    def __init__(self, settings: TimeOptimalSettings, near: float) -> None:
+        self._settings, self._near = settings, near
         self.reset()
 
     def reset(self) -> None:
@@ -171,8 +176,8 @@ class IntermediateGoals:
         settings, last = self._settings, self._place
         here, there = situation.state[POSITION], situation.goal[POSITION]
         rolls_steadily = settings.is_small(situation)
-        near = settings.reach if rolls_steadily else settings.reach_with_momentum
-        farthest = settings.farthest if rolls_steadily else settings.far_distance
+        near = 0.5 * settings.farthest if rolls_steadily else self._near
+        farthest = settings.farthest if rolls_steadily else _FAR * near
         if not rolls_steadily and (last is not None or found_none):
             farthest = near
         distance = float(np.linalg.norm(there - here))

@@ -45,7 +45,7 @@ class RestAtGoal:
     robot : RobotParameters
         Limits of the drives.
     tuning : TimeOptimalSettings
-        Least noise that is corrected, horizon and weight of the corrections.
+        Dead band, horizon and weight of the corrections.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class RestAtGoal:
         """Return a ramp to rest, or a correction of what rolling itself can correct."""
         error = state_error(situation.state, situation.goal)
         tuning = self._tuning
-        noisy = situation.noise > tuning.correction_noise
+        noisy = tuning.dead_band(situation.noise, 0.0) > tuning.leaving_error
         if error > tuning.least_dead_band or noisy or not tuning.is_small(situation):
             goal = nearer_sign(situation.goal, situation.state)
             plan = self._corrected(dataclasses.replace(situation, goal=goal))

@@ -179,7 +179,7 @@ class ArrivalSearch:
     def _polished(self, situation: Situation, goal: Vector, guess: FirstOrderHold) -> Arrival:
         settings = self._settings
         return self._counted(self._solver.solve(
-            situation, goal, guess, settings.polishing_iterations, settings.error_weight,
+            situation, goal, guess, settings.iterations, settings.error_weight,
             self._deadline - time.perf_counter(), coarse=True,
         ))
 

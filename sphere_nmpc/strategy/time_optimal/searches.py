@@ -79,7 +79,7 @@ class SearchTask:
         if self.known is not None:
             tuning = self.tuning
             start = solver.solve(
-                self.situation, self.situation.goal, self.known, tuning.polishing_iterations,
+                self.situation, self.situation.goal, self.known, tuning.iterations,
                 tuning.error_weight, self.longest, tuning.arrival_error,
             )
             if start.error > tuning.arrival_error:

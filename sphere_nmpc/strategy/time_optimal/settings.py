@@ -45,21 +45,19 @@ class TimeOptimalSettings:
     trial_iterations: int = 12
     """Cap on solver iterations of a trial."""
     error_weight: float = 10.0
-    """Time that a unit of the terminal error is worth [1 / (c1 u_max)] at first ..."""
-    raises: int = 3
-    """... raised so often while an error is left."""
-    polishing_iterations: int = 8
-    """Cap on iterations of the minimum-time problem of an arrival that is polished ..."""
-    final_iterations: int = 15
-    """... and of one that is solved to the end."""
+    """Time that a unit of the terminal error is worth [1 / (c1 u_max)] at first; raised while an
+    error is left."""
+    iterations: int = 8
+    """Cap on iterations of a minimum-time problem, before the error weighs more."""
     momentum_weight: float = 0.02
     """Error [-] that 1 rad/s of momentum along the body's z axis at the end counts as, where an
     imbalance lets the plan change it: it turns the sphere at 0.05 rad/s."""
     least_imbalance: float = 1.5
     """Imbalance [rad/s^2] below which it counts nothing: 0.3 mm for the robot of Table 1. Just
     after a push as much may be estimated where there is none."""
-    arrival_error: float = 1e-4
-    """Predicted terminal error [-] up to which a plan counts as reaching the goal."""
+    arrival_error: float = 2e-5
+    """Predicted terminal error [-] with which a plan leads to the goal, and what remains of it is
+    kept as it is."""
 
     # Search for an early arrival
 
@@ -106,20 +104,10 @@ class TimeOptimalSettings:
     # Intermediate goals on the way to a far one
 
     farthest: float = 2000.0
-    """Distance [m] beyond which a goal is approached by intermediate ones ..."""
-    reach: float = 1500.0
-    """... at this distance [m], renewed at half of it."""
-    far_distance: float = 8.0
-    """Distance [m] beyond which that is done with more than a small momentum ..."""
-    reach_with_momentum: float = 3.0
-    """... by goals at this distance [m]; also where no arrival was found."""
+    """Distance [m] beyond which a goal is approached by intermediate ones, half as far away."""
 
     # Following a plan
 
-    following_iterations: int = 6
-    """Cap on iterations of the minimum-time problem of the rest of a plan."""
-    kept_error: float = 1e-5
-    """Predicted terminal error [-] up to which the rest of a plan is kept as it is."""
     noisy_share: float = 0.2
     """Predicted terminal error that is not corrected where there is noise [of what the noise adds
     to the dead band]."""
@@ -130,16 +118,12 @@ class TimeOptimalSettings:
     fruitless_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""
-    fixed_time: float = 1.75
-    """Time left of a plan [1 / (c1 u_max)] below which no earlier arrival is searched for."""
 
     # Searches from rest and slip
 
     search_ahead: float = 0.1
     """Time [s] from the request of a search beside the control loop to the start of its plan,
-    where the sphere moves; doubled after a search that took longer ..."""
-    search_farthest_ahead: float = 0.5
-    """... up to this time [s]."""
+    where the sphere moves; doubled after a search that took longer."""
     longest_search: float = 0.2
     """Wall time [s] after which such a search stops."""
     slip_acceleration: float = 0.43
@@ -149,9 +133,8 @@ class TimeOptimalSettings:
 
     attained_share: float = 0.97
     """Share [-] that plans use of the acceleration that the drives are found to attain: a limit of
-    torque allows a few per cent less in some orientations."""
-    same_acceleration: float = 0.03
-    """Relative change of that acceleration [-] up to which the limit of plans is kept."""
+    torque allows a few per cent less in some orientations. The limit of plans is kept while that
+    acceleration changes by no more than the rest."""
 
     # Holding at the goal
 
@@ -169,9 +152,6 @@ class TimeOptimalSettings:
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
     unloaded_share: float = -0.5
     """... until it is at this share, on the other side."""
-    held_dead_band: float = 7e-3
-    """Error [-] below which the sphere comes to rest at the goal with momentum, which lets all of
-    the error be corrected without another manoeuvre."""
     turning_time: float = 3.0
     """Time constant [s] with which a tilt lets the momentum correct a turn about body z ..."""
     noisy_turning_time: float = 1.2
@@ -195,10 +175,9 @@ class TimeOptimalSettings:
     """Factor [-] on that part once at rest, where more poses show the true error."""
     leaving_error: float = 8e-3
     """Error [-] up to which the sphere stays at rest in any case: a plan to correct less leads
-    through errors above 1e-2."""
-    correction_noise: float = 2e-4
-    """Process noise [m, -; a sample] above which errors within the dead band are corrected by
-    rolling; below it they do not grow."""
+    through errors above 1e-2. With momentum it also comes to rest there, as the momentum lets all
+    of the error be corrected without another manoeuvre. Noise for which the dead band is larger
+    lets errors grow, which are then corrected by rolling."""
     correction_horizon: int = 4
     """Horizon [knots] of the paper's problem that does so."""
     correction_weight: float = 100.0

@@ -20,12 +20,10 @@ from sphere_nmpc.model.state import (
     nearer_sign,
 )
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.arrival import RAISES, Arrival, ArrivalSolver
 
 _ENDED = 1e-3
 """Time left of a plan [s] below which it has ended."""
-_RAISES = (1.0, 5.0, 25.0)
-"""Factors on the weight of the error that are tried before a plan no longer reaches the goal."""
 
 
 @dataclass(frozen=True)
@@ -130,12 +128,12 @@ class Following:
         hold = self.rest(now)
         # With noise an error is left where it would take a manoeuvre to correct it.
         noisy = settings.noisy_share * (dead_band - settings.least_dead_band)
-        wanted = max(2.0 * settings.kept_error, noisy)
-        for factor in _RAISES:
+        wanted = max(settings.arrival_error, noisy)
+        for factor in RAISES:
             arrival = self.solver.solve(
-                situation, arrival.goal, hold, settings.following_iterations,
+                situation, arrival.goal, hold, settings.iterations,
                 factor * settings.error_weight, deadline - time.perf_counter(),
-                settings.kept_error,
+                settings.arrival_error,
             )
             if arrival.error <= wanted or time.perf_counter() > deadline:
                 break

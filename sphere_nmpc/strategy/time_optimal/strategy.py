@@ -74,7 +74,7 @@ class TimeOptimalStrategy:
         self._settings = settings
         self._robot = robot
         self._tuning = TimeOptimalSettings() if tuning is None else tuning
-        self._goals = IntermediateGoals(self._tuning)
+        self._goals = IntermediateGoals(self._tuning, self._tuning.near_distance(robot))
         self._held_goal = HeldGoal(robot.max_rotor_speed, self._tuning)
         self._rest_at_goal = RestAtGoal(settings, robot, self._tuning)
         self._in_line = Searches(InLine())
@@ -88,7 +88,7 @@ class TimeOptimalStrategy:
         followed until there is one to the new goal.
         """
         tuning = self._tuning
-        self._beside = Searches(worker, tuning.search_ahead, tuning.search_farthest_ahead)
+        self._beside = Searches(worker, tuning.search_ahead, 2.0 * tuning.longest_search)
 
     def is_due(self, now: float) -> bool:
         """Return whether a search has ended whose plan begins at `now` [s] or before."""
@@ -133,7 +133,7 @@ class TimeOptimalStrategy:
         share = min(1.0, tuning.attained_share * situation.acceleration / limit)
         share = max(share, tuning.slip_acceleration)
         before = self._solver.robot.max_rotor_acceleration / limit
-        if abs(share - before) <= tuning.same_acceleration * share:
+        if abs(share - before) <= (1.0 - tuning.attained_share) * share:
             return
         followed, self._solver = self._solver, self._solver_with(share)
         state = self._state
@@ -204,7 +204,7 @@ class TimeOptimalStrategy:
         at_rest = self._is_at_rest(situation)
         band = dead_band
         if not tuning.is_small(situation):
-            band = max(dead_band, tuning.held_dead_band)
+            band = max(dead_band, tuning.leaving_error)
         if not isinstance(state, Holding | Saturated) and at_rest and error < band:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
@@ -283,7 +283,7 @@ class TimeOptimalStrategy:
         suits = plan.reaches and plan.leads_to(situation.goal)
         over = suits and (
             plan.fruitless >= tuning.fruitless_searches
-            or plan.time_left(begins) < tuning.fixed_time * plan.solver.grid.unit
+            or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
         )
         idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
         if searches.task is not None or over or not (idle or not suits):

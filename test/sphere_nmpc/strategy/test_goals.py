@@ -24,7 +24,7 @@ TUNING = TimeOptimalSettings()
 UPRIGHT = make_state(np.array([1.0, -2.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
 DIRECTION, PUSHED = np.array([0.8, 0.6]), np.array([10.0, -5.0, 0.0])
-REACH = TUNING.reach_with_momentum
+REACH = TUNING.near_distance(ROBOT)
 LOADING = np.array([0.0, 1.0, 0.0])
 """Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
 
@@ -94,10 +94,10 @@ def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -
 
 def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:
     near = on_the_way(np.zeros(2), 0.99 * TUNING.farthest)
-    assert IntermediateGoals(TUNING).aim(near, 0.0) == (near, False)
-    pushed = on_the_way(np.zeros(2), 0.99 * TUNING.far_distance, PUSHED)
-    assert IntermediateGoals(TUNING).aim(pushed, 0.0) == (pushed, False)
-    goals, far = IntermediateGoals(TUNING), on_the_way(np.zeros(2), 500.0, PUSHED)
+    assert IntermediateGoals(TUNING, REACH).aim(near, 0.0) == (near, False)
+    pushed = on_the_way(np.zeros(2), 2.4 * REACH, PUSHED)
+    assert IntermediateGoals(TUNING, REACH).aim(pushed, 0.0) == (pushed, False)
+    goals, far = IntermediateGoals(TUNING, REACH), on_the_way(np.zeros(2), 500.0, PUSHED)
     first, is_new = goals.aim(far, 0.0)
     assert is_new
     np.testing.assert_allclose(first.goal[POSITION], REACH * DIRECTION)

@@ -155,7 +155,7 @@ class ArrivalSolver:
         problem = self._problem(situation, goal, durations, self.grid.spacing)
         problem.lower[-1] = problem.upper[-1] = rest
         problem.input_weight = _REGULARISATION
-        problem.slew_weight = self.settings.slew_weight
+        problem.slew_weight = 1.0
         solution = self._trial.solve(problem, knots)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
         error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf

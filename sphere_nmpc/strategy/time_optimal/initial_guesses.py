@@ -144,16 +144,3 @@ def random_hold(rng: np.random.Generator, duration: float, max_speed: float) -> 
     speeds: Vector = rng.uniform(-max_speed, max_speed, (times.size, INPUT_SIZE))
     speeds[0] = speeds[-1] = 0.0
     return FirstOrderHold(times, speeds)
-
-
-def perturbed(
-    rng: np.random.Generator, hold: FirstOrderHold, amount: float, max_speed: float
-) -> FirstOrderHold:
-    """Return `hold` with a piecewise linear random perturbation of its speeds.
-
-    The largest change is `amount` of the speed limit `max_speed` [rad/s].
-    """
-    change = random_hold(rng, hold.end, max_speed)
-    rows = amount * change.speeds.T
-    added = np.column_stack([np.interp(hold.times, change.times, row) for row in rows])
-    return FirstOrderHold(hold.times, hold.speeds + added)

@@ -4,7 +4,7 @@
 
 In each round a few dozen guesses are tried by least squares, which reaches motions far from a
 guess with little work. Those that promise the earliest arrivals are polished as minimum-time
-problems on finer knots, and the best of these are solved to the end.
+problems, and the best of these is solved to the end on finer knots.
 
 Whole turns of steady rolling lead from a near goal to a distant one, at the same orientation. So
 the search aims at the near goal, whatever the distance; what it finds is extended by the turns and
@@ -18,14 +18,13 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, nearer_sign, state_error
+from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
     Guess,
     meeting_guesses,
-    perturbed,
     random_hold,
 )
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
@@ -155,12 +154,10 @@ class ArrivalSearch:
                 arrival = self._with_more_time(arrival)
             polished.append(self._polished(self._near, arrival.goal, arrival.hold))
             yield
-        different = _different(polished, self._promise)
-        reached = [polished for polished in different if polished.error < self._reached]
-        for arrival in reached[: settings.finished]:
-            if arrival.duration > longest:
-                break
-            yield from self._finished(arrival)
+        reached = [arrival for arrival in polished if arrival.error < self._reached]
+        earliest = min(reached, key=self._promise, default=None)
+        if earliest is not None and earliest.duration < longest:
+            yield from self._finished(earliest)
         # The shortest guesses may all be too short.
         short = (bool(polished) and not reached) or self.best is None
         self._later = _LATER * self._later + self._grid.spacing if short else 0.0
@@ -230,13 +227,6 @@ class ArrivalSearch:
                 hold = random_hold(self._rng, duration, self._drives.limit)
                 goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
                 found.append(Guess(self._grid.coarse(hold), goal))
-        if best is not None:
-            turns = best.turns * self._rolling.turn_time
-            near = self._lengthened(best, -turns) if turns else best.hold
-            for _ in range(settings.perturbations):
-                amount = settings.largest_perturbation * self._rng.random()
-                hold = perturbed(self._rng, self._grid.coarse(near), amount, self._drives.limit)
-                found.append(Guess(hold, nearer_sign(self._near.goal, best.states[-1])))
         return found
 
     def _lengthened(self, arrival: Arrival, longer: float) -> FirstOrderHold:

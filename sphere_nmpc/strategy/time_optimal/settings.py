@@ -40,8 +40,6 @@ class TimeOptimalSettings:
 
     # Trials and minimum-time problems
 
-    slew_weight: float = 10.0
-    """Weight [-] of accelerations beyond the limit in a trial."""
     trial_iterations: int = 12
     """Cap on solver iterations of a trial."""
     error_weight: float = 10.0
@@ -69,14 +67,8 @@ class TimeOptimalSettings:
     delay_of_error: float = 12.0
     """Delay for each unit of the terminal error [1 / (c1 u_max)]: trials of the least sum of
     duration and delay are polished."""
-    polished: int = 6
+    polished: int = 4
     """Trials that are polished in a round."""
-    finished: int = 2
-    """Polished arrivals that are solved to the end."""
-    perturbations: int = 4
-    """Perturbations of the known arrival among the guesses of a round."""
-    largest_perturbation: float = 0.5
-    """Largest perturbation of it [of the speed limit]."""
     random_guesses: int = 10
     """Guesses of random speeds in a round after one without an arrival: with much momentum, or
     little acceleration, the rotors are hardly at their limits."""

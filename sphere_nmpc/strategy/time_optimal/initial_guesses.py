@@ -85,7 +85,7 @@ def meeting_guesses(
     levels = (last + 1) // 2
     count = 16 * round(share * settings.half_motions / 16)
     wanted = round(share * settings.tried_guesses)
-    signals = _signals(rng, count, levels * period, unit, settings)
+    signals = _signals(rng, count, unit * settings.mean_switch)
     constants = situation.constants.as_array()
     in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)
     forth = half_motions(start, in_force, signals, levels, drives, constants)
@@ -112,24 +112,15 @@ def meeting_guesses(
     return guesses, work
 
 
-def _signals(
-    rng: np.random.Generator, count: int, longest: float, unit: float,
-    settings: TimeOptimalSettings,
-) -> Floats:
+def _signals(rng: np.random.Generator, count: int, mean: float) -> Floats:
     """Draw signs of both rotors and times of their switches [s], shape (6, `count`).
 
-    `longest` is the latest switch and `unit` the robot's unit of time [s].
+    A rotor switches never, once or twice, and in the mean `mean` from the end [s].
     """
-    shape = (INPUT_SIZE, 2, count)
-    near_end = unit * settings.mean_switch * rng.standard_exponential(shape, dtype=np.float32)
-    anywhere = longest * rng.random(shape, dtype=np.float32)
-    times = np.where(
-        rng.random(shape, dtype=np.float32) < settings.switches_anywhere, anywhere, near_end
-    )
-    drawn = rng.random((INPUT_SIZE, count), dtype=np.float32)
-    none, two = settings.switch_shares
-    times[:, 0][drawn < none] = _NEVER
-    times[:, 1][drawn < 1.0 - two] = _NEVER
+    times = mean * rng.standard_exponential((INPUT_SIZE, 2, count), dtype=np.float32)
+    switches = rng.integers(3, size=(INPUT_SIZE, count))
+    times[:, 0][switches == 0] = _NEVER
+    times[:, 1][switches < 2] = _NEVER
     times.sort(axis=1)
     signs = np.sign(rng.random((INPUT_SIZE, count), dtype=np.float32) - 0.5)
     return np.concatenate((signs, times.reshape(4, -1)))

@@ -164,7 +164,7 @@ class ArrivalSearch:
 
     def _promise(self, arrival: Arrival) -> float:
         """Return the duration with what its error is worth [s]."""
-        return arrival.duration + self._settings.delay_of_error * self._grid.unit * arrival.error
+        return arrival.duration + self._settings.error_weight * self._grid.unit * arrival.error
 
     def _with_more_time(self, arrival: Arrival) -> Arrival:
         """Return a trial from another one, in the time that the error of that takes longer."""
@@ -220,13 +220,11 @@ class ArrivalSearch:
         self.work += work
         if not found and best is None:
             self._window *= 2.0
-        slow = self._drives.ramp > settings.long_ramp * self._grid.unit
-        if self._later > 0.0 or slow:
-            for k in range(settings.random_guesses):
-                duration = shortest + self._window * self._rng.random()
-                hold = random_hold(self._rng, duration, self._drives.limit)
-                goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
-                found.append(Guess(self._grid.coarse(hold), goal))
+        for k in range(settings.random_guesses):
+            duration = shortest + self._window * self._rng.random()
+            hold = random_hold(self._rng, duration, self._drives.limit)
+            goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
+            found.append(Guess(self._grid.coarse(hold), goal))
         return found
 
     def _lengthened(self, arrival: Arrival, longer: float) -> FirstOrderHold:

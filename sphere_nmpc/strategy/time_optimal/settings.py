@@ -62,19 +62,14 @@ class TimeOptimalSettings:
     half_motions: int = 3072
     """Half motions that are drawn at a time for either end, a multiple of 16. More: better guesses
     for more work."""
-    tried_guesses: int = 20
+    tried_guesses: int = 16
     """Guesses of each such draw that are tried."""
-    delay_of_error: float = 12.0
-    """Delay for each unit of the terminal error [1 / (c1 u_max)]: trials of the least sum of
-    duration and delay are polished."""
     polished: int = 4
-    """Trials that are polished in a round."""
-    random_guesses: int = 10
-    """Guesses of random speeds in a round after one without an arrival: with much momentum, or
-    little acceleration, the rotors are hardly at their limits."""
-    long_ramp: float = 1.75
-    """Time from rest to the limit of a rotor [1 / (c1 u_max)] above which there are such guesses,
-    too."""
+    """Trials that are polished in a round: those of the least sum of duration and what their error
+    is worth."""
+    random_guesses: int = 4
+    """Guesses of random speeds in a round: with much momentum, or little acceleration, the rotors
+    are hardly at their limits."""
     window: float = 5.2
     """Time [1 / (c1 u_max)] by which the longest guess exceeds the lower bound of the duration;
     doubled where no half motions meet."""
@@ -85,11 +80,7 @@ class TimeOptimalSettings:
     """Weight of the orientation in that distance [Rs^2]: of the squared distance of
     quaternions."""
     mean_switch: float = 1.75
-    """Mean time from the end to a switch of a half motion [1 / (c1 u_max)] ..."""
-    switches_anywhere: float = 0.3
-    """... but for this share [-] of switches, which are uniform over the half motion."""
-    switch_shares: tuple[float, float] = (0.25, 0.3)
-    """Shares [-] of half motions in which a rotor does not switch, and in which it does twice."""
+    """Mean time from the end to a switch of a half motion [1 / (c1 u_max)]."""
     near_radii: float = 10.0
     """Distance [Rs] beyond which whole turns of steady rolling are left out of a search."""
 

@@ -25,6 +25,8 @@ from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
+_REACH = 0.75
+"""Distance of an intermediate goal over that beyond which there are any."""
 _FAR = 2.5
 """Distance over that of the intermediate goals beyond which there are any with momentum."""
 _MANOEUVRE = 2.0
@@ -176,7 +178,7 @@ class IntermediateGoals:
         settings, last = self._settings, self._place
         here, there = situation.state[POSITION], situation.goal[POSITION]
         rolls_steadily = settings.is_small(situation)
-        near = 0.5 * settings.farthest if rolls_steadily else self._near
+        near = _REACH * settings.farthest if rolls_steadily else self._near
         farthest = settings.farthest if rolls_steadily else _FAR * near
         if not rolls_steadily and (last is not None or found_none):
             farthest = near

@@ -45,7 +45,7 @@ class RestAtGoal:
     robot : RobotParameters
         Limits of the drives.
     tuning : TimeOptimalSettings
-        Dead band, horizon and weight of the corrections.
+        Dead band, and weight of the corrections.
     """
 
     def __init__(
@@ -55,12 +55,12 @@ class RestAtGoal:
         self._tuning = tuning
         # A turn that rolling does not correct is a stationary point, and is accepted.
         self._corrections = PaperStrategy(
-            self._for_corrections(settings), robot, tuning.correction_weight, np.inf
+            _for_corrections(settings), robot, tuning.correction_weight, np.inf
         )
 
     def change(self, settings: ControllerSettings) -> None:
         """Use other weights and another cap on iterations; the warm start is kept."""
-        self._corrections.change(self._for_corrections(settings))
+        self._corrections.change(_for_corrections(settings))
 
     def reset(self) -> None:
         """Forget the warm start."""
@@ -109,17 +109,17 @@ class RestAtGoal:
         square = rotation.vertical(goal[QUATERNION])[2] ** 2
         gain = c1 * r3 / r1 * (1.0 + r3 * square / (1.0 - r1 * (1.0 - square) - r3 * square))
         turned = float(error_between(goal, situation.state[POSE])[4])
-        uncertainty = situation.uncertainty
-        time = tuning.noisy_turning_time if uncertainty > 0.0 else tuning.turning_time
-        wanted = -turned / (time * gain)
-        largest = tuning.largest_tilt + tuning.tilt_factor * uncertainty
+        wanted = -turned / (tuning.turning_time * gain)
+        largest = 2.0 * tuning.dead_band(0.0, situation.uncertainty)
         tilt = min(max((h3 - wanted) / level, -largest), largest)
         # About the axis h x e3, which lies in the body's x-y plane.
         step = rotation.exponential(tilt / level * np.array([h2, -h1, 0.0]))
         return np.concatenate((goal[:2], rotation.product(goal[QUATERNION], step)))
 
-    def _for_corrections(self, settings: ControllerSettings) -> ControllerSettings:
-        return dataclasses.replace(settings, horizon=self._tuning.correction_horizon)
+
+def _for_corrections(settings: ControllerSettings) -> ControllerSettings:
+    """Return settings with the paper's horizon, whatever that of the strategy `paper`."""
+    return dataclasses.replace(settings, horizon=ControllerSettings.horizon)
 
 
 def come_to_rest(

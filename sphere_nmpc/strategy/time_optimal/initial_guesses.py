@@ -92,7 +92,7 @@ def meeting_guesses(
     back = half_motions(goal, _AT_REST, signals, levels, drives, constants)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
-        settings.delay_of_distance * unit / radius, settings.turn_weight * radius**2,
+        1.0 / speed, settings.turn_weight * radius**2,
     )
     best = np.argsort(found.scores, kind="stable")[:wanted]
     best = best[np.isfinite(found.scores[best])]

@@ -73,12 +73,10 @@ class TimeOptimalSettings:
     window: float = 5.2
     """Time [1 / (c1 u_max)] by which the longest guess exceeds the lower bound of the duration;
     doubled where no half motions meet."""
-    delay_of_distance: float = 0.52
-    """Delay for the distance by which two half motions miss each other [1 / (c1 u_max) / Rs].
-    Guesses are tried in the order of the sum of duration and delay."""
     turn_weight: float = 22.0
-    """Weight of the orientation in that distance [Rs^2]: of the squared distance of
-    quaternions."""
+    """Weight of the orientation in the distance by which two half motions miss each other [Rs^2]:
+    of the squared distance of quaternions. Guesses are tried in the order of their durations with
+    the time that this distance takes to roll."""
     mean_switch: float = 1.75
     """Mean time from the end to a switch of a half motion [1 / (c1 u_max)]."""
     near_radii: float = 10.0
@@ -87,7 +85,7 @@ class TimeOptimalSettings:
     # Intermediate goals on the way to a far one
 
     farthest: float = 2000.0
-    """Distance [m] beyond which a goal is approached by intermediate ones, half as far away."""
+    """Distance [m] beyond which a goal is approached by intermediate ones."""
 
     # Following a plan
 
@@ -135,15 +133,9 @@ class TimeOptimalSettings:
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
     unloaded_share: float = -0.5
     """... until it is at this share, on the other side."""
-    turning_time: float = 3.0
-    """Time constant [s] with which a tilt lets the momentum correct a turn about body z ..."""
-    noisy_turning_time: float = 1.2
-    """... and where poses are noisy: the more momentum, the faster a tilt that is not known turns
-    the sphere, and near the limit of the rotors 3 s let it turn by 3 degrees."""
-    largest_tilt: float = 4e-3
-    """Largest such tilt [rad]; it adds 2e-3 to the error."""
-    tilt_factor: float = 2.0
-    """What is added to it, over the standard deviation of the state estimate [rad]."""
+    turning_time: float = 1.2
+    """Time constant [s] with which a tilt of up to twice the dead band lets the momentum correct a
+    turn about body z. The more momentum, the faster a tilt that is not known turns the sphere."""
     rest_time: float = 1.0
     """Time [s] for which a command goes on to hold the momentum at its end."""
     least_dead_band: float = 2e-3
@@ -161,11 +153,9 @@ class TimeOptimalSettings:
     through errors above 1e-2. With momentum it also comes to rest there, as the momentum lets all
     of the error be corrected without another manoeuvre. Noise for which the dead band is larger
     lets errors grow, which are then corrected by rolling."""
-    correction_horizon: int = 4
-    """Horizon [knots] of the paper's problem that does so."""
     correction_weight: float = 100.0
-    """Factor [-] on its input weight. Large, so that it corrects what rolling itself corrects and
-    leaves alone what takes a manoeuvre."""
+    """Factor [-] on the input weight of the paper's problem that does so. Large, so that it
+    corrects what rolling itself corrects and leaves alone what takes a manoeuvre."""
 
     def near_distance(self, robot: RobotParameters) -> float:
         """Return the distance [m] beyond which whole turns are left out of a search."""

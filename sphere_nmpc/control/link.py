@@ -145,7 +145,8 @@ class RotorFeedback:
     speeds sent; where it takes effect later it is entered again from then on. So a command that is
     late or lost on its way is taken neither for another plant nor for momentum. From the delays
     follows the commitment window: how far ahead a new plan may first differ from the one in force.
-    Without measured speeds commands are expected to be as late, and lost as often, as poses.
+    Commands are expected to be at least as late as poses, and without measured speeds to be lost
+    as often.
 
     Times are control times [s].
 
@@ -184,10 +185,8 @@ class RotorFeedback:
     @property
     def window(self) -> float:
         """Delay that commands may have without being late [s]; 0 without a link."""
-        if self._is_measured:
-            return self._window
         delay = self.poses.delay
-        return min(delay, _LONGEST_WINDOW) if delay > _LEAST_DELAY else 0.0
+        return max(self._window, min(delay, _LONGEST_WINDOW) if delay > _LEAST_DELAY else 0.0)
 
     @property
     def loss(self) -> float:

@@ -5,7 +5,8 @@
 With rotor speeds u the sphere rolls at v and rotates at omega, omega_k of it about the vertical,
 such that everywhere ``c1^2 |u|^2 = (v / Rs)^2 + mu(k) omega_k^2`` with mu(k) > 0. So the least
 integral of |u| follows from the distance and the angle of the rotation, and the least time from
-that integral and the limits of speed, acceleration and torque.
+that integral and the limits of speed, acceleration and torque. Farther goals take longer, by the
+time that is lost in orientations from which the sphere cannot roll straight to the goal.
 """
 
 import math
@@ -15,10 +16,15 @@ from numpy.typing import ArrayLike
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, position_error
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error, position_error
+from sphere_sim.study.displacement_table import displacement_table
 
 _CELLS = 1000
 """Intervals of the latitude; more of them raise the bound, by less than 1 ms from 1000 on."""
+
+
+_NEAR = 1.3
+"""Distance [radii of the shell] up to which lost time is left out: the angle tells more there."""
 
 
 def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
@@ -38,6 +44,14 @@ def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
         _by_latitude(float(first[2]), float(last[2]), turn, constants),
     )
     at_full_speed = least / (constants.input_gain * math.sqrt(2.0) * robot.max_rotor_speed)
+    distance = position_error(start, goal) / constants.shell_radius
+    if distance > _NEAR:
+        x, y = goal[POSITION] - start[POSITION]
+        with_losses = displacement_table(constants).least_time(
+            distance, start[QUATERNION], goal[QUATERNION], math.atan2(y, x)
+        )
+        unit = constants.input_gain * robot.max_rotor_speed
+        at_full_speed = max(at_full_speed, with_losses / unit)
     ramp = robot.max_rotor_speed / _largest_gain(robot)
     return at_full_speed + ramp if at_full_speed >= ramp else 2.0 * math.sqrt(at_full_speed * ramp)
 

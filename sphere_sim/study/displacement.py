@@ -28,7 +28,7 @@ _OVERLAP = 6
 """Rows of the grid that belong to the cap as well; more than averages reach."""
 _AVERAGES = (1, 2, 2, 2, 2)
 """Strides of the averages that make the spline smooth."""
-_CORRECTIONS = 4
+_CORRECTIONS = 3
 """Corrections in each step."""
 _ROUNDING = 1e-9
 """Rounding of the rates that are compared, which are of the order of one to ten."""
@@ -128,7 +128,7 @@ class DisplacementSteps:
             count: _Moves(grid, count * self.step, self._edge).moves for count in _HELD
         }
         self._values: list[Vector] = [np.zeros(grid.size + 1)]
-        self._side = self.check.largest_rate(self.coefficients)
+        self._side = self.check.rates(self.coefficients)
         self._remainder = self.check.remainder(self.coefficients)
 
     def advance(self) -> None:
@@ -144,7 +144,7 @@ class DisplacementSteps:
         cap = self.cap + self._growth
         for left in reversed(range(_CORRECTIONS + 1)):
             cap, after = self._closed(values, cap)
-            side = self.check.largest_rate(after)
+            side = self.check.rates(after)
             if left in (0, _CORRECTIONS):
                 remainder = self.check.remainder(after)
             self.excess = self.check.excess(

@@ -43,29 +43,42 @@ def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
         float(_least_input(rolled, turn, _least_share(constants))),
         _by_latitude(float(first[2]), float(last[2]), turn, constants),
     )
-    at_full_speed = least / (constants.input_gain * math.sqrt(2.0) * robot.max_rotor_speed)
+    speed = robot.max_rotor_speed
+    at_full_speed = least / (constants.input_gain * math.sqrt(2.0) * speed)
+    seconds = _with_ramps(at_full_speed, speed / _largest_gain(robot))
     distance = position_error(start, goal) / constants.shell_radius
     if distance > _NEAR:
         x, y = goal[POSITION] - start[POSITION]
         with_losses = displacement_table(constants).least_time(
             distance, start[QUATERNION], goal[QUATERNION], math.atan2(y, x)
         )
-        unit = constants.input_gain * robot.max_rotor_speed
-        at_full_speed = max(at_full_speed, with_losses / unit)
-    ramp = robot.max_rotor_speed / _largest_gain(robot)
+        ramp = speed / _largest_gain(robot, of_one=True)
+        seconds = max(seconds, _with_ramps(with_losses / (constants.input_gain * speed), ramp))
+    return seconds
+
+
+def _with_ramps(at_full_speed: float, ramp: float) -> float:
+    """Return the time [s] from rest to rest, Eq. (8) of the document.
+
+    It follows from the time that is needed with rotors at full speed at once, and from that of a
+    ramp to full speed [s].
+    """
     return at_full_speed + ramp if at_full_speed >= ramp else 2.0 * math.sqrt(at_full_speed * ramp)
 
 
-def _largest_gain(robot: RobotParameters) -> float:
+def _largest_gain(robot: RobotParameters, of_one: bool = False) -> float:
     """Return a' [rad/s^2] with ``|u(t)| <= sqrt(2) a' t`` from rest, Eq. (7) of the document.
 
     A torque limit bounds the speeds of the rotors in space, of which those against the shell are
-    a multiple that the orientation limits. For a while they may accelerate faster than this.
+    a multiple that the orientation limits. For a while they may accelerate faster than this. With
+    `of_one` it is a bound of each rotor, ``|u_i(t)| <= a' t``: the limit is one of the norm.
     """
     if robot.max_rotor_torque <= 0.0:
         return robot.max_rotor_acceleration
     least_share = 1.0 - robot.rotor_axial_inertia / robot.transverse_inertia
     by_torque = robot.max_rotor_torque / (robot.rotor_axial_inertia * least_share)
+    if of_one:
+        by_torque *= math.sqrt(2.0)
     return min(robot.max_rotor_acceleration, by_torque)
 
 

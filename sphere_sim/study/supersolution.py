@@ -169,8 +169,8 @@ class Supersolution:
             values = _mean(values, axis)
         return values
 
-    def largest_rate(self, coefficients: Vector) -> Vector:
-        """Return the right-hand side at the centres, of the grid's shape."""
+    def rates(self, coefficients: Vector) -> Vector:
+        """Return the right-hand side with each input at the centres, shape (2, grid's shape)."""
         values = self._grid.mirrored(coefficients)
         level, turned = _mean(values, 0), _mean(values, 2)
         gradient = (
@@ -183,7 +183,7 @@ class Supersolution:
             for part in _AXES:
                 side += rates[1 + part] * (gradient[part] / self._grid.step)
             sides.append(np.abs(side))
-        return np.maximum(*sides)
+        return np.array(sides)
 
     def _about_nodes(self, values: Vector) -> Vector:
         """Return the largest of values at the centres about each node, but for the last row."""
@@ -194,7 +194,7 @@ class Supersolution:
     def remainder(self, coefficients: Vector) -> Vector:
         """Return how much the right-hand side may exceed its centres in each cell about a node.
 
-        The shape is that of the grid without the last row.
+        The shape is (2, grid's shape without the last row); see `rates`.
         """
         values = self._grid.mirrored(coefficients)
 
@@ -221,7 +221,7 @@ class Supersolution:
                     if axis != part:
                         total += weights.value[part] * twists[axis, part]
             totals.append(total)
-        return np.maximum(*totals)
+        return np.array(totals)
 
     def bend(self, coefficients: Vector) -> Vector:
         """Return how much a spline may be below its centres in each cell about a node."""
@@ -237,12 +237,16 @@ class Supersolution:
     ) -> Vector:
         """Return a bound of the right-hand side over the left in each cell during a step.
 
-        Sides and remainders are those at its start and at its end, as of `largest_rate` and
-        `remainder`; `change` is that of the coefficients during `duration`.
+        Sides and remainders are those at its start and at its end, as of `rates` and `remainder`;
+        `change` is that of the coefficients during `duration`. The shape is that of the grid
+        without the last row.
         """
-        side = np.maximum(*sides) - self.at_centres(change) / duration
-        worst: Vector = np.maximum(*remainders) + self.bend(change) / duration
-        worst += self._about_nodes(side)
+        left = self.at_centres(change) / duration
+        excesses = [
+            self._about_nodes(np.maximum(before, after) - left) + np.maximum(*remainder)
+            for before, after, *remainder in zip(*sides, *remainders, strict=True)
+        ]
+        worst: Vector = np.maximum(*excesses) + self.bend(change) / duration
         return worst
 
 

@@ -74,7 +74,7 @@ def test_table_is_proven_in_every_cell_and_not_if_it_is_lower_in_one() -> None:
 
         def excess(after: Vector, before: Vector = before, check=check) -> Vector:
             return check.excess(
-                (check.largest_rate(before), check.largest_rate(after)),
+                (check.rates(before), check.rates(after)),
                 (check.remainder(before), check.remainder(after)), after - before, steps.step,
             )
 
@@ -219,7 +219,8 @@ def test_rates_are_those_of_the_model() -> None:
             after = angles_of(quaternion + 1e-6 * rates[2:], 0.0)
             change = (after - before + math.pi) % (2.0 * math.pi) - math.pi
             expected = np.array(grid.rates(inputs, before))
-            np.testing.assert_allclose([rates[0], *(change / 1e-6)], expected, rtol=1e-4, atol=1e-4)
+            found = [rates[0], *(change / 1e-6)]
+            np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_goal_farther_than_the_table_takes_the_rest_at_full_speed() -> None:

@@ -12,7 +12,8 @@ from robots import HEAVY_ROTORS
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion, vertical
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
-from sphere_sim.study.lower_bound import lower_bound
+from sphere_sim.study import displacement_table
+from sphere_sim.study.lower_bound import _largest_gain, lower_bound
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -30,6 +31,13 @@ DIAGONAL = math.sqrt(0.5)
 @pytest.fixture(autouse=True)
 def short_steps(monkeypatch) -> None:
     monkeypatch.setattr(rolling_plant, "MAX_STEP", 1e-3)
+
+
+@pytest.fixture(autouse=True)
+def coarse_table(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(displacement_table, "SIZE", 24)
+    monkeypatch.setattr(displacement_table, "_HORIZON", 1.2)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def moved(robot: RobotParameters, start: Vector, knots: list[tuple[float, Vector]]) -> Vector:
@@ -94,7 +102,8 @@ def test_turn_about_a_vertical_diagonal_attains_the_bound(robot, angle) -> None:
 def test_bounds_by_hand() -> None:
     upright = make_state([0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
     fastest = 0.3 * TABLE_1.lumped.input_gain * math.sqrt(2.0) * 100.0
-    away = make_state([10.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    # The horizontal body (1, -1, 0) is across the way.
+    away = make_state([10.0 * DIAGONAL, 10.0 * DIAGONAL], [1.0, 0.0, 0.0, 0.0])
     assert lower_bound(upright, away, TABLE_1) == pytest.approx(10.0 / fastest + 0.25, rel=1e-12)
     # A triangle of 0.01 m: its peak is a T / 2.
     near = make_state([0.01, 0.0], [1.0, 0.0, 0.0, 0.0])
@@ -128,3 +137,29 @@ def test_no_motion_is_faster_than_the_bound(robot, by_torque, closest) -> None:
         seconds = sum(duration for duration, _ in knots)
         shares.append(lower_bound(start, moved(robot, start, knots), limited) / seconds)
     assert closest < max(shares) < 1.0 + ATTAINED
+
+
+def test_orientations_that_cannot_roll_straight_on_raise_the_bound_of_far_goals() -> None:
+    # The body's z axis is horizontal and across the way.
+    start = make_state([0.0, 0.0], [DIAGONAL, DIAGONAL, 0.0, 0.0])
+    fastest = 0.3 * TABLE_1.lumped.input_gain * math.sqrt(2.0) * 100.0
+    lost = []
+    for distance in (3.0, 30.0):
+        goal = make_state([distance, 0.0], [1.0, 0.0, 0.0, 0.0])
+        lost.append(lower_bound(start, goal, TABLE_1) - distance / fastest - 0.25)
+    assert lost[0] > 0.02
+    assert lost[1] == pytest.approx(lost[0], rel=1e-9)
+
+
+def test_nearby_goals_need_no_table(monkeypatch) -> None:
+    monkeypatch.setattr("sphere_sim.study.lower_bound.displacement_table", None)
+    start, goal = (make_state(place, [1.0, 0.0, 0.0, 0.0]) for place in ([0.0, 0.0], [0.3, 0.2]))
+    assert lower_bound(start, goal, TABLE_1) > 0.25
+
+
+def test_torque_limit_is_one_of_both_rotors_together() -> None:
+    limited = replace(TABLE_1, max_rotor_torque=0.5)
+    norm, one = _largest_gain(limited), _largest_gain(limited, of_one=True)
+    assert one == pytest.approx(math.sqrt(2.0) * norm)
+    assert _largest_gain(replace(limited, max_rotor_torque=100.0), of_one=True) == 400.0
+    assert _largest_gain(TABLE_1, of_one=True) == 400.0

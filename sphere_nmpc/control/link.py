@@ -191,9 +191,8 @@ class RotorFeedback:
     @property
     def loss(self) -> float:
         """Share of the newest commands that did not take effect before the next one."""
-        if self._is_measured:
-            return self._loss
-        return 0.0 if math.isnan(self.poses.loss) else self.poses.loss
+        loss = self._loss if self._is_measured else self.poses.loss
+        return 0.0 if math.isnan(loss) else loss
 
     @property
     def is_needed(self) -> bool:

@@ -128,10 +128,9 @@ def _searched(
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
     without, from which momentum and disturbance are raised in steps.
     """
-    if is_zero(situation.momentum, situation.disturbance):
-        return ArrivalSearch(solver, situation, seed).improve(work)
-    if state_error(situation.state, situation.goal) < SETTLED_ERROR:
-        # Without momentum it would be there in no time.
+    is_there = state_error(situation.state, situation.goal) < SETTLED_ERROR
+    # At the goal a sphere without momentum would be there in no time.
+    if is_there or is_zero(situation.momentum, situation.disturbance):
         return ArrivalSearch(solver, situation, seed).improve(work)
     still = replace(
         situation, state=without_momentum(situation.state), disturbance=UNDISTURBED

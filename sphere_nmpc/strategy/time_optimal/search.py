@@ -72,7 +72,7 @@ class ArrivalSearch:
     ) -> None:
         settings, grid, robot = solver.settings, solver.grid, solver.robot
         self._solver, self._settings, self._grid = solver, settings, grid
-        self._situation, self._known = situation, known
+        self._situation = situation
         self._rolling = SteadyRolling.of(situation.constants, robot.max_rotor_speed)
         ramp = robot.max_rotor_speed / robot.max_rotor_acceleration
         self._drives = Drives(grid.spacing, ramp, robot.max_rotor_speed)

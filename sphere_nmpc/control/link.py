@@ -117,7 +117,8 @@ class PoseLink:
             self._times.clear()
             self._ages.clear()
         self._times.append(time)
-        self._ages.append(age)
+        if not math.isnan(age):
+            self._ages.append(age)
 
     @property
     def delay(self) -> float:
@@ -125,8 +126,7 @@ class PoseLink:
 
         Where the clock is a topic, it is delayed as well, so that the age shows the difference.
         """
-        known = [age for age in self._ages if not math.isnan(age)]
-        return sum(known) / len(known) if known else math.nan
+        return sum(self._ages) / len(self._ages) if self._ages else math.nan
 
     @property
     def loss(self) -> float:

@@ -139,6 +139,11 @@ class RobotParameters:
         return self.rotor_axial_inertia * self.max_rotor_acceleration
 
     @property
+    def ramp_time(self) -> float:
+        """Time in which a rotor reaches its limit of speed [s]."""
+        return self.max_rotor_speed / self.max_rotor_acceleration
+
+    @property
     def lumped(self) -> LumpedConstants:
         """Constants of the driftless model."""
         rolling = self.rolling_inertia

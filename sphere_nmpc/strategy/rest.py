@@ -17,6 +17,8 @@ from sphere_nmpc.model.state import QUATERNION, Vector
 
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
+REST_TIME = 1.0
+"""Time for which a command goes on to hold the momentum at its end [s], should no other follow."""
 _SPACING = 0.25
 """Spacing of the knots along which a command follows the momentum [s]; on a slope the speeds of
 rest change linearly, and an imbalance turns with the sphere, which rests."""
@@ -50,7 +52,7 @@ def is_saturated(momentum: Vector, quaternion: Vector, max_speed: float) -> bool
 
 def hold_momentum(
     hold: FirstOrderHold, momentum: Vector, disturbance: Disturbance, quaternion: Vector,
-    max_speed: float, duration: float,
+    max_speed: float, duration: float = REST_TIME,
 ) -> FirstOrderHold:
     """Return the hold to an arrival, extended to keep the sphere at rest for `duration` [s].
 

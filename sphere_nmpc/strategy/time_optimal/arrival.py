@@ -162,8 +162,9 @@ class ArrivalSolver:
         return _arrival(situation, problem, solution, goal, error, work)
 
     def solve(
-        self, situation: Situation, goal: Vector, guess: FirstOrderHold, iterations: int,
-        weight: float, budget: float = math.inf, kept_error: float = 0.0, coarse: bool = False,
+        self, situation: Situation, goal: Vector, guess: FirstOrderHold, factor: float = 1.0,
+        budget: float = math.inf, kept: bool = False, coarse: bool = False,
+        iterations: int | None = None,
     ) -> Arrival:
         """Return the fastest motion near a guess that ends at the goal.
 
@@ -173,21 +174,22 @@ class ArrivalSolver:
             As for `trial`; the sign of the quaternion does not matter.
         guess : FirstOrderHold
             Initial guess, whose knots are kept in units of the duration.
-        iterations : int
-            Cap on solver iterations.
-        weight : float
-            Time that a unit of the terminal error is worth [of the unit of time].
+        factor : float, optional
+            Factor on the time that the terminal error is worth.
         budget : float, optional
             Wall time of the solve [s].
-        kept_error : float, optional
-            Terminal error at which the solve stops, to change the guess no more than it takes; by
-            default the duration is minimised.
+        kept : bool, optional
+            Whether the guess is to change no more than it takes to lead to the goal; by default
+            the duration is minimised.
         coarse : bool, optional
             Whether it is integrated in steps twice as long.
+        iterations : int, optional
+            Another cap on iterations than that of the settings.
         """
+        tuning = self.settings
         durations = np.diff(guess.times)
         steady, turns, rolling = 0, 0, SteadyRolling.of(situation.constants, self._max_speed)
-        if self.settings.is_small(situation):
+        if tuning.is_small(situation):
             steady, turns = steady_interval(durations, rolling)
         if turns:
             # It bends the way to the near goal by less than what is corrected on it.
@@ -196,21 +198,22 @@ class ArrivalSolver:
             )
         max_step = (2.0 if coarse else 1.0) * self.grid.fine
         problem = self._problem(situation, goal, durations, max_step)
-        problem.error_weight = weight * self.grid.unit
+        problem.error_weight = factor * tuning.error_weight * self.grid.unit
         if is_zero(situation.momentum, situation.disturbance):
             problem.lower[-1] = problem.upper[-1] = 0.0
-        elif self.settings.is_out_of_balance(situation) and not situation.uncertainty > 0.0:
+        elif tuning.is_out_of_balance(situation) and not situation.uncertainty > 0.0:
             # Where poses are noisy the estimate of this component changes from sample to sample
             # by more than a plan can follow, and it is left to the tilt at rest.
             body_z = rotation.matrix(goal[QUATERNION])[:, 2]
-            problem.momentum_row = self.settings.momentum_weight * body_z
+            problem.momentum_row = tuning.momentum_weight * body_z
         if turns:
             self._roll_steadily(problem, rolling, guess.speeds[1:], steady, turns)
         settings = SolverSettings(
-            max_iterations=iterations, decrease_floor=_LEAST_GAIN * self.grid.unit,
-            initial_damping=(_KEEPING if kept_error else _FIRST_PROXIMAL) * self.grid.unit,
+            max_iterations=iterations or tuning.iterations,
+            decrease_floor=_LEAST_GAIN * self.grid.unit,
+            initial_damping=(_KEEPING if kept else _FIRST_PROXIMAL) * self.grid.unit,
             time_budget=budget,
-            target_cost=kept_error * problem.error_weight,
+            target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
         solution = self._fastest.solve(problem, guess.speeds[1:], settings=settings)
         duration = solution.stretch * guess.end
@@ -231,14 +234,13 @@ class ArrivalSolver:
         The error weighs more from one to the next. `deadline` is a steady clock reading [s],
         `iterations` another cap than that of the settings.
         """
-        settings = self.settings
         for factor in RAISES:
             known = self.solve(
-                situation, known.goal, known.hold, iterations or settings.iterations,
-                factor * settings.error_weight, deadline - time.perf_counter(),
+                situation, known.goal, known.hold, factor, deadline - time.perf_counter(),
+                iterations=iterations,
             )
             yield known
-            if known.error <= settings.arrival_error:
+            if known.error <= self.settings.arrival_error:
                 return
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:

@@ -9,8 +9,7 @@ torque is largest where the imbalance is horizontal.
 
 With more than a small momentum a sphere cannot roll steadily, and whole turns cannot be left out
 of a plan: its size would grow with the distance. A far goal is then approached by intermediate
-goals some metres ahead on the straight line. Otherwise only goals at kilometres need them, as the
-direction of steady rolling would have to be planned to more digits than the solver attains.
+goals some metres ahead on the straight line.
 """
 
 from dataclasses import replace
@@ -25,10 +24,8 @@ from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
-_REACH = 0.75
-"""Distance of an intermediate goal over that beyond which there are any."""
 _FAR = 2.5
-"""Distance over that of the intermediate goals beyond which there are any with momentum."""
+"""Distance over that of the intermediate goals beyond which there are any."""
 _MANOEUVRE = 2.0
 """Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
@@ -148,9 +145,9 @@ class HeldGoal:
 
 
 class IntermediateGoals:
-    """Replacement of a far goal by one on the way to it.
+    """Replacement of a far goal by one on the way to it, where there is momentum.
 
-    With momentum it is as far away as goals from which no whole turns are left out, `near` [m].
+    It is as far away as goals from which no whole turns are left out, `near` [m].
     """
 
     def __init__(self, settings: TimeOptimalSettings, near: float) -> None:
@@ -161,10 +158,8 @@ class IntermediateGoals:
         """Forget the intermediate goal."""
         self._place: Vector | None = None
 
-    def aim(
-        self, situation: Situation, time_left: float, found_none: bool = False
-    ) -> tuple[Situation, bool]:
-        """Return the situation with the goal to plan for, and whether that is a new one.
+    def aim(self, situation: Situation, time_left: float, found_none: bool = False) -> Situation:
+        """Return the situation with the goal to plan for.
 
         Parameters
         ----------
@@ -175,23 +170,18 @@ class IntermediateGoals:
         found_none : bool, optional
             Whether the last search has found no arrival; the next one is then to a nearer goal.
         """
-        settings, last = self._settings, self._place
-        here, there = situation.state[POSITION], situation.goal[POSITION]
-        rolls_steadily = settings.is_small(situation)
-        near = _REACH * settings.farthest if rolls_steadily else self._near
-        farthest = settings.farthest if rolls_steadily else _FAR * near
-        if not rolls_steadily and (last is not None or found_none):
-            farthest = near
-        distance = float(np.linalg.norm(there - here))
-        if distance <= farthest:
+        near, last = self._near, self._place
+        way = situation.goal[POSITION] - situation.state[POSITION]
+        distance = float(np.linalg.norm(way))
+        farthest = near if last is not None or found_none else _FAR * near
+        if self._settings.is_small(situation) or distance <= farthest:
             self._place = None
-            return situation, last is not None
-        is_near = last is not None and float(np.linalg.norm(last - here)) < 0.5 * near
-        if last is None or time_left <= 0.0 or (rolls_steadily and is_near):
-            self._place = here + (near / distance) * (there - here)
+            return situation
+        if last is None or time_left <= 0.0:
+            self._place = situation.state[POSITION] + (near / distance) * way
         goal = situation.goal.copy()
         goal[POSITION] = self._place
-        return replace(situation, goal=goal), self._place is not last
+        return replace(situation, goal=goal)
 
 
 def _unloading_orientation(

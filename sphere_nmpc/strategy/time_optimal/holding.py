@@ -76,7 +76,7 @@ class RestAtGoal:
             plan = self._corrected(dataclasses.replace(situation, goal=goal))
             return dataclasses.replace(plan, status=PlanStatus.HOLDING)
         message = f"at the goal, {error:.1e} off"
-        return come_to_rest(situation, self._robot, tuning.rest_time, message)
+        return come_to_rest(situation, self._robot, message)
 
     def _corrected(self, situation: Situation) -> Plan:
         """Return the solution of the problem of the corrections, added to the speeds of rest."""
@@ -123,15 +123,15 @@ def _for_corrections(settings: ControllerSettings) -> ControllerSettings:
 
 
 def come_to_rest(
-    situation: Situation, robot: RobotParameters, rest_time: float, message: str,
+    situation: Situation, robot: RobotParameters, message: str,
     status: PlanStatus = PlanStatus.HOLDING,
 ) -> Plan:
-    """Return a plan that brings the rotors to the speeds of rest and holds for `rest_time` [s]."""
+    """Return a plan that brings the rotors to the speeds of rest and holds the momentum."""
     momentum, quaternion = situation.momentum, situation.state[QUATERNION]
     limit = robot.max_rotor_speed
     target = speeds_of_rest(momentum, quaternion, limit)
     in_force = situation.input_in_force
     hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
-    hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit, rest_time)
+    hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
     states: Vector = situation.state[None, :]
     return Plan(status, hold, states, message=message)

@@ -42,8 +42,7 @@ class Grid:
     def of(cls, robot: RobotParameters, spacing: float) -> "Grid":
         """Return the grid of a robot; `spacing` is in its unit of time."""
         unit = 1.0 / (robot.lumped.input_gain * robot.max_rotor_speed)
-        ramp = robot.max_rotor_speed / robot.max_rotor_acceleration
-        return cls(unit, max(spacing * unit, 0.5 * ramp))
+        return cls(unit, max(spacing * unit, 0.5 * robot.ramp_time))
 
     @property
     def fine(self) -> float:
@@ -54,7 +53,7 @@ class Grid:
         """Return a hold at knots about `spacing` apart."""
         count = max(2, round(hold.end / self.spacing))
         times: Vector = np.linspace(0.0, hold.end, count + 1, dtype=np.float64)
-        return _at(hold, times)
+        return hold.resampled(times)
 
     def refined(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold with fine knots near both ends and at most `spacing` between them.
@@ -70,7 +69,7 @@ class Grid:
                 count = max(1, round((after - before) / spacing))
                 added.append(before + (after - before) * np.arange(1, count) / count)
         times = np.sort(np.concatenate(added))
-        return _at(hold, times)
+        return hold.resampled(times)
 
     def split(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold from time 0 on in which only intervals after a manoeuvre are long."""
@@ -82,7 +81,7 @@ class Grid:
         for i in long:
             last = min(until, times[i + 1] - self.spacing)
             added.append(np.arange(times[i] + self.spacing, last, self.spacing))
-        return _at(hold, np.sort(np.concatenate(added)))
+        return hold.resampled(np.sort(np.concatenate(added)))
 
     def thinned(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold without the knots that are very near to the one before them."""
@@ -93,8 +92,3 @@ class Grid:
         if near[-1] and near.size > 1:
             kept[-2] = False
         return FirstOrderHold(hold.times[kept], hold.speeds[kept])
-
-
-def _at(hold: FirstOrderHold, times: Vector) -> FirstOrderHold:
-    speeds = np.column_stack([np.interp(times, hold.times, row) for row in hold.speeds.T])
-    return FirstOrderHold(times, speeds)

@@ -74,8 +74,7 @@ class ArrivalSearch:
         self._solver, self._settings, self._grid = solver, settings, grid
         self._situation = situation
         self._rolling = SteadyRolling.of(situation.constants, robot.max_rotor_speed)
-        ramp = robot.max_rotor_speed / robot.max_rotor_acceleration
-        self._drives = Drives(grid.spacing, ramp, robot.max_rotor_speed)
+        self._drives = Drives(grid.spacing, robot.ramp_time, robot.max_rotor_speed)
         self._rng = np.random.default_rng(seed)
         self._turns = 0
         self._turn: Vector = np.zeros(2)
@@ -84,7 +83,7 @@ class ArrivalSearch:
         if settings.is_small(situation):
             self._aim_near(known)
         way = self._near.goal[POSITION] - situation.state[POSITION]
-        self._least = float(np.linalg.norm(way)) / self._rolling.speed + ramp
+        self._least = float(np.linalg.norm(way)) / self._rolling.speed + robot.ramp_time
         self._reached = _REACHED
         if settings.is_small(situation):  # otherwise the sphere leaves the goal by itself
             error = state_error(situation.state, situation.goal)
@@ -174,10 +173,8 @@ class ArrivalSearch:
         return self._counted(self._solver.trial(self._near, arrival.goal, slower, aware=True))
 
     def _polished(self, situation: Situation, goal: Vector, guess: FirstOrderHold) -> Arrival:
-        settings = self._settings
         return self._counted(self._solver.solve(
-            situation, goal, guess, settings.iterations, settings.error_weight,
-            self._deadline - time.perf_counter(), coarse=True,
+            situation, goal, guess, budget=self._deadline - time.perf_counter(), coarse=True
         ))
 
     def _finished(self, arrival: Arrival, added: int = 0) -> Iterator[None]:
@@ -274,8 +271,7 @@ def _different(
     found, signatures = list[Arrival](), list[Vector]()
     for arrival in sorted(arrivals, key=promise):
         hold = arrival.hold
-        times = hold.end * _COMPARED
-        signature = np.array([np.interp(times, hold.times, row) for row in hold.speeds.T])
+        signature = hold.resampled(hold.end * _COMPARED).speeds
         largest = float(np.max(np.abs(hold.speeds)))
         alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
         if np.isfinite(arrival.error) and all(d > _ALIKE * largest for d in alike):

@@ -77,12 +77,10 @@ class SearchTask:
         solver, end = solver_for(self.robot, self.tuning), time.perf_counter() + self.longest
         start: Arrival | None = None
         if self.known is not None:
-            tuning = self.tuning
             start = solver.solve(
-                self.situation, self.situation.goal, self.known, tuning.iterations,
-                tuning.error_weight, self.longest, tuning.arrival_error,
+                self.situation, self.situation.goal, self.known, budget=self.longest, kept=True
             )
-            if start.error > tuning.arrival_error:
+            if start.error > self.tuning.arrival_error:
                 return None
         search = ArrivalSearch(solver, self.situation, self.seed, start)
         if start is None:

@@ -14,11 +14,6 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 _TABLE_1 = RobotParameters()
 
 
-def _ramp(robot: RobotParameters) -> float:
-    """Return the time in which a rotor reaches its limit of speed [s]."""
-    return robot.max_rotor_speed / robot.max_rotor_acceleration
-
-
 @dataclass(frozen=True)
 class TimeOptimalSettings:
     """Numbers that decide how plans are searched for, followed and ended.
@@ -82,11 +77,6 @@ class TimeOptimalSettings:
     near_radii: float = 10.0
     """Distance [Rs] beyond which whole turns of steady rolling are left out of a search."""
 
-    # Intermediate goals on the way to a far one
-
-    farthest: float = 2000.0
-    """Distance [m] beyond which a goal is approached by intermediate ones."""
-
     # Following a plan
 
     noisy_share: float = 0.2
@@ -136,8 +126,6 @@ class TimeOptimalSettings:
     turning_time: float = 1.2
     """Time constant [s] with which a tilt of up to twice the dead band lets the momentum correct a
     turn about body z. The more momentum, the faster a tilt that is not known turns the sphere."""
-    rest_time: float = 1.0
-    """Time [s] for which a command goes on to hold the momentum at its end."""
     least_dead_band: float = 2e-3
     """Error [-] below which the rotors stay at rest at the goal where there is no noise ..."""
     largest_dead_band: float = 6e-2
@@ -160,7 +148,7 @@ class TimeOptimalSettings:
     def near_distance(self, robot: RobotParameters) -> float:
         """Return the distance [m] beyond which whole turns are left out of a search."""
         rolling = SteadyRolling.of(robot.lumped, robot.max_rotor_speed)
-        ramps = 2.0 * max(0.0, _ramp(robot) - _ramp(_TABLE_1))
+        ramps = 2.0 * max(0.0, robot.ramp_time - _TABLE_1.ramp_time)
         return self.near_radii * robot.shell_radius + ramps * rolling.speed
 
     def is_small(self, situation: Situation) -> bool:

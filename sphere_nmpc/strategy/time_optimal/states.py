@@ -131,9 +131,7 @@ class Following:
         wanted = max(settings.arrival_error, noisy)
         for factor in RAISES:
             arrival = self.solver.solve(
-                situation, arrival.goal, hold, settings.iterations,
-                factor * settings.error_weight, deadline - time.perf_counter(),
-                settings.arrival_error,
+                situation, arrival.goal, hold, factor, deadline - time.perf_counter(), kept=True
             )
             if arrival.error <= wanted or time.perf_counter() > deadline:
                 break

@@ -161,13 +161,13 @@ class TimeOptimalStrategy:
             return self._rest_at_goal.plan(situation)
         if isinstance(state, Following):
             return self._as_plan(state)
-        robot, rest_time = self._robot, self._tuning.rest_time
+        robot = self._robot
         if isinstance(state, Saturated):
             status = PlanStatus.SATURATED
-            plan = come_to_rest(situation, robot, rest_time, "saturated", status)
+            plan = come_to_rest(situation, robot, "saturated", status)
             return dataclasses.replace(plan, given_up=SATURATED)
         status = PlanStatus.RAMP_TO_REST
-        return come_to_rest(situation, robot, rest_time, "no arrival found yet", status)
+        return come_to_rest(situation, robot, "no arrival found yet", status)
 
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows from `state` and the present situation.
@@ -255,7 +255,7 @@ class TimeOptimalStrategy:
         tuning, searches = self._tuning, self._searches
         start = situation
         if not at_rest and searches.ahead:
-            ramp = come_to_rest(situation, self._robot, tuning.rest_time, "").hold
+            ramp = come_to_rest(situation, self._robot, "").hold
             start = later(situation, ramp, situation.time + searches.ahead, self._solver.grid.fine)
         # In motion the next search has another problem, which may be easier.
         growth = tuning.growth(fruitless) if at_rest else 1.0
@@ -321,14 +321,14 @@ class TimeOptimalStrategy:
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
         if goal is not situation.goal:
             situation = dataclasses.replace(situation, goal=goal)
-        return self._goals.aim(situation, left, found_none)[0]
+        return self._goals.aim(situation, left, found_none)
 
     def _as_plan(self, state: Following) -> Plan:
         arrival, start = state.arrival, state.planned_at
         states = arrival.states
         hold = hold_momentum(
             arrival.hold.delayed(start), arrival.momentum, arrival.disturbance,
-            arrival.goal[QUATERNION], self._robot.max_rotor_speed, self._tuning.rest_time,
+            arrival.goal[QUATERNION], self._robot.max_rotor_speed,
         )
         rests = np.tile(states[-1], (hold.times.size - len(states), 1))
         return Plan(

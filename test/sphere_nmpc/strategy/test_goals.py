@@ -93,21 +93,16 @@ def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -
 
 
 def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:
-    near = on_the_way(np.zeros(2), 0.99 * TUNING.farthest)
-    assert IntermediateGoals(TUNING, REACH).aim(near, 0.0) == (near, False)
+    steady = on_the_way(np.zeros(2), 1e6)
+    assert IntermediateGoals(TUNING, REACH).aim(steady, 0.0) is steady
     pushed = on_the_way(np.zeros(2), 2.4 * REACH, PUSHED)
-    assert IntermediateGoals(TUNING, REACH).aim(pushed, 0.0) == (pushed, False)
+    assert IntermediateGoals(TUNING, REACH).aim(pushed, 0.0) is pushed
     goals, far = IntermediateGoals(TUNING, REACH), on_the_way(np.zeros(2), 500.0, PUSHED)
-    first, is_new = goals.aim(far, 0.0)
-    assert is_new
+    first = goals.aim(far, 0.0)
     np.testing.assert_allclose(first.goal[POSITION], REACH * DIRECTION)
     np.testing.assert_array_equal(first.goal[2:], far.goal[2:])
-    same, is_new = goals.aim(far, 10.0)
-    assert not is_new
-    np.testing.assert_array_equal(same.goal, first.goal)
-    second, is_new = goals.aim(on_the_way(REACH * DIRECTION, 500.0, PUSHED), 0.0)
-    assert is_new
+    np.testing.assert_array_equal(goals.aim(far, 10.0).goal, first.goal)
+    second = goals.aim(on_the_way(REACH * DIRECTION, 500.0, PUSHED), 0.0)
     np.testing.assert_allclose(second.goal[POSITION], 2.0 * REACH * DIRECTION)
     last = on_the_way((500.0 - 0.9 * REACH) * DIRECTION, 500.0, PUSHED)
-    assert goals.aim(last, 10.0) == (last, True)
-    assert goals.aim(last, 10.0) == (last, False)
+    assert goals.aim(last, 10.0) is last

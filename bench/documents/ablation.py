@@ -1,22 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Ablation of `time_optimal`: what each number of its settings is worth.
+"""Ablation: what each number of the strategy `time_optimal` and of the estimator is worth.
 
-    python bench/documents/ablation.py --draw 200
-    python bench/documents/ablation.py least_dead_band slew_weight=20
-    python bench/documents/ablation.py --plant rigid_body --perturb 10
+    python bench/documents/ablation.py strategy                 # all numbers, half an hour
+    python bench/documents/ablation.py estimator push tilt=10   # some, one to a given value
 
-Each number is halved and doubled, or set to a given value, and the same scenarios are run as with
-the default settings. Settling times are compared run by run. What is chance shows in a slight
-change of a number of the search, which leads to other guesses. Without names all numbers are
-varied.
+A number is changed by a factor that is large for it, and the runs of the studies that it matters
+for are made as with the defaults. For each study the mean change of the settling time is printed
+with its standard error; a run that does not settle counts as `NEVER`. What is chance shows in a
+slight change of a number of the search, which leads to other guesses.
 """
 
 import argparse
 import ast
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 from unittest.mock import patch
@@ -33,39 +33,130 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
-from sphere_sim.scenario.scenarios import DRAWS, Scenario, draw_scenarios
+from sphere_sim.scenario.perturbation import DisturbanceDraws
+from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import cores
-from sphere_sim.world.settings import PLANTS
 
 Numbers = TimeOptimalSettings | EstimatorSettings
-Variant = tuple[str, Any]
-"""Number of the settings and its value."""
+
+NEVER = 1.5
+"""Settling time of a run that does not settle [of its length]."""
+_UNDISTURBED = DisturbanceDraws()
 
 
-def variants(words: Sequence[str], defaults: TimeOptimalSettings) -> list[Variant]:
-    """Return the variants that words ask for: ``name`` or ``name=value``; all without words.
+@dataclass(frozen=True)
+class Study:
+    """Runs that some numbers matter for; `loose` judges them by an error of 5e-2."""
 
-    A word that names no number, or a value that is not of its type, is a ValueError.
-    """
-    known: dict[str, Any] = {field.name: field.default for field in dataclasses.fields(defaults)}
-    kind, found = type(defaults).__name__, list[Variant]()
-    for word in words or [name for name, value in known.items() if type(value) in (int, float)]:
-        name, has_value, text = word.partition("=")
-        default = known.get(name)
-        if has_value:
-            value = ast.literal_eval(text)
-            value = float(value) if isinstance(default, float) else value
-            if type(value) is not type(default):
-                raise ValueError(f"{word}: no field of {kind}, or not of its type")
-            found.append((name, value))
-        elif isinstance(default, (int, float)) and not isinstance(default, bool):
-            scaled = [type(default)(factor * default) for factor in (0.5, 2)]
-            found += [(name, value) for value in scaled if value != default]
-        else:
-            raise ValueError(f"{name}: no number of {kind}; give {name}=VALUE")
-    return list(dict.fromkeys(found))
+    name: str
+    runs: int
+    seed: int
+    settings: str
+    kind: str = "anywhere"
+    percent: float = 3.0
+    duration: float = 20.0
+    draws: DisturbanceDraws = _UNDISTURBED
+    loose: bool = False
+
+    @property
+    def conditions(self) -> StudyConditions:
+        """Conditions of the runs."""
+        pairs = [tuple(one.split("=")) for one in self.settings.split()]
+        plain = StudyConditions(duration=self.duration, perturbation=self.percent)
+        return plain.with_settings([(name, value) for name, value in pairs])
+
+    @property
+    def scenarios(self) -> list[Scenario]:
+        """Scenarios with their disturbances."""
+        drawn = draw_scenarios(self.runs, self.seed, self.kind)
+        return [self.draws.applied_to(scenario) for scenario in drawn]
+
+    @property
+    def metric(self) -> str:
+        """Result of a run that is compared."""
+        return "loose_settle_time_s" if self.loose else "settle_time_s"
+
+
+
+def _pushed(time: float) -> DisturbanceDraws:
+    return DisturbanceDraws(push=(0.2, 1.0), push_time=time)
+
+
+_CONTACT = "simulator.plant=rigid_body "
+_NOISE = _CONTACT + "simulator.position_noise=0.005 simulator.orientation_noise=0.01745 "
+_GIVEN = "controller.pose_position_noise=0.005 controller.pose_orientation_noise=0.01745"
+STUDIES = (
+    Study("exact", 30, 1, "", percent=0.0),
+    Study("parameters 10 % wrong", 8, 1, "", percent=10.0),
+    Study("pushed at 0.3 s", 12, 101, _CONTACT, "upright", draws=_pushed(0.3)),
+    Study("friction 0.2", 6, 1, _CONTACT + "rigid_body.friction=0.2", percent=0.0),
+    Study(
+        "slope 0.1°, 0.5 mm off", 10, 5, _CONTACT, "upright",
+        draws=DisturbanceDraws(slope=float(np.radians(0.1)), offset=5e-4),
+    ),
+    Study("process noise", 8, 1, "simulator.process_noise=1e-3", percent=0.0, loose=True),
+    Study("noise given", 6, 1, _NOISE + _GIVEN, loose=True),
+    Study(
+        "noise, pushed", 12, 1, _NOISE + _GIVEN, "upright", draws=_pushed(1.0), loose=True
+    ),
+    Study("noise not given", 4, 1, _NOISE, loose=True),
+    Study("weak drives", 6, 1, _CONTACT + "rigid_body.torque_limit=2.4"),
+    Study("far", 8, 1, "", "far", percent=0.0, duration=100.0),
+)
+_EXACT, _SLIPPERY, _SLOPE, _WEAK, _FAR = (0,), (3,), (4,), (9,), (10,)
+_MOMENTUM, _NOISY = (2, 4), (5, 6, 7)
+_ESTIMATOR = (1, 2, 3, 4, 5, 6, 8, 9)
+
+CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], tuple[int, ...]]]] = {
+    TimeOptimalSettings: {
+        "small_momentum": ((3.0,), _MOMENTUM),
+        "spacing": ((0.3, 0.6), _EXACT),
+        "trial_iterations": ((6, 24), _EXACT),
+        "error_weight": ((5.0, 20.0), _EXACT),
+        "iterations": ((4, 16), _EXACT),
+        "momentum_weight": ((0.0, 0.06), _SLOPE),
+        "arrival_error": ((2e-4,), _EXACT),
+        "half_motions": ((1024, 9216), _EXACT),
+        "tried_guesses": ((8, 32), _EXACT),
+        "polished": ((1, 12), (*_EXACT, *_WEAK)),
+        "window": ((2.0, 8.0), _EXACT),
+        "turn_weight": ((5.5, 88.0), _EXACT),
+        "mean_switch": ((0.6, 5.0), _EXACT),
+        "near_radii": ((5.0, 20.0), _FAR),
+        "noisy_share": ((0.0, 1.0), _NOISY),
+        "largest_growth": ((1.0,), (*_EXACT, *_MOMENTUM, *_WEAK)),
+        "fruitless_searches": ((2, 1000000), (*_EXACT, *_FAR)),
+        "slip_acceleration": ((1.0,), _SLIPPERY),
+        "attained_share": ((0.9, 1.0), _WEAK),
+        "momentum_factor": ((0.0,), _MOMENTUM),
+        "largest_change_of_goal": ((0.05, 10.0), _MOMENTUM),
+        "unloading_share": ((0.5,), _SLOPE),
+        "turning_time": ((0.3, 5.0), _MOMENTUM),
+        "least_dead_band": ((5e-4, 8e-3), (*_EXACT, *_NOISY)),
+        "noise_factor": ((20.0, 120.0), _NOISY),
+        "uncertainty_factor": ((1.0, 9.0), _NOISY),
+        "leaving_error": ((2e-3,), (*_EXACT, *_MOMENTUM, *_NOISY)),
+        "correction_weight": ((10.0, 1000.0), (*_MOMENTUM, *_NOISY)),
+    },
+    EstimatorSettings: {
+        name: ((value,), _ESTIMATOR) for name, value in {
+            "spacing": 0.4, "longest": 0.5, "pose_spacing": 0.1, "lead": 0.1, "window": 4,
+            "step": 0.15, "constants": 0.03, "lag": 2e-2, "longest_lag": 0.0, "share": 0.05,
+            "imbalance": 3.0, "pose": 1e-4, "prediction": 1e-3, "share_spread": 3e-3,
+            "momentum_walk": 5e-3, "slope_walk": 1e-2, "push": 15.0, "tilt": 5.0, "slip": 0.06,
+            "rare": 7.0, "again": 14.0, "improbable": 75.0, "slippery": 5, "recent": 2,
+            "most_outliers": 0,
+        }.items()
+    },
+}
+"""Other values of the numbers, and the studies, counted in `STUDIES`, that are made with them.
+
+`search_ahead` and `longest_search` have no effect without a worker, and a study has none."""
+KINDS: dict[str, type[Numbers]] = {
+    "strategy": TimeOptimalSettings, "estimator": EstimatorSettings,
+}
 
 
 def measured(
@@ -102,56 +193,73 @@ def _load(conditions: StudyConditions, scenario: Scenario) -> None:
         run_scenario(dataclasses.replace(conditions, duration=0.5), scenario)
 
 
-def compared(name: str, known: object, value: object, runs: Vector, default: Vector) -> str:
-    """Return the row of a variant: runs and those with the defaults, times as in `measured`."""
-    after, before = runs[:, 0], default[:, 0]
-    both = np.isfinite(after) & (before > 0.0)
-    ratios, spread = after[both] / before[both], "-"
-    if ratios.size:
-        median, p90 = np.percentile(ratios, [50, 90])
-        spread = f"{median:.3f} / {p90:.3f} / {ratios.max():.3f}"
-    spent, spent_before = runs[:, 1].mean(), default[:, 1].mean()
-    return row(
-        f"`{name}`" if name else "none", known, value,
-        f"{np.isfinite(after).sum()} of {len(runs)}", spread,
-        f"{spent:.2f}", f"{spent / spent_before:.2f}",
-    )
+def settling(numbers: Numbers, studies: Iterable[int], jobs: int) -> dict[int, Vector]:
+    """Return the settling times [s] and processor times [s] of the runs of each study, (n, 2)."""
+    chosen = {k: STUDIES[k] for k in studies}
+    tasks = [
+        (numbers, study.conditions, scenario, study.metric)
+        for study in chosen.values() for scenario in study.scenarios
+    ]
+    runs = np.array(in_processes(measured, tasks, jobs))
+    never = [NEVER * study.duration for study in chosen.values() for _ in range(study.runs)]
+    runs[:, 0] = np.where(np.isfinite(runs[:, 0]), runs[:, 0], never)
+    ends = np.cumsum([study.runs for study in chosen.values()])
+    return dict(zip(chosen, np.split(runs, ends[:-1]), strict=True))
+
+
+def compared(study: Study, runs: Vector, default: Vector) -> str:
+    """Return in words how runs of a study differ from those with the defaults."""
+    change = runs[:, 0] - default[:, 0]
+    error = float(np.std(change, ddof=1)) / np.sqrt(change.size)
+    mean = f"{np.mean(change):+.2f} ± {error:.2f}" if change.any() else "0"
+    spent = runs[:, 1].mean() / default[:, 1].mean()
+    return f"{study.name} {mean} s ({spent:.2f})"
+
+
+def variants(kind: type[Numbers], words: Iterable[str]) -> list[tuple[str, Any, tuple[int, ...]]]:
+    """Return name, value and studies of the numbers that words name, ``name`` or ``name=value``.
+
+    Without words those of all numbers. A word that names no number is a ValueError.
+    """
+    known, found = CHANGED[kind], list[tuple[str, Any, tuple[int, ...]]]()
+    for word in words or known:
+        name, has_value, text = word.partition("=")
+        if name not in known:
+            raise ValueError(f"{name}: no number of {kind.__name__}")
+        values, studies = known[name]
+        found += [
+            (name, value, studies)
+            for value in ((ast.literal_eval(text),) if has_value else values)
+        ]
+    return found
 
 
 def main() -> None:
-    """Make the runs of all variants and print their table."""
+    """Make the runs and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", choices=KINDS)
     parser.add_argument("variants", nargs="*", metavar="NAME[=VALUE]")
-    parser.add_argument("--draw", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--kind", choices=sorted(DRAWS), default="anywhere")
-    parser.add_argument("--duration", type=float, default=30.0)
-    parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0])
-    parser.add_argument("--perturb", type=float, default=0.0)
     parser.add_argument("--jobs", type=int, default=cores())
     given = parser.parse_args()
-    defaults = TimeOptimalSettings()
+    defaults = KINDS[given.kind]()
     try:
-        wanted = [("", ""), *variants(given.variants, defaults)]
+        wanted = variants(type(defaults), given.variants)
     except (ValueError, SyntaxError) as error:
         parser.error(str(error))
     limit_library_threads()  # for the processes, which inherit it
-    conditions = StudyConditions(duration=given.duration, perturbation=given.perturb)
-    conditions = conditions.with_settings([("simulator.plant", given.plant)])
-    scenarios = draw_scenarios(given.draw, given.seed, given.kind)
+    needed = sorted({k for _, _, studies in wanted for k in studies})
+    before = settling(defaults, needed, given.jobs)
+    for k, runs in before.items():
+        print(f"{STUDIES[k].name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f} s")
     print(header(
-        "number", "default", "value", "settled",
-        "settling time over the default's: median / p90 / worst", "processor time a run [s]",
-        "over the default's",
+        "number", "default", "changed to",
+        "mean change of the settling time (processor time over the default's)",
     ), flush=True)
-    default: Vector | None = None
-    for name, value in wanted:
-        numbers = dataclasses.replace(defaults, **{name: value}) if name else defaults
-        tasks = [(numbers, conditions, scenario) for scenario in scenarios]
-        runs: Vector = np.array(in_processes(measured, tasks, given.jobs))
-        default = runs if default is None else default
-        known = getattr(defaults, name) if name else ""
-        print(compared(name, known, value, runs, default), flush=True)
+    for name, value, studies in wanted:
+        found = settling(dataclasses.replace(defaults, **{name: value}), studies, given.jobs)
+        cells = (compared(STUDIES[k], runs, before[k]) for k, runs in found.items())
+        default = getattr(defaults, name)
+        print(row(f"`{name}`", default, value, "; ".join(cells)), flush=True)
 
 
 if __name__ == "__main__":

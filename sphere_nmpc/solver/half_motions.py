@@ -8,6 +8,7 @@ of each, which are millions of pairs, some nearly do. The compiled functions wor
 precision; the plain ones, where there are none, give the same results but for rounding.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,23 +105,22 @@ def knots_of(signals: Floats, levels: int, begin: Vector, drives: Drives) -> Vec
         Period, ramp and limit.
     """
     change = drives.limit * drives.period / drives.ramp
-    speeds = np.empty((levels + 1, 2, signals.shape[1]))
+    times = drives.period * np.arange(levels + 1)[:, None, None]
+    after, before = (
+        _integral(np.abs(times + side), signals[2::2], signals[3::2])
+        for side in (drives.ramp, -drives.ramp)
+    )
+    speeds: Vector = drives.limit * signals[:2] * (after - before) / (2.0 * drives.ramp)
     speeds[0] = begin[:, None]
-    for level in range(1, levels + 1):
-        after, before = (
-            _integral(abs(level * drives.period + side), signals[2::2], signals[3::2])
-            for side in (drives.ramp, -drives.ramp)
-        )
-        wanted = drives.limit * signals[:2] * (after - before) / (2.0 * drives.ramp)
-        speeds[level] = np.clip(wanted, speeds[level - 1] - change, speeds[level - 1] + change)
+    for last, wanted in itertools.pairwise(speeds):
+        wanted[:] = np.minimum(np.maximum(wanted, last - change), last + change)
     return speeds
 
 
-def _integral(time: float, first: Floats, second: Floats) -> Floats:
+def _integral(times: Vector, first: Floats, second: Floats) -> Vector:
     """Return the integral of a signal that is one until `first`, then minus one until `second`."""
-    late = np.maximum(time - second, 0.0) - np.maximum(time - first, 0.0)
-    total: Floats = time + 2.0 * late
-    return total
+    late = np.maximum(times - second, 0.0) - np.maximum(times - first, 0.0)
+    return times + 2.0 * late
 
 
 def half_motions(

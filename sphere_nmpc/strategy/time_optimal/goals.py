@@ -9,7 +9,7 @@ torque is largest where the imbalance is horizontal.
 
 With more than a small momentum a sphere cannot roll steadily, and whole turns cannot be left out
 of a plan: its size would grow with the distance. A far goal is then approached by intermediate
-goals some metres ahead on the straight line.
+goals some metres ahead on the straight line. Otherwise only goals beyond 25 km need them.
 """
 
 from dataclasses import replace
@@ -26,6 +26,9 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _FAR = 2.5
 """Distance over that of the intermediate goals beyond which there are any."""
+_STEADY = 1e4
+"""Distance of an intermediate goal to which the sphere rolls steadily [m]: the direction to one at
+100 km would have to be planned to more digits than the solver attains."""
 _MANOEUVRE = 2.0
 """Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
@@ -85,7 +88,7 @@ class HeldGoal:
                 situation.disturbance.imbalance, self._direction, unloading, found_none
             )
             return np.concatenate((goal[:2], self._unloading))
-        margin = self._settings.held_goal_factor * situation.uncertainty
+        margin = self._settings.momentum_factor * situation.uncertainty
         if end is None:
             end = self._expected(situation, holding)
         found = holdable_goal(goal, end, situation.disturbance, margin)
@@ -114,8 +117,7 @@ class HeldGoal:
         if not situation.disturbance.imbalance.any():
             self._unloading = None
         elif self._unloading is not None:
-            along = float(self._direction @ momentum)
-            if along <= settings.unloaded_share * self._max_speed:
+            if float(self._direction @ momentum) <= 0.0:
                 self._unloading = None
         elif holding:
             quaternion = situation.goal[QUATERNION]
@@ -145,9 +147,9 @@ class HeldGoal:
 
 
 class IntermediateGoals:
-    """Replacement of a far goal by one on the way to it, where there is momentum.
+    """Replacement of a far goal by one on the way to it.
 
-    It is as far away as goals from which no whole turns are left out, `near` [m].
+    With momentum it is as far away as goals from which no whole turns are left out, `near` [m].
     """
 
     def __init__(self, settings: TimeOptimalSettings, near: float) -> None:
@@ -170,15 +172,17 @@ class IntermediateGoals:
         found_none : bool, optional
             Whether the last search has found no arrival; the next one is then to a nearer goal.
         """
-        near, last = self._near, self._place
-        way = situation.goal[POSITION] - situation.state[POSITION]
+        steady, last = self._settings.is_small(situation), self._place
+        here, near = situation.state[POSITION], _STEADY if steady else self._near
+        way = situation.goal[POSITION] - here
         distance = float(np.linalg.norm(way))
-        farthest = near if last is not None or found_none else _FAR * near
-        if self._settings.is_small(situation) or distance <= farthest:
+        farthest = near if last is not None or (found_none and not steady) else _FAR * near
+        if distance <= farthest:
             self._place = None
             return situation
-        if last is None or time_left <= 0.0:
-            self._place = situation.state[POSITION] + (near / distance) * way
+        ends = steady and last is not None and float(np.linalg.norm(last - here)) < 0.5 * near
+        if last is None or time_left <= 0.0 or ends:
+            self._place = here + (near / distance) * way
         goal = situation.goal.copy()
         goal[POSITION] = self._place
         return replace(situation, goal=goal)

@@ -14,6 +14,7 @@ solved again, as the direction to the near goal is slightly another one.
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -41,7 +42,7 @@ _FIRST_TURNS, _GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
 _FIRST_SHARE = 0.25
 """Share of half motions and guesses that are tried in the first round."""
-_LATER = 1.5
+_LATER = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""
 _TIME_OF_ERROR = 2.5
 """Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
@@ -142,7 +143,7 @@ class ArrivalSearch:
             hold = guess.hold
             trials.append(self._counted(self._solver.trial(self._near, guess.goal, hold)))
             yield
-        survivors = _different(trials, self._promise)[: settings.polished]
+        survivors = islice(_different(trials, self._promise), settings.polished)
         longest, polished = np.inf, list[Arrival]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
@@ -154,9 +155,10 @@ class ArrivalSearch:
             polished.append(self._polished(self._near, arrival.goal, arrival.hold))
             yield
         reached = [arrival for arrival in polished if arrival.error < self._reached]
-        earliest = min(reached, key=self._promise, default=None)
-        if earliest is not None and earliest.duration < longest:
-            yield from self._finished(earliest)
+        best = self.best
+        for arrival in sorted(reached, key=self._promise):
+            if self.best is best and arrival.duration < longest:
+                yield from self._finished(arrival)
         # The shortest guesses may all be too short.
         short = (bool(polished) and not reached) or self.best is None
         self._later = _LATER * self._later + self._grid.spacing if short else 0.0
@@ -193,11 +195,10 @@ class ArrivalSearch:
             yield
         arrival = replace(arrival, hold=self._grid.refined(arrival.hold))
         for found in self._solver.solves(self._situation, arrival, self._deadline):
-            arrival = self._counted(found)
+            earlier = self.best is None or found.duration < self.best.duration
+            if self._counted(found).error <= self._settings.arrival_error and earlier:
+                self.best = found
             yield
-        earlier = self.best is None or arrival.duration < self.best.duration
-        if arrival.error <= self._settings.arrival_error and earlier:
-            self.best = arrival
 
     def _counted(self, arrival: Arrival) -> Arrival:
         self.work += arrival.work
@@ -217,7 +218,7 @@ class ArrivalSearch:
         self.work += work
         if not found and best is None:
             self._window *= 2.0
-        for k in range(settings.random_guesses):
+        for k in range(round(share * settings.polished)):
             duration = shortest + self._window * self._rng.random()
             hold = random_hold(self._rng, duration, self._drives.limit)
             goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
@@ -266,15 +267,14 @@ class ArrivalSearch:
 
 def _different(
     arrivals: list[Arrival], promise: Callable[[Arrival], float]
-) -> list[Arrival]:
-    """Return arrivals in the order of their promise, of motions that are alike the first alone."""
-    found, signatures = list[Arrival](), list[Vector]()
+) -> Iterator[Arrival]:
+    """Yield arrivals in the order of their promise, of motions that are alike the first alone."""
+    signatures = list[Vector]()
     for arrival in sorted(arrivals, key=promise):
         hold = arrival.hold
         signature = hold.resampled(hold.end * _COMPARED).speeds
         largest = float(np.max(np.abs(hold.speeds)))
         alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
         if np.isfinite(arrival.error) and all(d > _ALIKE * largest for d in alike):
-            found.append(arrival)
             signatures.append(signature)
-    return found
+            yield arrival

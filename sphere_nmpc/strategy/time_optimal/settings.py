@@ -5,8 +5,6 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
@@ -45,9 +43,6 @@ class TimeOptimalSettings:
     momentum_weight: float = 0.02
     """Error [-] that 1 rad/s of momentum along the body's z axis at the end counts as, where an
     imbalance lets the plan change it: it turns the sphere at 0.05 rad/s."""
-    least_imbalance: float = 1.5
-    """Imbalance [rad/s^2] below which it counts nothing: 0.3 mm for the robot of Table 1. Just
-    after a push as much may be estimated where there is none."""
     arrival_error: float = 2e-5
     """Predicted terminal error [-] with which a plan leads to the goal, and what remains of it is
     kept as it is."""
@@ -61,11 +56,9 @@ class TimeOptimalSettings:
     """Guesses of each such draw that are tried."""
     polished: int = 4
     """Trials that are polished in a round: those of the least sum of duration and what their error
-    is worth."""
-    random_guesses: int = 4
-    """Guesses of random speeds in a round: with much momentum, or little acceleration, the rotors
-    are hardly at their limits."""
-    window: float = 5.2
+    is worth. As many guesses of random speeds are tried besides: with little acceleration the
+    rotors are hardly at their limits."""
+    window: float = 4.0
     """Time [1 / (c1 u_max)] by which the longest guess exceeds the lower bound of the duration;
     doubled where no half motions meet."""
     turn_weight: float = 22.0
@@ -109,33 +102,25 @@ class TimeOptimalSettings:
 
     # Holding at the goal
 
-    held_speed_factor: float = 500.0
-    """Deviation from the speeds of rest with which a sphere counts as resting beyond the small
-    momentum, over the standard deviation of the state estimate [rad/s]: noise of the poses moves
-    the estimate of the momentum by a few rad/s."""
-    held_goal_factor: float = 60.0
-    """Momentum along the body's z axis that a goal may have besides, over the same [rad/s]: with a
-    momentum of 1 rad/s noise of 0.1 rad/s would tilt the goal by 6 degrees."""
+    momentum_factor: float = 500.0
+    """Error of the estimated momentum over the standard deviation of the state estimate [rad/s]:
+    the speeds of rest and the goal are not corrected for less. Noise of 0.1 rad/s would tilt a
+    goal by 6 degrees where the momentum is 1 rad/s."""
     largest_change_of_goal: float = 0.2
     """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
     cannot be held at the goal itself."""
     unloading_share: float = 0.8
-    """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded ..."""
-    unloaded_share: float = -0.5
-    """... until it is at this share, on the other side."""
+    """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded, until
+    the momentum along the loaded direction is zero."""
     turning_time: float = 1.2
     """Time constant [s] with which a tilt of up to twice the dead band lets the momentum correct a
     turn about body z. The more momentum, the faster a tilt that is not known turns the sphere."""
     least_dead_band: float = 2e-3
-    """Error [-] below which the rotors stay at rest at the goal where there is no noise ..."""
-    largest_dead_band: float = 6e-2
-    """... and with the most noise."""
+    """Error [-] below which the rotors stay at rest at the goal where there is no noise."""
     noise_factor: float = 50.0
     """Dead band over the standard deviation of the process noise [-]."""
     uncertainty_factor: float = 3.0
     """Dead band over the standard deviation of the state estimate [-]: no plan ends closer."""
-    leaving_uncertainty_factor: float = 1.5
-    """Factor [-] on that part once at rest, where more poses show the true error."""
     leaving_error: float = 8e-3
     """Error [-] up to which the sphere stays at rest in any case: a plan to correct less leads
     through errors above 1e-2. With momentum it also comes to rest there, as the momentum lets all
@@ -160,7 +145,8 @@ class TimeOptimalSettings:
 
     def is_out_of_balance(self, situation: Situation) -> bool:
         """Return whether plans end without momentum along the body's z axis by an imbalance."""
-        return float(np.linalg.norm(situation.disturbance.imbalance)) >= self.least_imbalance
+        imbalance = situation.disturbance.imbalance
+        return math.sqrt(imbalance.dot(imbalance)) >= self.small_momentum
 
     def growth(self, fruitless: int) -> float:
         """Return the factor [-] on the effort after that many searches without an arrival."""
@@ -176,10 +162,10 @@ class TimeOptimalSettings:
         uncertainty : float
             Standard deviation of the state estimate's error in R^6.
         """
-        wanted = max(self.noise_factor * noise, self.uncertainty_factor * uncertainty)
-        return min(max(wanted, self.least_dead_band), self.largest_dead_band)
+        return max(
+            self.noise_factor * noise, self.uncertainty_factor * uncertainty, self.least_dead_band
+        )
 
     def leaving_band(self, uncertainty: float) -> float:
         """Return the error [-] beyond which a sphere that came to rest now is to leave again."""
-        widened = self.leaving_uncertainty_factor * (self.uncertainty_factor * uncertainty)
-        return max(self.leaving_error, widened)
+        return max(self.leaving_error, self.uncertainty_factor * uncertainty)

@@ -309,7 +309,7 @@ class TimeOptimalStrategy:
         in_force, tuning = situation.input_in_force, self._tuning
         turn, limit = situation.state[QUATERNION], self._robot.max_rotor_speed
         held = speeds_of_rest(situation.momentum, turn, limit)
-        near = tuning.small_momentum + tuning.held_speed_factor * situation.uncertainty
+        near = tuning.small_momentum + tuning.momentum_factor * situation.uncertainty
         return bool(np.all(np.abs(in_force - held) < near))
 
     def _aimed(self, situation: Situation) -> Situation:

@@ -93,7 +93,7 @@ def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -
 
 
 def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:
-    steady = on_the_way(np.zeros(2), 1e6)
+    steady = on_the_way(np.zeros(2), 2.4e4)
     assert IntermediateGoals(TUNING, REACH).aim(steady, 0.0) is steady
     pushed = on_the_way(np.zeros(2), 2.4 * REACH, PUSHED)
     assert IntermediateGoals(TUNING, REACH).aim(pushed, 0.0) is pushed

@@ -40,8 +40,8 @@ _ALIKE = 0.2
 """... and mean difference of their speeds [of the largest] up to which they are alike."""
 _FIRST_TURNS, _GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
-_FIRST_SHARE = 0.25
-"""Share of half motions and guesses that are tried in the first round."""
+_FIRST_SHARE = 0.5
+"""Share of half motions and guesses that are tried in a round before the first arrival."""
 _LATER = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""
 _TIME_OF_ERROR = 2.5
@@ -130,10 +130,8 @@ class ArrivalSearch:
 
     def _rounds(self) -> Iterator[None]:
         """Search without end; each step is one solve or one draw of guesses."""
-        # So that the first arrival takes little work.
-        yield from self._round(_FIRST_SHARE)
-        while True:
-            yield from self._round(1.0)
+        while True:  # the first arrival takes little work
+            yield from self._round(_FIRST_SHARE if self.best is None else 1.0)
 
     def _round(self, share: float) -> Iterator[None]:
         settings, trials = self._settings, list[Arrival]()

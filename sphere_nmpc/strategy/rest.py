@@ -78,16 +78,13 @@ def ramp_to(
     return FirstOrderHold(ramp.times, ramp.speeds + target)
 
 
-def holdable_goal(
-    goal: Vector, momentum: Vector, disturbance: Disturbance, margin: float = 0.0
-) -> Vector:
+def holdable_goal(goal: Vector, momentum: Vector, disturbance: Disturbance) -> Vector:
     """Return the goal, shape (6,), with the nearest orientation that can be held.
 
-    It is the same object where the momentum at the arrival can be held there. `margin` is added to
-    both tolerances [rad/s, rad/s^2], for the error of estimates.
+    It is the same object where the momentum at the arrival can be held there.
     """
     q = goal[QUATERNION]
-    found = _excess(q, momentum, disturbance, margin)
+    found = _excess(q, momentum, disturbance)
     if not found.any():
         return goal
     violated = found != 0.0
@@ -102,7 +99,7 @@ def holdable_goal(
         turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
         angle = float(np.linalg.norm(turn))
         q = _turned(q, turn * min(1.0, _LARGEST_TURN / max(angle, _STEP)))
-        found = _excess(q, momentum, disturbance, margin)
+        found = _excess(q, momentum, disturbance)
         if not found.any():
             break
     held: Vector = goal.copy()
@@ -124,12 +121,10 @@ def _components(q: Vector, momentum: Vector, disturbance: Disturbance) -> tuple[
     return vectors @ rotation.matrix(q)[:, 2] / lengths, lengths
 
 
-def _excess(
-    q: Vector, momentum: Vector, disturbance: Disturbance, margin: float
-) -> Vector:
+def _excess(q: Vector, momentum: Vector, disturbance: Disturbance) -> Vector:
     """Return what the shares of h and dh/dt exceed their tolerances by, shape (2,)."""
     along, lengths = _components(q, momentum, disturbance)
-    allowed = (margin + _TOLERANCES) / lengths
+    allowed = _TOLERANCES / lengths
     excess: Vector = np.copysign(np.maximum(0.0, np.abs(along) - allowed), along)
     return excess
 

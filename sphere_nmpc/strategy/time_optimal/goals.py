@@ -88,10 +88,9 @@ class HeldGoal:
                 situation.disturbance.imbalance, self._direction, unloading, found_none
             )
             return np.concatenate((goal[:2], self._unloading))
-        margin = self._settings.momentum_factor * situation.uncertainty
         if end is None:
             end = self._expected(situation, holding)
-        found = holdable_goal(goal, end, situation.disturbance, margin)
+        found = holdable_goal(goal, end, situation.disturbance)
         if found is not goal:
             self.given_up = given_up_angle(angle_error(found, goal))
         return found

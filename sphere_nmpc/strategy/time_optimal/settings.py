@@ -79,9 +79,6 @@ class TimeOptimalSettings:
     """Largest factor [-] on the planning effort, and on the longest wall time, of a search from
     rest: doubled after each search without an arrival. Such a search has to end before a worker
     that does not answer is replaced."""
-    fruitless_searches: int = 10
-    """Number of such searches in succession without an earlier arrival after which none follows:
-    the way to a distant goal takes hundreds of samples."""
 
     # Searches from rest and slip
 
@@ -102,10 +99,6 @@ class TimeOptimalSettings:
 
     # Holding at the goal
 
-    momentum_factor: float = 500.0
-    """Error of the estimated momentum over the standard deviation of the state estimate [rad/s]:
-    the speeds of rest and the goal are not corrected for less. Noise of 0.1 rad/s would tilt a
-    goal by 6 degrees where the momentum is 1 rad/s."""
     largest_change_of_goal: float = 0.2
     """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
     cannot be held at the goal itself."""

@@ -53,15 +53,15 @@ class Following:
         Solver with the drive limits of the plan.
     reaches : bool
         Whether it ends within the dead band.
-    fruitless : int
-        Number of searches for an earlier arrival since the last one that found it.
+    improvable : bool
+        Whether no search for an earlier arrival has ended without one so far.
     """
 
     arrival: Arrival
     planned_at: float
     solver: ArrivalSolver
     reaches: bool = True
-    fruitless: int = 0
+    improvable: bool = True
 
     @property
     def arrives(self) -> float:

@@ -192,7 +192,7 @@ class TimeOptimalStrategy:
             plan = state.turned_to(goal) if state.leads_to(goal) else state
             kept = plan.solved_again(situation, dead_band, deadline)
             if kept is not None and is_fruitless:
-                kept = dataclasses.replace(kept, fruitless=kept.fruitless + 1)
+                kept = dataclasses.replace(kept, improvable=False)
             followed = _better(kept, found, goal)
             if followed is not None:
                 return self._searched_beyond(followed, situation, dead_band, deadline)
@@ -277,13 +277,12 @@ class TimeOptimalStrategy:
         self, plan: Following, situation: Situation, dead_band: float, deadline: float
     ) -> Following:
         """Begin a search for a better plan, once a sample period; return the best one so far."""
-        tuning, settings, now = self._tuning, self._settings, situation.time
+        settings, now = self._settings, situation.time
         searches = self._searches
         begins = now + (max(searches.ahead, settings.control_period) if searches.ahead else 0.0)
         suits = plan.reaches and plan.leads_to(situation.goal)
         over = suits and (
-            plan.fruitless >= tuning.fruitless_searches
-            or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
+            not plan.improvable or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
         )
         idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
         if searches.task is not None or over or not (idle or not suits):
@@ -301,7 +300,7 @@ class TimeOptimalStrategy:
             return plan
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if is_fruitless:
-            return dataclasses.replace(plan, fruitless=plan.fruitless + 1)
+            return dataclasses.replace(plan, improvable=False)
         return _better(plan, found, situation.goal) or plan
 
     def _is_at_rest(self, situation: Situation) -> bool:
@@ -309,8 +308,7 @@ class TimeOptimalStrategy:
         in_force, tuning = situation.input_in_force, self._tuning
         turn, limit = situation.state[QUATERNION], self._robot.max_rotor_speed
         held = speeds_of_rest(situation.momentum, turn, limit)
-        near = tuning.small_momentum + tuning.momentum_factor * situation.uncertainty
-        return bool(np.all(np.abs(in_force - held) < near))
+        return bool(np.all(np.abs(in_force - held) < tuning.small_momentum))
 
     def _aimed(self, situation: Situation) -> Situation:
         """Return the situation with a goal that is near enough and can be held."""

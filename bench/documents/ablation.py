@@ -105,7 +105,7 @@ STUDIES = (
     Study("weak drives", 6, 1, _CONTACT + "rigid_body.torque_limit=2.4"),
     Study("far", 8, 1, "", "far", percent=0.0, duration=100.0),
 )
-_EXACT, _SLIPPERY, _SLOPE, _WEAK, _FAR = (0,), (3,), (4,), (9,), (10,)
+_EXACT, _WRONG, _SLIPPERY, _SLOPE, _WEAK, _FAR = (0,), (1,), (3,), (4,), (9,), (10,)
 _MOMENTUM, _NOISY = (2, 4), (5, 6, 7)
 _ESTIMATOR = (1, 2, 3, 4, 5, 6, 8, 9)
 
@@ -127,6 +127,7 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], tuple[int, ...]]]]
         "near_radii": ((5.0, 20.0), _FAR),
         "noisy_share": ((0.0, 1.0), _NOISY),
         "largest_growth": ((1.0,), (*_EXACT, *_MOMENTUM, *_WEAK)),
+        "fruitless_searches": ((1, 1000000), (*_EXACT, *_WRONG, *_FAR)),
         "slip_acceleration": ((1.0,), _SLIPPERY),
         "attained_share": ((0.9, 1.0), _WEAK),
         "largest_change_of_goal": ((0.05, 10.0), _MOMENTUM),

@@ -53,15 +53,15 @@ class Following:
         Solver with the drive limits of the plan.
     reaches : bool
         Whether it ends within the dead band.
-    improvable : bool
-        Whether no search for an earlier arrival has ended without one so far.
+    fruitless : int
+        Number of searches for an earlier arrival since the last one that found it.
     """
 
     arrival: Arrival
     planned_at: float
     solver: ArrivalSolver
     reaches: bool = True
-    improvable: bool = True
+    fruitless: int = 0
 
     @property
     def arrives(self) -> float:

@@ -192,7 +192,7 @@ class TimeOptimalStrategy:
             plan = state.turned_to(goal) if state.leads_to(goal) else state
             kept = plan.solved_again(situation, dead_band, deadline)
             if kept is not None and is_fruitless:
-                kept = dataclasses.replace(kept, improvable=False)
+                kept = dataclasses.replace(kept, fruitless=kept.fruitless + 1)
             followed = _better(kept, found, goal)
             if followed is not None:
                 return self._searched_beyond(followed, situation, dead_band, deadline)
@@ -282,7 +282,8 @@ class TimeOptimalStrategy:
         begins = now + (max(searches.ahead, settings.control_period) if searches.ahead else 0.0)
         suits = plan.reaches and plan.leads_to(situation.goal)
         over = suits and (
-            not plan.improvable or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
+            plan.fruitless >= self._tuning.fruitless_searches
+            or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
         )
         idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
         if searches.task is not None or over or not (idle or not suits):
@@ -300,7 +301,7 @@ class TimeOptimalStrategy:
             return plan
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if is_fruitless:
-            return dataclasses.replace(plan, improvable=False)
+            return dataclasses.replace(plan, fruitless=plan.fruitless + 1)
         return _better(plan, found, situation.goal) or plan
 
     def _is_at_rest(self, situation: Situation) -> bool:

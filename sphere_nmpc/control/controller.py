@@ -37,8 +37,9 @@ _OVERSPEED = 2.0
 class Controller:
     """Control loop of estimation, planning and commands; it never raises while running.
 
-    Each plan is sent with a ramp to rest behind its last knot, so that the hold in force can
-    safely be followed to its end: if an estimate or a solve fails, it stays in force.
+    Each command ends at rest, so that the hold in force can safely be followed to its end: if an
+    estimate or a solve fails, it stays in force. Without a goal, a pose or permission the sphere
+    stops on the path of that hold; with momentum the rotors stop, and the sphere rolls on.
 
     Parameters
     ----------
@@ -76,12 +77,11 @@ class Controller:
         self._progress = Progress(robot)
         self._interrupted = False
         """Whether no pose was fresh enough at the last sampling instant with a pose."""
-        self.enabled = True
-        """False ramps the rotors to rest and keeps them there."""
+        self._enabled = True
         self.late_poses = 0
         """Poses dropped: not newer than the newest, or too old to be fused."""
         self._is_carried = False
-        """Whether the pose has jumped and the rotors have not been ramped to rest since."""
+        """Whether the pose has jumped and the rotors have not been stopped since."""
         self.pose_jumps = 0
         """Poses to which the sphere cannot have rolled from the one before."""
         self.last_jump = ""
@@ -90,6 +90,17 @@ class Controller:
         """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
         """Message of the newest of these errors."""
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the goal is tracked; without, the sphere stops on its path and stays there."""
+        return self._enabled
+
+    @enabled.setter
+    def enabled(self, enabled: bool) -> None:
+        if enabled and not self._enabled:
+            self._begin_anew()  # the plan leads on from where the sphere was without the stop
+        self._enabled = enabled
 
     @property
     def estimator(self) -> Estimator:
@@ -162,7 +173,7 @@ class Controller:
             self._notice_step(time, checked)
             accepted = self._estimator.observe(time, checked)
         except Exception as error:
-            # As in `decide`; without further poses the rotors are ramped to rest.
+            # As in `decide`; without further poses the sphere is stopped.
             self._record(error)
             return False
         self.late_poses += int(not accepted)
@@ -172,7 +183,7 @@ class Controller:
         """Begin anew where the sphere has been carried since the newest pose.
 
         What the rotors do then is not known: a simulator that is reset stops them. So nothing is
-        learnt until they have been ramped to rest.
+        learnt until they have been stopped.
         """
         newest = self._estimator.newest
         if newest is not None and time > newest[0] + REACH:
@@ -239,7 +250,7 @@ class Controller:
             plan = self._fallback(time, None, error)
             if self.enabled:
                 return Decision(Mode.FALLBACK, plan, None)
-            return Decision(Mode.DISABLED, self._ramp_to_rest(time, Mode.DISABLED), None)
+            return Decision(Mode.DISABLED, self._stop(time, Mode.DISABLED), None)
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return the hold to send at `now` [s] and record it as sent; None if there is none.
@@ -268,7 +279,7 @@ class Controller:
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
         self.rotor_feedback.sent(hold)
-        commands.sent.record(hold)
+        commands.record(hold, stops=not planned)
         return hold
 
     def _decide(self, time: float, time_budget: float) -> Decision:
@@ -291,7 +302,7 @@ class Controller:
         self._is_carried = self._is_carried and self._commands.sent.moves_after(time)
         if self._is_carried:
             mode = Mode.POSE_JUMPED
-            return Decision(mode, self._ramp_to_rest(time, mode), None, pose_age=age)
+            return Decision(mode, self._stop(time, mode), None, pose_age=age)
         goal, estimate = self._goal, None
         failure: Exception = ArithmeticError("no estimate")
         try:
@@ -304,7 +315,7 @@ class Controller:
             disturbance = estimate.disturbance
         if goal is None or not self.enabled:
             mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
-            plan = self._ramp_to_rest(time, mode, state)
+            plan = self._stop(time, mode, state)
         elif estimate is None:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
         else:
@@ -330,7 +341,7 @@ class Controller:
     def _without_pose(self, time: float, mode: Mode, age: float) -> Decision:
         estimator = self._estimator
         return Decision(
-            mode, self._ramp_to_rest(time, mode), None, pose_age=age,
+            mode, self._stop(time, mode), None, pose_age=age,
             momentum=estimator.momentum, disturbance=estimator.disturbance,
         )
 
@@ -367,8 +378,8 @@ class Controller:
         self.last_failure = f"{type(error).__name__}: {error}"
         return self.last_failure
 
-    def _ramp_to_rest(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
-        hold = self._hold_or_rest(self._commands.ramp_to_rest, time)
+    def _stop(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
+        hold = self._hold_or_rest(self._commands.stop, time)
         return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
 
     def _hold_or_rest(

@@ -15,10 +15,11 @@ from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 REACH = 3.0
-"""Time after which a command that is not renewed ramps the rotors to rest [s]."""
+"""Time after which a command that is not renewed stops [s]."""
 _DISTINCT = 0.5
 """Difference of two commands above which measured speeds tell which one is followed [rad/s]."""
 _CLEAR = 0.5
@@ -70,6 +71,7 @@ class Commands:
         self._max_acceleration = robot.max_rotor_acceleration
         self.sent = SentInputs()
         """History of the holds sent."""
+        self._stop: FirstOrderHold | None = None
 
     def in_force(self, time: float) -> FirstOrderHold:
         """Return the hold in force from `time` on; before the first one rest."""
@@ -77,9 +79,17 @@ class Commands:
         hold = FirstOrderHold.constant(time, np.zeros(INPUT_SIZE)) if newest is None else newest
         return hold.starting_at(time, self.sent.at(time))
 
-    def ramp_to_rest(self, time: float) -> FirstOrderHold:
-        """Return the ramp from the speeds in force at `time` to zero."""
-        return FirstOrderHold.ramp_to_rest(time, self.sent.at(time), self._max_acceleration)
+    def stop(self, time: float) -> FirstOrderHold:
+        """Return the hold from `time` on that comes to rest on the path of the one in force."""
+        in_force = self.in_force(time)
+        if self._stop is not None and self._stop is self.sent.newest:
+            return in_force
+        return stop_on_path(in_force, self._max_acceleration)
+
+    def record(self, hold: FirstOrderHold, stops: bool) -> None:
+        """Record a hold as sent; `stops` says whether it is a stop."""
+        self.sent.record(hold)
+        self._stop = hold if stops else None
 
     def earliest(self, now: float) -> float:
         """Return the time at which a command can start: the clock may be slightly late."""
@@ -90,12 +100,15 @@ class Commands:
     def joined(self, hold: FirstOrderHold, start: float, period: float) -> FirstOrderHold:
         """Return the hold from the speeds in force at `start` on, within all limits, to rest.
 
-        It ends `REACH` or two control periods `period` [s] later: a robot that gets no further
-        command must not roll on.
+        It stops on its path `REACH` or two control periods `period` [s] later: a robot that gets
+        no further command must not roll on.
         """
-        reach = max(REACH, 2.0 * period)
-        led = self.sent.leading_to(hold, start).until(start + reach).in_nanoseconds()
-        limited = led.limited(self._max_speed, self._max_acceleration)
+        last = start + max(REACH, 2.0 * period)
+        led = self.sent.leading_to(hold, start)
+        if led.end > last:
+            stop = stop_on_path(led.starting_at(last, led.at(last)), self._max_acceleration)
+            led = led.until(last).followed_by(stop)
+        limited = led.in_nanoseconds().limited(self._max_speed, self._max_acceleration)
         return limited.ending_at_rest(self._max_acceleration)
 
 

@@ -165,6 +165,11 @@ class FirstOrderHold:
         times = np.array([*self._knots[:last], time])
         return FirstOrderHold._unchecked(times, np.vstack((self.speeds[:last], self.at(time))))
 
+    def followed_by(self, hold: "FirstOrderHold") -> "FirstOrderHold":
+        """Return the hold with the knots of another one, which starts where this one ends."""
+        times = np.concatenate((self.times, hold.times[1:]))
+        return FirstOrderHold._unchecked(times, np.concatenate((self.speeds, hold.speeds[1:])))
+
     def in_nanoseconds(self) -> "FirstOrderHold":
         """Return the hold with knots at whole nanoseconds, without those that nearly coincide.
 
@@ -184,9 +189,7 @@ class FirstOrderHold:
         last = self.speeds[-1]
         if not last.any():
             return self
-        ramp = FirstOrderHold.ramp_to_rest(self.end, last, max_acceleration)
-        times = np.concatenate((self.times, ramp.times[1:]))
-        return FirstOrderHold._unchecked(times, np.concatenate((self.speeds, ramp.speeds[1:])))
+        return self.followed_by(FirstOrderHold.ramp_to_rest(self.end, last, max_acceleration))
 
     def limited(self, max_speed: float, max_acceleration: float) -> "FirstOrderHold":
         """Return the hold with each knot, from first to last, clipped to the limits.

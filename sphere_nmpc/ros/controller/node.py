@@ -136,7 +136,7 @@ class ControllerNode(RunnableNode):
         self._control_clock.hear(message)
 
     def finish(self) -> None:
-        """Send a ramp to rest, on both command topics."""
+        """Send a stop, on both command topics."""
         now = self._control_clock.final_now()
         self._save_goal()
         self.controller.enabled = False
@@ -289,7 +289,7 @@ class ControllerNode(RunnableNode):
         else:
             self._carry_out(self._schedule.disabled(self._control_clock.steady_now()))
         response.success = True
-        response.message = "enabled" if request.data else "disabled, rotors ramp to rest"
+        response.message = "enabled" if request.data else "disabled, the sphere stops"
         self._event_log.report("enable", response.message)
         return response
 

@@ -218,7 +218,7 @@ FAILING = {
     "reset of the strategy": (Scripted, "reset", True),
     "command": (Commands, "joined", False),
     "command in force": (Commands, "in_force", False),
-    "ramp to rest": (Commands, "ramp_to_rest", True),
+    "stop": (Commands, "stop", True),
 }
 """Class, attribute, and whether it is used only where no fresh pose is left."""
 

@@ -216,7 +216,7 @@ def test_stale_pose_ramps_to_rest(robot) -> None:
     robot.publishes_pose = False
     robot.pass_time(1.5)
     assert robot.reported[-1].level == DiagnosticStatus.ERROR
-    assert robot.status()["mode"] == "no fresh pose, ramping to rest"
+    assert robot.status()["mode"] == "no fresh pose, stopping"
     np.testing.assert_allclose(robot.node.controller.speeds_at(robot.now / 1e9), 0.0, atol=AT_REST)
     np.testing.assert_allclose(robot.commands[-1].data, 0.0, atol=AT_REST)
 
@@ -237,7 +237,7 @@ def test_disable_ramps_to_rest_immediately_and_enable_resumes(robot, capfd) -> N
     received = len(robot.trajectories), len(robot.commands)
     robot.pass_time(0.5)
     assert (len(robot.trajectories), len(robot.commands)) == received, "others may drive it"
-    assert capfd.readouterr().err.count("enable: disabled, rotors ramp to rest") == 1
+    assert capfd.readouterr().err.count("enable: disabled, the sphere stops") == 1
     robot.node._event_log._period = 0.0  # told at once, however soon after the line before
     robot.graph.call(SetBool, "controller/enable", SetBool.Request(data=True))
     robot.pass_time(1.0)

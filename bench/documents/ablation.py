@@ -79,7 +79,6 @@ class Study:
         return "loose_settle_time_s" if self.loose else "settle_time_s"
 
 
-
 def _pushed(time: float) -> DisturbanceDraws:
     return DisturbanceDraws(push=(0.2, 1.0), push_time=time)
 
@@ -87,57 +86,55 @@ def _pushed(time: float) -> DisturbanceDraws:
 _CONTACT = "simulator.plant=rigid_body "
 _NOISE = _CONTACT + "simulator.position_noise=0.005 simulator.orientation_noise=0.01745 "
 _GIVEN = "controller.pose_position_noise=0.005 controller.pose_orientation_noise=0.01745"
-STUDIES = (
-    Study("exact", 30, 1, "", percent=0.0),
-    Study("parameters 10 % wrong", 8, 1, "", percent=10.0),
-    Study("pushed at 0.3 s", 12, 101, _CONTACT, "upright", draws=_pushed(0.3)),
-    Study("friction 0.2", 6, 1, _CONTACT + "rigid_body.friction=0.2", percent=0.0),
-    Study(
-        "slope 0.1°, 0.5 mm off", 10, 5, _CONTACT, "upright",
-        draws=DisturbanceDraws(slope=float(np.radians(0.1)), offset=5e-4),
-    ),
-    Study("process noise", 8, 1, "simulator.process_noise=1e-3", percent=0.0, loose=True),
-    Study("noise given", 6, 1, _NOISE + _GIVEN, loose=True),
-    Study(
-        "noise, pushed", 12, 1, _NOISE + _GIVEN, "upright", draws=_pushed(1.0), loose=True
-    ),
-    Study("noise not given", 4, 1, _NOISE, loose=True),
-    Study("weak drives", 6, 1, _CONTACT + "rigid_body.torque_limit=2.4"),
-    Study("far", 8, 1, "", "far", percent=0.0, duration=100.0),
+EXACT = Study("exact", 30, 1, "", percent=0.0)
+WRONG = Study("parameters 10 % wrong", 8, 1, "", percent=10.0)
+PUSHED = Study("pushed at 0.3 s", 12, 101, _CONTACT, "upright", draws=_pushed(0.3))
+SLIPPERY = Study("friction 0.2", 6, 1, _CONTACT + "rigid_body.friction=0.2", percent=0.0)
+SLOPE = Study(
+    "slope 0.1°, 0.5 mm off", 10, 5, _CONTACT, "upright",
+    draws=DisturbanceDraws(slope=float(np.radians(0.1)), offset=5e-4),
 )
-_EXACT, _WRONG, _SLIPPERY, _SLOPE, _WEAK, _FAR = (0,), (1,), (3,), (4,), (9,), (10,)
-_MOMENTUM, _NOISY = (2, 4), (5, 6, 7)
-_ESTIMATOR = (1, 2, 3, 4, 5, 6, 8, 9)
+DIFFUSING = Study("process noise", 8, 1, "simulator.process_noise=1e-3", percent=0.0, loose=True)
+NOISY = Study("noise given", 6, 1, _NOISE + _GIVEN, loose=True)
+NOISY_PUSHED = Study(
+    "noise, pushed", 12, 1, _NOISE + _GIVEN, "upright", draws=_pushed(1.0), loose=True
+)
+NOT_GIVEN = Study("noise not given", 4, 1, _NOISE, loose=True)
+WEAK = Study("weak drives", 6, 1, _CONTACT + "rigid_body.torque_limit=2.4")
+FAR = Study("far", 8, 1, "", "far", percent=0.0, duration=100.0)
+_MOMENTUM, _NOISES = (PUSHED, SLOPE), (DIFFUSING, NOISY, NOISY_PUSHED)
+_ESTIMATOR = (WRONG, PUSHED, SLIPPERY, SLOPE, DIFFUSING, NOISY, NOT_GIVEN, WEAK)
 
-CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], tuple[int, ...]]]] = {
+Studies = tuple[Study, ...]
+CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
     TimeOptimalSettings: {
         "small_momentum": ((3.0,), _MOMENTUM),
-        "spacing": ((0.3, 0.6), _EXACT),
-        "trial_iterations": ((6, 24), _EXACT),
-        "error_weight": ((5.0, 20.0), _EXACT),
-        "iterations": ((4, 16), _EXACT),
-        "momentum_weight": ((0.0, 0.06), _SLOPE),
-        "arrival_error": ((2e-4,), _EXACT),
-        "half_motions": ((1024, 9216), _EXACT),
-        "tried_guesses": ((8, 32), _EXACT),
-        "polished": ((1, 12), (*_EXACT, *_WEAK)),
-        "window": ((2.0, 8.0), _EXACT),
-        "turn_weight": ((5.5, 88.0), _EXACT),
-        "mean_switch": ((0.6, 5.0), _EXACT),
-        "near_radii": ((5.0, 20.0), _FAR),
-        "noisy_share": ((0.0, 1.0), _NOISY),
-        "largest_growth": ((1.0,), (*_EXACT, *_MOMENTUM, *_WEAK)),
-        "fruitless_searches": ((1, 1000000), (*_EXACT, *_WRONG, *_FAR)),
-        "slip_acceleration": ((1.0,), _SLIPPERY),
-        "attained_share": ((0.9, 1.0), _WEAK),
+        "spacing": ((0.3, 0.6), (EXACT,)),
+        "trial_iterations": ((6, 24), (EXACT,)),
+        "error_weight": ((5.0, 20.0), (EXACT,)),
+        "iterations": ((4, 16), (EXACT,)),
+        "momentum_weight": ((0.0, 0.06), (SLOPE,)),
+        "arrival_error": ((2e-4,), (EXACT,)),
+        "half_motions": ((1024, 9216), (EXACT,)),
+        "tried_guesses": ((8, 32), (EXACT,)),
+        "polished": ((1, 12), (EXACT, WEAK)),
+        "window": ((2.0, 8.0), (EXACT,)),
+        "turn_weight": ((5.5, 88.0), (EXACT,)),
+        "mean_switch": ((0.6, 5.0), (EXACT,)),
+        "near_radii": ((5.0, 20.0), (FAR,)),
+        "noisy_share": ((0.0, 1.0), _NOISES),
+        "largest_growth": ((1.0,), (EXACT, *_MOMENTUM, WEAK)),
+        "fruitless_searches": ((1, 1000000), (EXACT, WRONG, FAR)),
+        "slip_acceleration": ((1.0,), (SLIPPERY,)),
+        "attained_share": ((0.9, 1.0), (WEAK,)),
         "largest_change_of_goal": ((0.05, 10.0), _MOMENTUM),
-        "unloading_share": ((0.5,), _SLOPE),
+        "unloading_share": ((0.5,), (SLOPE,)),
         "turning_time": ((0.3, 5.0), _MOMENTUM),
-        "least_dead_band": ((5e-4, 8e-3), (*_EXACT, *_NOISY)),
-        "noise_factor": ((20.0, 120.0), _NOISY),
-        "uncertainty_factor": ((1.0, 9.0), _NOISY),
-        "leaving_error": ((2e-3,), (*_EXACT, *_MOMENTUM, *_NOISY)),
-        "correction_weight": ((10.0, 1000.0), (*_MOMENTUM, *_NOISY)),
+        "least_dead_band": ((5e-4, 8e-3), (EXACT, *_NOISES)),
+        "noise_factor": ((20.0, 120.0), _NOISES),
+        "uncertainty_factor": ((1.0, 9.0), _NOISES),
+        "leaving_error": ((2e-3,), (EXACT, *_MOMENTUM, *_NOISES)),
+        "correction_weight": ((10.0, 1000.0), (*_MOMENTUM, *_NOISES)),
     },
     EstimatorSettings: {
         name: ((value,), _ESTIMATOR) for name, value in {
@@ -150,7 +147,7 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], tuple[int, ...]]]]
         }.items()
     },
 }
-"""Other values of the numbers, and the studies, counted in `STUDIES`, that are made with them.
+"""Other values of the numbers, and the studies that are made with them.
 
 `search_ahead` and `longest_search` have no effect without a worker, and a study has none."""
 KINDS: dict[str, type[Numbers]] = {
@@ -192,18 +189,17 @@ def _load(conditions: StudyConditions, scenario: Scenario) -> None:
         run_scenario(dataclasses.replace(conditions, duration=0.5), scenario)
 
 
-def settling(numbers: Numbers, studies: Iterable[int], jobs: int) -> dict[int, Vector]:
+def settling(numbers: Numbers, studies: Studies, jobs: int) -> dict[Study, Vector]:
     """Return the settling times [s] and processor times [s] of the runs of each study, (n, 2)."""
-    chosen = {k: STUDIES[k] for k in studies}
     tasks = [
         (numbers, study.conditions, scenario, study.metric)
-        for study in chosen.values() for scenario in study.scenarios
+        for study in studies for scenario in study.scenarios
     ]
     runs = np.array(in_processes(measured, tasks, jobs))
-    never = [NEVER * study.duration for study in chosen.values() for _ in range(study.runs)]
+    never = [NEVER * study.duration for study in studies for _ in range(study.runs)]
     runs[:, 0] = np.where(np.isfinite(runs[:, 0]), runs[:, 0], never)
-    ends = np.cumsum([study.runs for study in chosen.values()])
-    return dict(zip(chosen, np.split(runs, ends[:-1]), strict=True))
+    ends = np.cumsum([study.runs for study in studies])
+    return dict(zip(studies, np.split(runs, ends[:-1]), strict=True))
 
 
 def compared(study: Study, runs: Vector, default: Vector) -> str:
@@ -215,12 +211,12 @@ def compared(study: Study, runs: Vector, default: Vector) -> str:
     return f"{study.name} {mean} s ({spent:.2f})"
 
 
-def variants(kind: type[Numbers], words: Iterable[str]) -> list[tuple[str, Any, tuple[int, ...]]]:
+def variants(kind: type[Numbers], words: Iterable[str]) -> list[tuple[str, Any, Studies]]:
     """Return name, value and studies of the numbers that words name, ``name`` or ``name=value``.
 
     Without words those of all numbers. A word that names no number is a ValueError.
     """
-    known, found = CHANGED[kind], list[tuple[str, Any, tuple[int, ...]]]()
+    known, found = CHANGED[kind], list[tuple[str, Any, Studies]]()
     for word in words or known:
         name, has_value, text = word.partition("=")
         if name not in known:
@@ -246,17 +242,17 @@ def main() -> None:
     except (ValueError, SyntaxError) as error:
         parser.error(str(error))
     limit_library_threads()  # for the processes, which inherit it
-    needed = sorted({k for _, _, studies in wanted for k in studies})
+    needed = tuple(dict.fromkeys(study for _, _, studies in wanted for study in studies))
     before = settling(defaults, needed, given.jobs)
-    for k, runs in before.items():
-        print(f"{STUDIES[k].name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f} s")
+    for study, runs in before.items():
+        print(f"{study.name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f} s")
     print(header(
         "number", "default", "changed to",
         "mean change of the settling time (processor time over the default's)",
     ), flush=True)
     for name, value, studies in wanted:
         found = settling(dataclasses.replace(defaults, **{name: value}), studies, given.jobs)
-        cells = (compared(STUDIES[k], runs, before[k]) for k, runs in found.items())
+        cells = (compared(study, runs, before[study]) for study, runs in found.items())
         default = getattr(defaults, name)
         print(row(f"`{name}`", default, value, "; ".join(cells)), flush=True)
 

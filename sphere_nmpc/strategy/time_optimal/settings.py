@@ -79,7 +79,6 @@ class TimeOptimalSettings:
     """Largest factor [-] on the planning effort, and on the longest wall time, of a search from
     rest: doubled after each search without an arrival. Such a search has to end before a worker
     that does not answer is replaced."""
-
     fruitless_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""

@@ -4,8 +4,8 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
 import pytest
+from paths import largest_distance, moved
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
@@ -14,7 +14,6 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, without_momentum
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings
@@ -80,23 +79,8 @@ class Loop:
         """Return the path of the hold in force from now on, at poses 1 mm apart."""
         now = self.simulator.time
         rest = self.in_force.starting_at(now, self.in_force.at(now))
-        times = np.unique(np.concatenate((np.arange(now, rest.end, 1e-3), rest.times)))
         state = without_momentum(self.simulator.plant.state[POSE])
-        speeds = rest.resampled(times).speeds
-        constants = ROBOT.lumped.as_array()
-        return roll_out(state, speeds, np.diff(times), constants, 1e-3)[:, POSE]
-
-
-def off(states: list[Vector], path: Vector) -> float:
-    """Return the largest distance of states from a path."""
-    way = np.diff(path, axis=0)
-    length = np.maximum(np.sum(way * way, axis=1), 1e-18)
-    largest = 0.0
-    for state in states:
-        share = np.clip(np.sum((state - path[:-1]) * way, axis=1) / length, 0.0, 1.0)
-        near = path[:-1] + share[:, None] * way
-        largest = max(largest, float(np.min(np.linalg.norm(near - state, axis=1))))
-    return largest
+        return moved(state, rest, now, rest.end, 1e-3)[:, POSE]
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
@@ -114,7 +98,7 @@ def test_disabled_sphere_stops_on_its_path_and_goes_on_when_enabled(
     assert loop.sample() is Mode.DISABLED, "a second command of the stop changes nothing"
     loop.advance(0.5)
     assert not loop.simulator.plant.rotor_speeds.any()
-    assert off(loop.states, path) < OFF
+    assert largest_distance(loop.states, path) < OFF
     loop.controller.enabled = True
     loop.run(13.0)
     assert loop.controller.at_goal
@@ -132,7 +116,7 @@ def test_sphere_without_poses_stops_on_its_path(scenario: Scenario) -> None:
         loop.advance(PERIOD)
     assert Mode.NO_FRESH_POSE in modes
     assert not loop.simulator.plant.rotor_speeds.any()
-    assert off(loop.states, path) < OFF
+    assert largest_distance(loop.states, path) < OFF
 
 
 def test_sphere_whose_controller_has_gone_stops_on_its_path() -> None:
@@ -147,4 +131,4 @@ def test_sphere_whose_controller_has_gone_stops_on_its_path() -> None:
     path, loop.states = loop.path(), []
     loop.advance(sent.end - loop.simulator.time + 0.1)
     assert not loop.simulator.plant.rotor_speeds.any()
-    assert off(loop.states, path) < OFF
+    assert largest_distance(loop.states, path) < OFF

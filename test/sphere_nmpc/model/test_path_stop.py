@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from paths import largest_distance, moved
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path_stop import stop_on_path
-from sphere_nmpc.model.state import Vector, without_momentum
-from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.model.state import POSE, Vector, without_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.searches import solver_for
@@ -39,29 +39,12 @@ def plans() -> list[tuple[Vector, FirstOrderHold]]:
     return found
 
 
-def moved(start: Vector, hold: FirstOrderHold, since: float, until: float) -> Vector:
-    """Return the states on the way, `SPACING` apart."""
-    knots = np.array(hold.knots_between(since, until))
-    times = np.unique(np.concatenate((np.arange(since, until, SPACING), knots, [until])))
-    return roll_out(
-        start, hold.resampled(times).speeds, np.diff(times), ROBOT.lumped.as_array(), SPACING
-    )
-
-
-def distance(point: Vector, path: Vector) -> float:
-    """Return the distance of a point from a path of straight pieces."""
-    way = np.diff(path, axis=0)
-    length = np.maximum(np.sum(way * way, axis=1), 1e-18)
-    share = np.clip(np.sum((point - path[:-1]) * way, axis=1) / length, 0.0, 1.0)
-    return float(np.min(np.linalg.norm(path[:-1] + share[:, None] * way - point, axis=1)))
-
-
 def test_sphere_stops_on_its_path_within_half_a_second() -> None:
     rng, durations = np.random.default_rng(5), []
     for start, hold in plans():
-        path = moved(start, hold, 0.0, hold.end)
+        path = moved(start, hold, 0.0, hold.end, SPACING)
         for time in rng.uniform(0.0, hold.end, 5):
-            here = moved(start, hold, 0.0, time)[-1]
+            here = moved(start, hold, 0.0, time, SPACING)[-1]
             stop = stop_on_path(hold.starting_at(time, hold.at(time)), LIMIT)
             durations.append(stop.end - time)
             np.testing.assert_array_equal(stop.speeds[0], hold.at(time))
@@ -69,8 +52,8 @@ def test_sphere_stops_on_its_path_within_half_a_second() -> None:
             assert np.max(np.abs(stop.speeds)) <= SPEED
             slopes = np.diff(stop.speeds, axis=0) / np.diff(stop.times)[:, None]
             assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-9)
-            off = [distance(state[:6], path[:, :6]) for state in moved(here, stop, time, stop.end)]
-            assert max(off) < OFF
+            stopped = moved(here, stop, time, stop.end, SPACING)
+            assert largest_distance(stopped[:, POSE], path[:, POSE]) < OFF
             ramp = FirstOrderHold.ramp_to_rest(time, hold.at(time), LIMIT)
             assert stop.end <= max(ramp.end + 0.25, time + 0.5)
     assert max(durations) < 0.5
@@ -95,5 +78,3 @@ def test_stop_of_a_stop_takes_no_longer() -> None:
     again = stop_on_path(stop.starting_at(later, stop.at(later)), LIMIT)
     assert again.end <= stop.end + 1e-6
     assert float(np.linalg.norm(again.at(again.end))) == 0.0
-
-

@@ -126,6 +126,18 @@ class ControllerSettings:
         1e-2, "-", "Error in R^6 below which, for a sample period, the goal counts as reached",
         minimum=1e-9, maximum=10.0, live=True,
     )
+    position_tolerance: float = quantity(
+        0.0, "m",
+        "Tolerance of the position by itself; 0 is goal_tolerance, and the error in R^6 where "
+        "orientation_tolerance is 0, too",
+        minimum=0.0, maximum=10.0, live=True,
+    )
+    orientation_tolerance: float = quantity(
+        0.0, "rad",
+        "Tolerance of the orientation by itself; 0 is twice goal_tolerance, and the error in R^6 "
+        "where position_tolerance is 0, too",
+        minimum=0.0, maximum=3.2, live=True,
+    )
     units: RobotUnits = TABLE_1_UNITS
 
     def __post_init__(self) -> None:
@@ -144,6 +156,13 @@ class ControllerSettings:
         """Spacing of the knots [s]: as given, or the strategy's own, to two digits."""
         own = STRATEGIES[self.strategy].sample_period * self.units.time
         return self.sample_period or float(f"{own:.2g}")
+
+    @property
+    def tolerances(self) -> tuple[float, float]:
+        """Tolerances of position [m] and orientation [rad] where they count by themselves."""
+        # An angle counts half in R^6.
+        least = self.goal_tolerance, 2.0 * self.goal_tolerance
+        return self.position_tolerance or least[0], self.orientation_tolerance or least[1]
 
     @property
     def alpha(self) -> float:

@@ -9,12 +9,18 @@ import numpy as np
 
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
-from sphere_nmpc.control.monitors import ArrivalDetector, Progress, impossible_step
+from sphere_nmpc.control.monitors import (
+    ArrivalDetector,
+    Progress,
+    impossible_step,
+    relative_error,
+)
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal, Itinerary
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
@@ -72,7 +78,7 @@ class Controller:
         self._estimator = Estimator(
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
-        self._goal: Vector | None = None
+        self._itinerary: Itinerary | None = None
         self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
         self._interrupted = False
@@ -86,6 +92,9 @@ class Controller:
         """Poses to which the sphere cannot have rolled from the one before."""
         self.last_jump = ""
         """Description of the step to the newest of these poses."""
+        self.plans = 0
+        """Motions planned since the start that are not what is left of the one before."""
+        self._motion = 0
         self.failures = 0
         """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
@@ -109,7 +118,7 @@ class Controller:
 
     @property
     def at_goal(self) -> bool:
-        """Whether the error has stayed within ``goal_tolerance`` for a sample period."""
+        """Whether the error has been within tolerance for a sample period, at the last goal."""
         return self._arrival.reached
 
     @property
@@ -118,29 +127,55 @@ class Controller:
         return self._arrival.took
 
     @property
+    def itinerary(self) -> Itinerary | None:
+        """The goals in force, or None."""
+        return self._itinerary
+
+    @property
     def goal(self) -> Vector | None:
-        """The goal in force, shape (6,), or None."""
-        return None if self._goal is None else self._goal.copy()
+        """Pose of the goal that is aimed at, shape (6,), or None."""
+        return None if self._itinerary is None else self._itinerary.goal.pose.copy()
 
     def set_goal(self, goal: Vector) -> bool:
-        """Track another goal state, shape (6,), from the next sampling instant on.
-
-        False if it is the goal in force; the present plan is then kept.
+        """Track one goal state, shape (6,), with all of its orientation; see `set_goals`.
 
         Raises
         ------
         InvalidStateError
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
-        wanted = as_state(goal)
-        if self._goal is not None and np.array_equal(wanted, self._goal):
+        return self.set_goals(Itinerary((Goal(as_state(goal)),)))
+
+    def set_goals(self, goals: Itinerary) -> bool:
+        """Visit other goals, from the next sampling instant on.
+
+        False if they are those in force; the present plan and their progress are then kept, unless
+        all of a list have been visited.
+        """
+        known = self._itinerary
+        if known is not None and known.lists_same(goals):
+            visited = known.index > 0 and self.at_goal
+            if not visited:
+                self._itinerary = replace(known, stamp=goals.stamp)
+                return False
+        self._aim(goals)
+        return True
+
+    def cancel(self) -> bool:
+        """Give up the goals: the sphere stops on its path. False if there was none."""
+        if self._itinerary is None:
             return False
-        self._goal = wanted
+        self._itinerary = None
+        self._begin_anew()
+        return True
+
+    def _aim(self, goals: Itinerary) -> None:
+        """Aim at a goal of an itinerary."""
+        self._itinerary = goals
         self._arrival = ArrivalDetector()
         self._progress.reset()
         if self._searching is None:
             self._reset_strategy()
-        return True
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running.
@@ -224,10 +259,14 @@ class Controller:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
         return self._commands.sent.at(time)
 
+    def is_at_rest(self, now: float) -> bool:
+        """Return whether no rotor moves at `now` [s] or later by the commands sent."""
+        return not self._commands.sent.moves_after(now)
+
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
-        known = self._goal is not None and self._estimator.newest is not None
-        return known and self.enabled and not self._commands.sent.moves_after(now)
+        known = self._itinerary is not None and self._estimator.newest is not None
+        return known and self.enabled and self.is_at_rest(now)
 
     @property
     def searches(self) -> bool:
@@ -303,7 +342,7 @@ class Controller:
         if self._is_carried:
             mode = Mode.POSE_JUMPED
             return Decision(mode, self._stop(time, mode), None, pose_age=age)
-        goal, estimate = self._goal, None
+        goals, estimate = self._itinerary, None
         failure: Exception = ArithmeticError("no estimate")
         try:
             estimate = self._estimator.estimate(time)
@@ -313,20 +352,24 @@ class Controller:
         if estimate is not None:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
-        if goal is None or not self.enabled:
+        goal = None if goals is None else goals.goal.nearest(state)
+        if goals is None or not self.enabled:
             mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
             plan = self._stop(time, mode, state)
         elif estimate is None:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
         else:
-            mode, plan = self._plan(time, estimate, goal, time_budget)
+            mode, plan = self._plan(time, estimate, goals.goal, time_budget)
         decision = Decision(
             mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
         )
         settings = self._settings
         reached = self._arrival.update(
-            time, decision.error, settings.goal_tolerance, settings.period
+            time, relative_error(decision, settings), settings.period
         )
+        if reached and goals is not None and not goals.is_last:
+            self._aim(replace(goals, index=goals.index + 1))
+            return decision
         arrived = reached and mode is Mode.TRACKING
         if goal is None or arrived or not decision.solved:
             self._progress.reset()
@@ -346,20 +389,22 @@ class Controller:
         )
 
     def _plan(
-        self, time: float, estimate: Estimate, goal: Vector, time_budget: float
+        self, time: float, estimate: Estimate, goal: Goal, time_budget: float
     ) -> tuple[Mode, Plan]:
         try:
             plant = estimate.plant
             situation = Situation(
-                time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
-                estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
-                plant.slippery,
+                time, estimate.state, goal.nearest(estimate.state), self.speeds_at(time),
+                plant.constants, plant.noise, estimate.uncertainty, time_budget,
+                estimate.disturbance, plant.acceleration, plant.slippery, goal.orientation,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
                 raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
+            self.plans += int(plan.motion not in (0, self._motion))
+            self._motion = plan.motion
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:

@@ -21,7 +21,7 @@ class Mode(Enum):
     CLOCK_STOPPED = "the clock stands still"
     CLOCK_JUMPED = "the clock jumps, nothing is sent"
     NO_POSE = "no pose yet"
-    NO_GOAL = "no goal yet"
+    NO_GOAL = "no goal"
     DISABLED = "disabled"
     NO_FRESH_POSE = "no fresh pose, stopping"
     POSE_JUMPED = "the pose has jumped, stopping"
@@ -48,7 +48,7 @@ class Decision:
     state : ndarray of shape (9,), or None
         State estimated for the sampling instant; None without a fresh pose.
     goal : ndarray of shape (6,), or None
-        Goal in force.
+        Goal that is aimed at; of a set the member that is nearest to the state.
     pose_age : float
         Age of the newest pose [s], negative for one from the future; inf without one.
     covariance : ndarray of shape (5, 5), or None

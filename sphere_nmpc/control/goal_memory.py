@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""File with the goal in force, from which a restarted controller resumes."""
+"""File with the goals in force, from which a restarted controller resumes."""
 
 import json
 import os
@@ -8,7 +8,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.state import as_state
 
 
 def cache_folder() -> Path:
@@ -21,25 +22,25 @@ def cache_folder() -> Path:
 
 
 class GoalMemory:
-    """File that stores the goal, with the time at which it was last in force.
+    """File that stores the goals, with the time at which they were last in force.
 
-    A controller resumes the goal only if it starts soon after the end of the last one and on the
-    same clock, which must not have been set back: a simulation that starts again has no goal.
+    A controller resumes them only if it starts soon after the end of the last one and on the
+    same clock, which must not have been set back: a simulation that starts again has no goals.
 
     Parameters
     ----------
     path : Path
         The file; its folder is made when it is first written.
     keep : float
-        Time after the end of a controller within which its goal is resumed [s, wall].
+        Time after the end of a controller within which its goals are resumed [s, wall].
     """
 
     def __init__(self, path: Path, keep: float) -> None:
         self._path = path
         self._keep = keep
 
-    def save(self, goal: Vector | None, stamp: int, simulated: bool) -> None:
-        """Write the goal, shape (6,), in force at `stamp` [ns]; without one delete the last.
+    def save(self, goals: Itinerary | None, stamp: int, simulated: bool) -> None:
+        """Write the goals in force at `stamp` [ns]; without any delete the last.
 
         `simulated` says whether the stamp is of simulated time or of the system clock.
 
@@ -50,27 +51,35 @@ class GoalMemory:
         """
         if self._keep <= 0.0:
             return
-        if goal is None:
+        if goals is None:
             self._path.unlink(missing_ok=True)
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
         # A process that is killed while it writes must leave the old file or the new one intact.
         fresh = self._path.with_suffix(f".{os.getpid()}")
-        content = {"goal": goal.tolist(), "stamp": stamp, "simulated": simulated}
+        content = {
+            "goals": [[goal.orientation.value, *goal.pose.tolist()] for goal in goals.goals],
+            "goal_stamp": goals.stamp, "index": goals.index,
+            "stamp": stamp, "simulated": simulated,
+        }
         fresh.write_text(json.dumps(content), encoding="ascii")
         fresh.replace(self._path)
 
-    def recall(self, stamp: int, simulated: bool) -> tuple[Vector, float] | None:
-        """Return the goal of a controller that ended recently, and the time since [s, wall].
+    def recall(self, stamp: int, simulated: bool) -> tuple[Itinerary, float] | None:
+        """Return the goals of a controller that ended recently, and the time since [s, wall].
 
-        None if there is none, if it ended too long ago, or if the clock, which now shows `stamp`
+        None if there are none, if it ended too long ago, or if the clock, which now shows `stamp`
         [ns], is another one or has been set back.
         """
         try:
             age = max(0.0, time.time() - self._path.stat().st_mtime)
             content = json.loads(self._path.read_text(encoding="ascii"))
-            goal, then = as_state(content["goal"]), int(content["stamp"])
-        except (OSError, ValueError, KeyError, TypeError, OverflowError):
+            goals = tuple(
+                Goal(as_state(pose), Orientation(kind)) for kind, *pose in content["goals"]
+            )
+            itinerary = Itinerary(goals, int(content["goal_stamp"]), max(0, int(content["index"])))
+            then, _ = int(content["stamp"]), itinerary.goal
+        except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError):
             return None
         is_same_clock = content.get("simulated") is simulated and then <= stamp
-        return (goal, age) if is_same_clock and age <= self._keep else None
+        return (itinerary, age) if is_same_clock and age <= self._keep else None

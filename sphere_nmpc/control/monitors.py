@@ -28,7 +28,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 
 _LEAVING = 2.0
-"""Ratio of error and tolerance above which the goal counts as left: hysteresis against noise."""
+"""Relative error above which the goal counts as left: hysteresis against noise."""
 _PERIODS = 6.0
 """Time without progress after which it is missing [sample periods] ..."""
 _SHORTEST = 5.0
@@ -54,6 +54,17 @@ _SOON = 60.0
 """Longest time to the limit that is told [s]; slower changes are within the estimate's error."""
 
 
+def relative_error(decision: Decision, settings: ControllerSettings) -> float:
+    """Return the error of a decision over the tolerance [-]; nan without state or goal.
+
+    With a tolerance of position or orientation of their own it is the larger of both ratios.
+    """
+    position, angle = settings.tolerances
+    if not (settings.position_tolerance or settings.orientation_tolerance):
+        return decision.error / settings.goal_tolerance
+    return max(decision.position_error / position, decision.angle_error / angle)
+
+
 class ArrivalDetector:
     """Detector of the arrival at the goal: the error has stayed below the tolerance for a time."""
 
@@ -73,13 +84,12 @@ class ArrivalDetector:
         self._inside_since = None
         self.reached = False
 
-    def update(self, time: float, error: float, tolerance: float, dwell: float) -> bool:
-        """Record the error at a sampling instant [s] and return whether the goal is reached.
+    def update(self, time: float, error: float, dwell: float) -> bool:
+        """Record a `relative_error` at a sampling instant [s]; return whether the goal is reached.
 
-        The error [mixed units] has to stay below the tolerance for the time `dwell` [s]; nan
-        counts as not within it.
+        The error has to stay below 1 for the time `dwell` [s]; nan counts as above.
         """
-        if not error < (_LEAVING * tolerance if self.reached else tolerance):
+        if not error < (_LEAVING if self.reached else 1.0):
             self.reset()
         elif self._inside_since is None or time < self._inside_since:
             self._inside_since = time

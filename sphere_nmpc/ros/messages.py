@@ -33,7 +33,7 @@ from trajectory_msgs.msg import JointTrajectory
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
@@ -82,6 +82,11 @@ def stamp_to_ros(stamp: int) -> Time:
 def stamp_from_ros(message: Any) -> int:
     """Return a Time or Duration message as whole nanoseconds."""
     return int(message.sec) * NANOSECONDS + int(message.nanosec)
+
+
+def stamp_text(stamp: int) -> str:
+    """Return a stamp [ns] as seconds with nine decimals."""
+    return "{}.{:09d}".format(*divmod(stamp, NANOSECONDS))
 
 
 def seconds(stamp: int, epoch: int = 0) -> float:
@@ -156,10 +161,14 @@ def pose_from_ros(message: Any) -> Vector:
 
 def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """Return the state, shape (6,), of a PoseStamped in the given frame or without one."""
-    given = message.header.frame_id
-    if given not in ("", frame):
-        raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
+    _check_frame(message, frame)
     return pose_from_ros(message)
+
+
+def framed_point_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
+    """Return the upright state, shape (6,), at a PointStamped; otherwise as for a pose."""
+    _check_frame(message, frame)
+    return upright_state(message.point.x, message.point.y, 0.0)
 
 
 def trajectory_message(hold: FirstOrderHold, epoch: int = 0) -> bytes:
@@ -339,6 +348,12 @@ def _pose_object(raw: bytes) -> Any:
         return message_object(raw, PoseStamped)
     except InvalidInputError as error:
         raise InvalidStateError(error.name, error.given, error.expected) from None
+
+
+def _check_frame(message: Any, frame: str) -> None:
+    given = message.header.frame_id
+    if given not in ("", frame):
+        raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
 
 
 def _fill_pose(pose: Any, state: Vector, height: float) -> None:

@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.quantity import quantity, validate
 from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.settings import ControllerSettings
@@ -51,6 +52,12 @@ class ControllerNodeSettings(ControllerSettings):
         30.0, "s",
         "Time after the end of a controller within which a new one resumes its goal; 0 is never",
         minimum=0.0, maximum=3600.0,
+    )
+    goal_orientation: str = quantity(
+        "full", "-",
+        "What goals on goal_pose and goals demand of the orientation: all, all but a turn about "
+        "the vertical, or nothing, as goals on goal_point always do",
+        choices=[kind.value for kind in Orientation], live=True,
     )
     command_rate: float = quantity(
         100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
@@ -25,7 +26,7 @@ class Situation:
     state : ndarray, shape (9,)
         State at that instant, predicted from the newest measurement.
     goal : ndarray, shape (6,)
-        Goal state.
+        Goal state; where `orientation` leaves something free, a member of the set of goals.
     input_in_force : ndarray, shape (2,)
         Rotor speeds at that instant [rad/s].
     constants : LumpedConstants
@@ -42,6 +43,8 @@ class Situation:
         Rotor acceleration that the drives attain [rad/s^2], where less than their limit.
     slippery : bool
         Whether the sphere has slipped recently.
+    orientation : Orientation
+        What the goal demands of the orientation.
     """
 
     time: float
@@ -55,6 +58,7 @@ class Situation:
     disturbance: Disturbance = UNDISTURBED
     acceleration: float = float("inf")
     slippery: bool = False
+    orientation: Orientation = Orientation.FULL
 
     @property
     def momentum(self) -> Vector:

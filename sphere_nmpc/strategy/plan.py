@@ -5,8 +5,10 @@
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import POSITION, Vector
 
 
 class PlanStatus(Enum):
@@ -51,6 +53,8 @@ class Plan:
         One line that explains the status.
     given_up : str
         What is given up of the goal and why; empty where nothing is.
+    motion : int
+        Number of the motion that it is the rest of; 0 where none was planned.
     """
 
     status: PlanStatus
@@ -63,3 +67,15 @@ class Plan:
     solve_time: float = 0.0
     message: str = ""
     given_up: str = ""
+    motion: int = 0
+
+    def distance_left(self, now: float) -> float:
+        """Return the length of the way from `now` [s] on, straight between knots [m]; or nan."""
+        times, places = self.hold.times, self.states[:, POSITION]
+        if len(places) < 2:
+            return 0.0 if self.status is PlanStatus.HOLDING else float("nan")
+        times = times[: len(places)]
+        now = min(max(now, float(times[0])), float(times[-1]))
+        here = [[np.interp(now, times, places[:, axis]) for axis in (0, 1)]]
+        ahead = np.concatenate((here, places[times > now]))
+        return float(np.sum(np.linalg.norm(np.diff(ahead, axis=0), axis=1)))

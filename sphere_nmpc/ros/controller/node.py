@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller node: rolls the sphere to a goal position and orientation.
 
-subscribes  pose, goal_pose, joint_states while commands are late or lost
-publishes   rotor_trajectory, rotor_commands, control_period, ~/active_goal, ~/at_goal,
+subscribes  pose, goal_pose, goal_point, goals, joint_states while commands are late or lost
+publishes   rotor_trajectory, rotor_commands, control_period, ~/active_goal, ~/at_goal, ~/eta,
             ~/predicted_path, ~/status, /diagnostics
-services    ~/enable
+services    ~/enable, ~/cancel
 """
 
 import time
@@ -20,7 +20,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.schedule import (
@@ -32,10 +32,11 @@ from sphere_nmpc.control.schedule import (
     TimedPose,
 )
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.model.goal import Itinerary
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
+from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
@@ -44,7 +45,7 @@ from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import framed_pose_from_ros, header_stamp, pose_of_message
+from sphere_nmpc.ros.messages import header_stamp, pose_of_message
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
@@ -160,11 +161,13 @@ class ControllerNode(RunnableNode):
                 PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS,
                 raw=True,
             ),
-            self.create_subscription(
-                PoseStamped, "goal_pose", self._receive_goal, 1, event_callbacks=NO_EVENTS
-            ),
             self.create_service(SetBool, "~/enable", self._enable),
+            self.create_service(Trigger, "~/cancel", self._cancel),
         ]
+        self._goal_receiver = GoalReceiver(
+            self, self._control_clock, self._frame, lambda: self._settings.goal_orientation,
+            self._set_goals, self._fault_log,
+        )
 
     def _set_timer(self) -> None:
         """Replace the timer by one with the period of the schedule, if it needs one."""
@@ -184,12 +187,13 @@ class ControllerNode(RunnableNode):
         self._event_log.flush()
         restored = self._stored_goal.restore()
         if restored is not None:
-            goal, age = restored
+            goals, age = restored
             self.get_logger().info(f"continuing to the goal of {age:.0f} s ago (goal_memory)")
-            self._set_goal(goal)
+            self._set_goals(goals)
 
     def _save_goal(self) -> None:
-        self._stored_goal.save(self.controller.goal if self.controller.enabled else None)
+        controller = self.controller
+        self._stored_goal.save(controller.itinerary if controller.enabled else None)
 
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
@@ -263,24 +267,30 @@ class ControllerNode(RunnableNode):
         if actions.observe is not None:
             self._start()
 
-    def _receive_goal(self, message: PoseStamped) -> None:
-        try:
-            goal = framed_pose_from_ros(message, self._frame)
-        except InvalidStateError as error:
-            self._fault_log.report("goal_pose refused", f"{error}; the goal in force stays")
-            return
-        self._set_goal(goal)
-
-    def _set_goal(self, goal: Vector) -> None:
-        """Track a goal, shape (6,); one that is in force already is only confirmed."""
-        is_new = self.controller.set_goal(goal)
+    def _set_goals(self, goals: Itinerary) -> None:
+        """Visit goals; those that are in force already are only confirmed."""
+        is_new = self.controller.set_goals(goals)
         self._stored_goal.supersede()
-        self._reports.goal(goal, self._control_clock.stamp())
+        self._reports.goal(self._control_clock.stamp())
         if not is_new:
             return
-        self._event_log.report("goal", f"{[round(float(value), 4) for value in goal]}")
+        pose, number = goals.goal.pose, len(goals.goals)
+        several = f"first of {number}: " if number > 1 else ""
+        self._event_log.report("goal", f"{several}{[round(float(v), 4) for v in pose]}")
         self._schedule.goal_changed()
         self._start()
+
+    def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        was_in_force = self.controller.cancel()
+        self._stored_goal.supersede()
+        self._save_goal()
+        self._carry_out(self._schedule.disabled(self._control_clock.steady_now()))
+        response.success = True
+        response.message = (
+            "cancelled, the sphere stops" if was_in_force else "no goal was in force"
+        )
+        self._event_log.report("cancel", response.message)
+        return response
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.controller.enabled = request.data

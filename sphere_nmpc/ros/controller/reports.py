@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Float64
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision, Mode
@@ -21,12 +21,11 @@ from sphere_nmpc.control.monitors import rotor_reserve
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
-from sphere_nmpc.ros.controller.status import ControllerStatus
+from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force
 from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
 from sphere_nmpc.ros.guarded_node import LATCHED
-from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros
+from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros, stamp_of
 from sphere_nmpc.settings import ControllerSettings
 
 _LEVELS = {
@@ -90,6 +89,8 @@ class ControllerReports:
         self._goal = node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
         self._at_goal = node.create_publisher(Bool, "~/at_goal", LATCHED)
         self._at_goal_published: bool | None = None
+        self._published_index = 0
+        self._eta = node.create_publisher(Float64, "~/eta", 10)
         self._path = node.create_publisher(Path, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
         self._name = status_name(node)
@@ -99,11 +100,24 @@ class ControllerReports:
         self._status_at = perf_counter()
         self._publish_arrival()
 
-    def goal(self, goal: Vector, stamp: int) -> None:
-        """Publish the goal, shape (6,), that is now in force."""
-        radius = self._robot.shell_radius
-        self._goal.publish(pose_to_ros(goal, stamp, radius, self._frame))
+    def goal(self, stamp: int) -> None:
+        """Publish the goal that is aimed at from now on, `stamp` [ns], and a status soon."""
+        goals = self._controller.itinerary
+        if goals is not None:
+            self._published_index = goals.index
+            self._goal.publish(
+                pose_to_ros(goals.goal.pose, stamp, self._robot.shell_radius, self._frame)
+            )
+        self._last_status = (float("-inf"), self._last_status[1])
         self._publish_arrival()
+
+    def _publish_progress(self, time: float, epoch: int) -> None:
+        """Publish the next goal of a list where the one before has been reached."""
+        goals = self._controller.itinerary
+        if goals is None or goals.index == self._published_index:
+            return
+        self._event_log.report("goal", f"{goals.index} of {len(goals.goals)} reached")
+        self.goal(stamp_of(time, epoch))
 
     @property
     def _mode(self) -> Mode:
@@ -124,6 +138,7 @@ class ControllerReports:
         # Nothing was solved since: the last solve time must not be counted again.
         values = {"time_s": f"{self._monitor.time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
+        values |= goals_in_force(self._controller.itinerary)
         message = self._message if mode is self._last_status[1] else mode.value
         self._publish_status(mode, message, values)
 
@@ -174,6 +189,7 @@ class ControllerReports:
         warnings = self._warnings(decision)
         self._lasting.update(warnings)
         self._status_values.update(decision, time)
+        self._publish_progress(time, epoch)
         self._publish_arrival()
         last, mode = self._last_status
         if decision.mode is mode and 0.0 <= time - last < _STATUS_EVERY:
@@ -187,6 +203,7 @@ class ControllerReports:
         for kind, text in warnings.items():
             self._message = f"{kind}: {text}"
         self._publish_status(decision.mode, self._message, self._values)
+        self._eta.publish(Float64(data=float(self._values["time_left_s"])))
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
             times, radius = plan.hold.times, self._robot.shell_radius

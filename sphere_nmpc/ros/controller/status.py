@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of the controller's status: decision, plant, momentum, stability, controllability."""
+"""Values of the controller's status: decision, goals, plant, momentum and its monitors."""
 
 import math
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
 from sphere_nmpc.model.disturbance import (
@@ -18,8 +18,10 @@ from sphere_nmpc.model.disturbance import (
     rest_speeds,
     time_to_saturation,
 )
+from sphere_nmpc.model.goal import Itinerary
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
+from sphere_nmpc.ros.messages import stamp_text
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5
@@ -77,6 +79,7 @@ class ControllerStatus:
             "time_s": f"{time:.9g}",
             "mode": decision.mode.value,
             "strategy": self._settings.strategy,
+            **self._goal_values(decision, time),
             "plan": plan.status.value,
             "arrival_s": plan.arrival,
             "error": decision.error,
@@ -107,6 +110,21 @@ class ControllerStatus:
             "smallest_singular_value": self._controllability.smallest_singular_value,
             "pose_delay_s": controller.rotor_feedback.poses.delay,
             "pose_loss": controller.rotor_feedback.poses.loss,
+        }
+
+    def _goal_values(self, decision: Decision, time: float) -> dict[str, Any]:
+        controller, plan = self._controller, decision.plan
+        left = math.nan
+        if decision.mode is Mode.AT_GOAL:
+            left = 0.0
+        elif decision.mode is Mode.TRACKING:
+            left = max(0.0, plan.arrival - time)
+        return {
+            **goals_in_force(controller.itinerary),
+            "time_left_s": left,
+            "distance_left_m": plan.distance_left(time) if decision.solved else math.nan,
+            "plans": controller.plans,
+            "at_rest": controller.is_at_rest(time),
         }
 
     def _plant_values(self) -> dict[str, float]:
@@ -141,6 +159,16 @@ class ControllerStatus:
                 settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
             )
         )
+
+
+def goals_in_force(goals: Itinerary | None) -> dict[str, Any]:
+    """Return the status values that name the goals."""
+    if goals is None:
+        return {"goal_stamp": "", "goal_index": 0, "goal_count": 0}
+    return {
+        "goal_stamp": stamp_text(goals.stamp), "goal_index": goals.index,
+        "goal_count": len(goals.goals),
+    }
 
 
 def momentum_values(

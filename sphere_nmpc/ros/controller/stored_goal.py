@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The goal in force, stored on disk for the next run of a controller."""
+"""The goals in force, stored on disk for the next run of a controller."""
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,15 +10,15 @@ from rclpy.node import Node
 
 from sphere_nmpc.control.goal_memory import GoalMemory, cache_folder
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.goal import Itinerary
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 
 
 class StoredGoal:
-    """File with the goal in force; the goal of the last run is restored from it once.
+    """File with the goals in force; those of the last run are restored from it once.
 
-    It is restored if that run ended at most `keep` [s, wall] ago, and written by a thread of its
-    own, since a disk may take longer than a control period.
+    They are restored if that run ended at most `keep` [s, wall] ago, and written by a thread of
+    its own, since a disk may take longer than a control period.
     """
 
     def __init__(self, node: Node, keep: float, clock: ControlClock, fault_log: FaultLog) -> None:
@@ -28,12 +28,12 @@ class StoredGoal:
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stored_goal")
         self._written: Future[None] | None = None
         self.is_settled = False
-        """Whether the stored goal has been restored or is superseded by a new one."""
+        """Whether the stored goals have been restored or are superseded by new ones."""
 
-    def restore(self) -> tuple[Vector, float] | None:
-        """Return the goal to continue with, shape (6,), and its age [s, wall].
+    def restore(self) -> tuple[Itinerary, float] | None:
+        """Return the goals to continue with, and their age [s, wall].
 
-        It is returned at most once, by the first call with a known time; otherwise None is.
+        They are returned at most once, by the first call with a known time; otherwise None is.
         """
         if self.is_settled or self._clock.now() is None:
             return None
@@ -43,20 +43,20 @@ class StoredGoal:
         return self._memory.recall(self._clock.stamp(), self._clock.simulated)
 
     def supersede(self) -> None:
-        """Do not restore a goal: a new one has been received."""
+        """Do not restore goals: new ones have been received."""
         self.is_settled = True
 
-    def save(self, goal: Vector | None) -> None:
-        """Begin to store the goal in force, shape (6,), or that there is none."""
+    def save(self, goals: Itinerary | None) -> None:
+        """Begin to store the goals in force, or that there are none."""
         self._report_failure()
         if self._memory is None or not self.is_settled or self._clock.now() is None:
             return
         self._written = self._writer.submit(
-            self._memory.save, goal, self._clock.stamp(), self._clock.simulated
+            self._memory.save, goals, self._clock.stamp(), self._clock.simulated
         )
 
     def close(self) -> None:
-        """Wait until the last goal is stored."""
+        """Wait until the last goals are stored."""
         self._writer.shutdown()
         self._report_failure()
 

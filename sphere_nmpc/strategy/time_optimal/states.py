@@ -55,6 +55,8 @@ class Following:
         Whether it ends within the dead band.
     fruitless : int
         Number of searches for an earlier arrival since the last one that found it.
+    motion : int
+        Number of the search that has found it.
     """
 
     arrival: Arrival
@@ -62,6 +64,7 @@ class Following:
     solver: ArrivalSolver
     reaches: bool = True
     fruitless: int = 0
+    motion: int = 0
 
     @property
     def arrives(self) -> float:

@@ -233,7 +233,10 @@ class TimeOptimalStrategy:
         if outcome.arrival is None:
             return None, True
         begins = situation.time if outcome.task.from_rest else outcome.task.situation.time
-        plan = Following(outcome.arrival, begins, solver_for(outcome.task.robot, self._tuning))
+        task = outcome.task
+        plan = Following(
+            outcome.arrival, begins, solver_for(task.robot, self._tuning), motion=task.seed
+        )
         return plan.solved_again(situation, dead_band, deadline), False
 
     def _search(
@@ -339,6 +342,7 @@ class TimeOptimalStrategy:
             iterations=arrival.iterations,
             kkt_residual=arrival.kkt_residual,
             message=f"arrives in {arrival.duration:.2f} s, {arrival.error:.1e} off",
+            motion=state.motion,
         )
 
 

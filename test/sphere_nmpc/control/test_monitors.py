@@ -50,7 +50,7 @@ TICK = NANOSECONDS // 100
 )
 def test_goal_is_reached_when_the_error_stays_within_the_tolerance(samples, expected) -> None:
     arrival = ArrivalDetector()
-    assert [arrival.update(time, error, TOLERANCE, DWELL) for time, error in samples] == expected
+    assert [arrival.update(time, error / TOLERANCE, DWELL) for time, error in samples] == expected
 
 
 def test_time_taken_counts_from_the_first_sample_or_from_when_the_goal_was_left() -> None:
@@ -60,14 +60,14 @@ def test_time_taken_counts_from_the_first_sample_or_from_when_the_goal_was_left(
         (1.0, math.nan), (1.5, 1.0), (4.14, 0.005), (4.5, 0.001),  # reached after 3.14 s
         (5.0, 0.5), (6.0, 0.1), (7.5, 0.001), (8.0, 0.001),  # pushed away at 5 s
     ):
-        if arrival.update(time, error, TOLERANCE, DWELL) and arrival.took not in taken:
+        if arrival.update(time, error / TOLERANCE, DWELL) and arrival.took not in taken:
             taken.append(arrival.took)
     assert taken == pytest.approx([3.14, 2.5])
     arrival.reset()  # the pose was lost at the goal
-    arrival.update(9.0, 0.02, TOLERANCE, DWELL)
+    arrival.update(9.0, 0.02 / TOLERANCE, DWELL)
     arrival.reset()  # and on the way back
     for time, error in ((10.0, 0.02), (10.5, 0.001), (11.0, 0.001)):
-        arrival.update(time, error, TOLERANCE, DWELL)
+        arrival.update(time, error / TOLERANCE, DWELL)
     assert arrival.reached and arrival.took == pytest.approx(1.5)
 
 

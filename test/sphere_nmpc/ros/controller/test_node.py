@@ -9,17 +9,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
+from geometry_msgs.msg import PointStamped, PoseStamped
+from nav_msgs.msg import Goals, Path
 from rclpy.parameter import Parameter
 from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
-from std_srvs.srv import SetBool
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.controller import node as controller_node
@@ -261,6 +262,63 @@ def test_arrival_is_published_until_there_is_another_goal(robot, capfd) -> None:
     robot.pass_time(0.6)
     assert robot.status()["mode"] == "on the way to the goal"
     assert [arrival.data for arrival in arrivals] == [False, True, False]
+
+
+def test_cancel_stops_and_leaves_no_goal(robot) -> None:
+    robot.send_goal()
+    robot.pass_time(1.25)
+    received = len(robot.trajectories)
+    answer = robot.graph.call(Trigger, "controller/cancel", Trigger.Request())
+    assert answer.success and answer.message == "cancelled, the sphere stops"
+    robot.graph.until(lambda: len(robot.trajectories) > received)
+    assert not robot.holds()[-1].speeds[-1].any()
+    robot.pass_time(1.0)
+    status = robot.status()
+    assert (status["mode"], status["goal_stamp"], status["goal_count"]) == ("no goal", "", "0")
+    assert status["at_rest"] == "true"
+    answer = robot.graph.call(Trigger, "controller/cancel", Trigger.Request())
+    assert answer.success and answer.message == "no goal was in force"
+    robot.send_goal()
+    robot.pass_time(0.6)
+    assert robot.status()["mode"] == "on the way to the goal"
+
+
+def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
+    eta = robot.graph.collect(Float64, "controller/eta", 10)
+    point = PointStamped()
+    point.header.stamp.sec, point.header.stamp.nanosec = 7, 42
+    point.point.x = float(CASE.start[0])
+    point.point.y = float(CASE.start[1])
+    sender = robot.graph.publisher(PointStamped, "goal_point")
+    robot.graph.until(lambda: sender.get_subscription_count() > 0)
+    sender.publish(point)
+    robot.graph.until(lambda: robot.goals)
+    robot.pass_time(1.0)
+    status = robot.status()
+    assert status["goal_stamp"] == "7.000000042"
+    assert status["mode"] == "at the goal", "whatever its orientation"
+    robot.graph.until(lambda: eta and eta[-1].data == 0.0)
+    assert robot.node.controller.itinerary.goal.orientation is Orientation.ANY
+
+    several = Goals(goals=[pose_to_ros(pose, 0, 0.3) for pose in (CASE.start, CASE.goal)])
+    sender = robot.graph.publisher(Goals, "goals")
+    robot.graph.until(lambda: sender.get_subscription_count() > 0)
+    sender.publish(several)
+    robot.graph.until(lambda: robot.status()["goal_count"] == "2")
+    robot.pass_time(1.0)
+    status = robot.status()
+    assert (status["goal_index"], status["goal_count"]) == ("1", "2"), "the first was reached"
+    robot.graph.until(lambda: len(robot.goals) == 3)
+    np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12)
+
+    several.goals[1].pose.position.x = math.nan
+    sender.publish(several)
+    sender.publish(Goals())
+    printed = ""
+    while printed.count("goals refused") < 1:
+        robot.pass_time(0.1)
+        printed += capfd.readouterr().err
+    assert robot.status()["goal_count"] == "2", "the goals in force stay"
 
 
 def test_status_and_diagnostics_are_published_while_time_stands_still(robot) -> None:

@@ -1,0 +1,114 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals: a position, and of the orientation all, all but the heading, or nothing.
+
+A goal that leaves something free is a set of poses. `nearest` returns the member of it to which
+the distance is measured, with `state_error` and the others of `sphere_nmpc.model.state`.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+
+
+class Orientation(Enum):
+    """What a goal demands of the orientation."""
+
+    FULL = "full"
+    """All of it."""
+    ANY_HEADING = "any_heading"
+    """All but a turn about the vertical: the same point of the shell touches the floor."""
+    ANY = "any"
+    """Nothing."""
+
+    @property
+    def weights(self) -> tuple[float, float, float]:
+        """Weights of a small turn from a member about the world's x, y and z axes [-]."""
+        return _WEIGHTS[self]
+
+    def nearest(self, pose: Vector, state: Vector) -> Vector:
+        """Return the member nearest to `state`, (6,) or (9,), of the set with `pose`, (6,)."""
+        if self is Orientation.FULL:
+            return pose
+        quaternion = state[QUATERNION]
+        if self is Orientation.ANY_HEADING:
+            between = rotation.product(quaternion, rotation.conjugate(pose[QUATERNION]))
+            turn = between * (1.0, 0.0, 0.0, 1.0)
+            length = float(np.linalg.norm(turn))
+            if length < _OPPOSITE:
+                return pose
+            quaternion = rotation.product(turn / length, pose[QUATERNION])
+        return np.concatenate((pose[POSITION], quaternion))
+
+
+_WEIGHTS = {
+    Orientation.FULL: (1.0, 1.0, 1.0),
+    Orientation.ANY_HEADING: (1.0, 1.0, 0.0),
+    Orientation.ANY: (0.0, 0.0, 0.0),
+}
+_OPPOSITE = 1e-9
+"""Cosine of half the tilt [-] below which the body is upside down, and all headings as near."""
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """Goal of the sphere.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (6,)
+        Goal state, or a member of the set.
+    orientation : Orientation
+        What it demands of the orientation.
+    """
+
+    pose: Vector
+    orientation: Orientation = Orientation.FULL
+
+    def nearest(self, state: Vector) -> Vector:
+        """Return the member, shape (6,), that is nearest to a state, shape (6,) or (9,)."""
+        return self.orientation.nearest(self.pose, state)
+
+    def equals(self, other: "Goal") -> bool:
+        """Return whether it is the same set of poses, given in the same way."""
+        same = self.orientation is other.orientation
+        counts = POSITION if self.orientation is Orientation.ANY else slice(0, 6)
+        return same and np.array_equal(self.pose[counts], other.pose[counts])
+
+
+@dataclass(frozen=True, eq=False)
+class Itinerary:
+    """Goals that are visited in order.
+
+    Attributes
+    ----------
+    goals : tuple of Goal
+        One or more.
+    stamp : int
+        Stamp of the message that brought them [ns]; 0 if they have come otherwise.
+    index : int
+        Which one is aimed at.
+    """
+
+    goals: tuple[Goal, ...]
+    stamp: int = 0
+    index: int = 0
+
+    @property
+    def goal(self) -> Goal:
+        """The goal that is aimed at."""
+        return self.goals[self.index]
+
+    @property
+    def is_last(self) -> bool:
+        """Whether no other goal follows."""
+        return self.index == len(self.goals) - 1
+
+    def lists_same(self, other: "Itinerary") -> bool:
+        """Return whether it has the same goals in the same order."""
+        pairs = zip(self.goals, other.goals, strict=False)
+        return len(self.goals) == len(other.goals) and all(a.equals(b) for a, b in pairs)

@@ -1,0 +1,82 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Closed loop of a controller and the simulator that can be interrupted at any time."""
+
+from dataclasses import dataclass, field
+
+from paths import moved
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSE, Vector, without_momentum
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.world.plant.factory import make_plant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+ROBOT = RobotParameters()
+_SPACING = 5e-3
+"""Spacing of the states that are kept [s]."""
+
+
+@dataclass
+class SampledLoop:
+    """Closed loop of an ideal sphere from rest at `start`, shape (6,), on."""
+
+    start: Vector
+    settings: ControllerSettings = field(default_factory=ControllerSettings)
+    controller: Controller = field(init=False)
+    simulator: Simulator = field(init=False)
+    in_force: FirstOrderHold = field(init=False)
+    decision: Decision = field(init=False)
+    states: list[Vector] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.controller = Controller(self.settings, ROBOT)
+        self.simulator = Simulator(
+            SimulatorSettings(initial_state=tuple(self.start)), ROBOT,
+            make_plant("rolling", ROBOT, self.start),
+        )
+
+    @property
+    def pose(self) -> Vector:
+        """The pose of the sphere now, shape (6,)."""
+        return self.simulator.plant.state[POSE]
+
+    def sample(self, seen: bool = True) -> Mode:
+        """Let the controller decide for now; `seen` says whether it gets a pose."""
+        now = self.simulator.time
+        if seen:
+            self.controller.observe(now, self.simulator.measured_state())
+        self.decision = self.controller.decide(now)
+        hold = self.controller.commit(self.decision, now)
+        if hold is not None:
+            self.in_force = hold
+            self.simulator.follower.follow_trajectory(hold)
+        return self.decision.mode
+
+    def advance(self, duration: float) -> None:
+        """Let time pass [s], and keep the states."""
+        end = self.simulator.now + round(duration * NANOSECONDS)
+        while self.simulator.now < end:
+            self.states.append(self.pose)
+            self.simulator.advance_to(
+                min(end, self.simulator.now + round(_SPACING * NANOSECONDS))
+            )
+        self.states.append(self.pose)
+
+    def run(self, duration: float) -> None:
+        """Sample until a time that need not be an instant [s]."""
+        end, period = self.simulator.time + duration, self.settings.control_period
+        while self.simulator.time < end - 1e-9:
+            self.sample()
+            self.advance(min(period, end - self.simulator.time))
+
+    def path(self) -> Vector:
+        """Return the path of the hold in force from now on, at poses 1 mm apart, shape (K, 6)."""
+        now = self.simulator.time
+        rest = self.in_force.starting_at(now, self.in_force.at(now))
+        return moved(without_momentum(self.pose), rest, now, rest.end, 1e-3)[:, POSE]

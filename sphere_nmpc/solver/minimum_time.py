@@ -60,7 +60,7 @@ class Point:
     merit : float
         Duration and weighted error [s].
     error : ndarray, shape (8,)
-        e: position [1/s], vector part of conj(q_d) q, speeds of rest [1/U], momentum or tilt.
+        e: position [1/s], vector part of q conj(q_d), speeds of rest [1/U], momentum or tilt.
     by_knots : ndarray, shape (8, 2 N)
         Its derivatives by v.
     by_stretch : ndarray, shape (8,)
@@ -84,25 +84,27 @@ class Point:
 def expand_error(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> Point:
     """Return merit, terminal error and its derivatives at scaled knots v, shape (2 N,)."""
     inputs, motion = shoot_knots(problem, v, stretch)
-    error, by_inputs, by_stretch = _terminal_error(problem, inputs, motion)
+    duration = stretch * float(np.sum(problem.durations))
+    error, by_inputs, by_stretch = _terminal_error(problem, inputs, motion, duration)
     by_knots = problem.input_scale * by_inputs
     by_knots[:, _fixed(problem)] = 0.0
-    duration = stretch * float(np.sum(problem.durations))
     merit = duration + problem.error_weight * float(np.sum(np.abs(error)))
     return Point(v, stretch, merit, error, by_knots, by_stretch, inputs, motion.states)
 
 
 def _terminal_error(
-    problem: HoldProblem, inputs: Vector, motion: Motion
+    problem: HoldProblem, inputs: Vector, motion: Motion, duration: float
 ) -> tuple[Vector, Vector, Vector]:
     """Return the error, (8,), with its derivatives by u_1 ... u_N, (8, 2 N), and by stretch."""
     end, momentum = motion.states[-1], motion.states[-1, MOMENTUM]
     error, by_end, by_last = np.zeros(ROWS), np.zeros((ROWS, 9)), np.zeros((ROWS, INPUT_SIZE))
     scale, goal = problem.position_scale, problem.goal
-    error[:2] = scale * (end[POSITION] - goal[POSITION])
+    moved = problem.goal_velocity * duration
+    error[:2] = scale * (end[POSITION] - goal[POSITION] - moved)
     by_end[:2, POSITION] = scale * np.eye(2)
     w, x, y, z = goal[QUATERNION]
-    turn = np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+    turn = np.array([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
+    turn *= problem.turn_weights[:, None]
     error[2:5], by_end[2:5, QUATERNION] = turn @ end[QUATERNION], turn
     undisturbed = is_zero(problem.state[MOMENTUM], problem.disturbance)
     if not undisturbed:
@@ -114,6 +116,7 @@ def _terminal_error(
     by_knots = by_end @ motion.derivatives[-1]
     by_knots[:, -INPUT_SIZE:] += by_last
     by_stretch = by_end @ motion.by_stretch[-1]
+    by_stretch[:2] -= scale * moved
     steady = problem.steady_interval
     if steady > 0 and undisturbed:
         value, by_turn = tilt(problem.steady_axis, motion.states[steady, QUATERNION])

@@ -15,7 +15,7 @@ import numpy as np
 
 from sphere_nmpc.model.disturbance import Disturbance, is_zero
 from sphere_nmpc.model.integrator import steps_for, tangent_step_function
-from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSE, QUATERNION, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSE, POSITION, QUATERNION, Vector
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 
 MIN_DAMPING = 1e-12
@@ -253,11 +253,14 @@ def _residuals(
 ) -> list[tuple[float, Vector, Vector]]:
     """Return weight, residual and Jacobian by v of each term of the cost."""
     states, by_v = motion.states, problem.input_scale * motion.derivatives
-    scale = np.array([problem.position_scale] * 2 + [1.0] * 4)
+    turn_scale = float(np.max(problem.turn_weights))
+    scale = np.array([problem.position_scale] * 2 + [turn_scale] * 4)
+    goals = np.tile(problem.goal, (problem.intervals, 1))
+    goals[:, POSITION] += np.outer(np.cumsum(problem.durations), problem.goal_velocity)
     weights = np.full(problem.intervals, problem.stage_weight)
     weights[-1] = problem.terminal_weight
     terms = [
-        (weight, scale * (states[m, POSE] - problem.goal), scale[:, None] * by_v[m, POSE])
+        (weight, scale * (states[m, POSE] - goals[m - 1]), scale[:, None] * by_v[m, POSE])
         for m, weight in enumerate(weights, start=1)
     ]
     if not problem.stage_weight > 0.0:

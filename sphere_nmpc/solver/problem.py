@@ -13,6 +13,8 @@ from sphere_nmpc.model.state import INPUT_SIZE, NO_MOMENTUM, Vector
 
 _ZERO_INPUT: Vector = np.zeros(INPUT_SIZE)
 _ZERO_INPUT.flags.writeable = False
+_ALL_AXES: Vector = np.ones(3)
+_ALL_AXES.flags.writeable = False
 
 
 # Treated as immutable, but not frozen: that would take as long as a third of an iteration.
@@ -21,7 +23,8 @@ class HoldProblem:
     """Find the knots u_1 ... u_N of a first-order hold that starts at the input in force u_0.
 
     Minimise, with x_m the state at knot m (single shooting, so Eq. 25.A holds by construction) and
-    |.|_s the norm in which positions are multiplied by s = `position_scale`,
+    |.|_s the norm in which positions are multiplied by s = `position_scale`, and quaternions by
+    the largest of the `turn_weights` w_q,
 
         w_T (|x_N - x_d|_s^2 + (r_h . h_N)^2 + t^2) + w_x sum_{m=1}^{N-1} |x_m - x_d|_s^2
             + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
@@ -30,7 +33,7 @@ class HoldProblem:
     subject to lower <= u_m <= upper. U = `input_scale`; a = `max_acceleration`; h_m the interval
     lengths, which need not be equal: a short first one lets the problem be solved again between
     the knots. t is the tilt of the axis at the start of an interval of steady rolling, and 0
-    without one. The paper's weights over beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
+    without one. Where the goal moves, x_d is at p_d + v_d t_m. The paper's weights over beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
 
     With a positive `error_weight` w the durations are variables, too: sigma h_m with one factor
     sigma, the stretch. Then
@@ -38,8 +41,9 @@ class HoldProblem:
         sigma sum_{m=1}^{N} h_m + w |e|_1
 
     is minimised subject to the bounds and |u_m - u_{m-1}| <= a sigma h_m. The terminal error e
-    consists of s (p_N - p_d), the vector part of conj(q_d) q_N, (u_N - (R(q_d)^T h_N)_1,2) / U,
-    with which the rotors hold the momentum, and r_h . h_N or t. The third part and r_h count only
+    consists of s (p_N - p_d - v_d t_N), the vector part of q_N conj(q_d) times w_q, by
+    component, (u_N - (R(q_d)^T h_N)_1,2) / U, with which the rotors hold the momentum, and
+    r_h . h_N or t. The third part and r_h count only
     with momentum or disturbance; without, the bounds let the last knot be zero.
 
     Attributes
@@ -73,6 +77,10 @@ class HoldProblem:
         with a stage cost, nor where the model is the paper's, without momentum and disturbance.
     input_reference : ndarray, shape (2,)
         u_ref [rad/s]: rotor speeds that cost nothing.
+    turn_weights : ndarray, shape (3,)
+        w_q [-]: weights of the error of the orientation about the world's axes; 0 leaves it free.
+    goal_velocity : ndarray, shape (2,)
+        v_d [m/s]: velocity of the goal, which is at x_d at the start.
     steady_interval : int
         Index of an interval of steady rolling, whose two knots the bounds fix to the same speeds;
         0 without one.
@@ -109,6 +117,8 @@ class HoldProblem:
     momentum_row: Vector = field(default_factory=lambda: NO_MOMENTUM)
     steady_interval: int = 0
     steady_axis: Vector = field(default_factory=lambda: _ZERO_INPUT)
+    turn_weights: Vector = field(default_factory=lambda: _ALL_AXES)
+    goal_velocity: Vector = field(default_factory=lambda: _ZERO_INPUT)
     whole_turns: float = 0.0
     error_weight: float = 0.0
 

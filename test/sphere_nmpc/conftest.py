@@ -58,6 +58,21 @@ KINDS: dict[str, dict[str, Any]] = {
         "input_reference": np.array([30.0, -20.0]),
         "position_scale": 2.5,
     },
+    "moving point": {
+        "intervals": 5,
+        "input_weight": 1e-6,
+        "turn_weights": np.zeros(3),
+        "goal_velocity": np.array([0.3, -0.1]),
+        "position_scale": 2.5,
+    },
+    "moving and stages": {
+        "intervals": 4,
+        "stage_weight": 0.3,
+        "input_weight": 1e-4,
+        "turn_weights": np.array([0.5, 0.3, 0.0]),
+        "goal_velocity": np.array([0.3, -0.1]),
+        "position_scale": 0.4,
+    },
     "steady": {
         "intervals": 9,
         "input_weight": 1e-6,

@@ -44,6 +44,8 @@ FIELDS = (
     Field("double", "input_reference", 2, "u_ref [rad/s]"),
     Field("double", "momentum_row", 3, "r_h [s/rad]"),
     Field("double", "steady_axis", 2, "a"),
+    Field("double", "turn_weights", 3, "w_q"),
+    Field("double", "goal_velocity", 2, "v_d [m/s]"),
     Field("double", "input_scale", 1, "U [rad/s]"),
     Field("double", "terminal_weight", 1, "w_T"),
     Field("double", "stage_weight", 1, "w_x"),

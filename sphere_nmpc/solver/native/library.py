@@ -108,7 +108,7 @@ class Slot:
         pointers = [array.ctypes.data for array in arrays]
         self._integers[span("durations", "workspace")] = pointers
         self.address = self._words.ctypes.data
-        self._vectors = self._words[span("state", "steady_axis")]
+        self._vectors = self._words[span("state", "goal_velocity")]
         self._scalars = self._words[span("input_scale", "error_weight")]
 
     def write_settings(self, settings: SolverSettings) -> None:
@@ -124,7 +124,8 @@ class Slot:
         vectors = (
             problem.state, problem.goal, problem.input_in_force, problem.constants,
             problem.disturbance.slope, problem.disturbance.imbalance, problem.input_reference,
-            problem.momentum_row, problem.steady_axis,
+            problem.momentum_row, problem.steady_axis, problem.turn_weights,
+            problem.goal_velocity,
         )
         np.concatenate(vectors, out=self._vectors)
         self._scalars[:] = (

@@ -22,16 +22,18 @@ static void body_axes(const double *q, double (*axes)[3])
     axes[1][2] = 2.0 * (q[2] * q[3] + q[0] * q[1]);
 }
 
-/* Terminal error, ROW residuals: position, vector part of conj(q_d) q, speeds of rest, and the
+/* Terminal error, ROW residuals: position, vector part of q conj(q_d), speeds of rest, and the
  * momentum at the end or the tilt. */
 static void terminal_error(const problem *p, const double *inputs, const double *states, double *e)
 {
     const double *x = states + STATE * p->intervals, *q = x + 2, *g = p->goal + 2;
-    e[0] = p->position_scale * (x[0] - p->goal[0]);
-    e[1] = p->position_scale * (x[1] - p->goal[1]);
-    e[2] = g[0] * q[1] - g[1] * q[0] - g[2] * q[3] + g[3] * q[2];
-    e[3] = g[0] * q[2] + g[1] * q[3] - g[2] * q[0] - g[3] * q[1];
-    e[4] = g[0] * q[3] - g[1] * q[2] + g[2] * q[1] - g[3] * q[0];
+    e[0] = state_residual(p, states, p->intervals, 0);
+    e[1] = state_residual(p, states, p->intervals, 1);
+    e[2] = g[0] * q[1] - g[1] * q[0] + g[2] * q[3] - g[3] * q[2];
+    e[3] = g[0] * q[2] - g[1] * q[3] - g[2] * q[0] + g[3] * q[1];
+    e[4] = g[0] * q[3] + g[1] * q[2] - g[2] * q[1] - g[3] * q[0];
+    for (int c = 0; c < 3; c++)
+        e[2 + c] *= p->turn_weights[c];
     e[5] = e[6] = 0.0;
     if (p->disturbed) {
         double body[2][3];
@@ -49,19 +51,21 @@ static void expand_error(const problem *p, workspace *w, double *b)
 {
     const int64_t size = 2 * p->intervals;
     const double *g = p->goal + 2;
-    const double sign[3][4] = {{-g[1], g[0], g[3], -g[2]}, {-g[2], -g[3], g[0], g[1]},
-                               {-g[3], g[2], -g[1], g[0]}};
+    const double sign[3][4] = {{-g[1], g[0], -g[3], g[2]}, {-g[2], g[3], g[0], -g[1]},
+                               {-g[3], -g[2], g[1], g[0]}};
     double ends[7][ROW] = {{0.0}}, body[2][3];
     body_axes(g, body);
     for (int k = 0; k < 4; k++)
         for (int c = 0; c < 3; c++)
-            ends[k][2 + c] = sign[c][k];
+            ends[k][2 + c] = p->turn_weights[c] * sign[c][k];
     for (int k = 0; k < 3; k++) {
         for (int c = 0; c < 2; c++)
             ends[4 + k][5 + c] = -body[c][k] / p->input_scale;
         ends[4 + k][7] = p->momentum_row[k];
     }
     terminal_rows(p, w, (const double(*)[ROW])ends, 7, b);
+    for (int c = 0; c < 2; c++)
+        b[c] -= p->position_scale * p->goal_velocity[c] * knot_time(p, p->intervals);
     if (p->disturbed)
         for (int c = 0; c < 2; c++)
             w->rows[(size - 2 + c) * ROW + 5 + c] += 1.0;

@@ -43,13 +43,26 @@ static double seventh_residual(const problem *p, const double *states)
 /* Factor on the error of a component of the state. */
 static double state_scale(const problem *p, int component)
 {
-    return component < 2 ? p->position_scale : 1.0;
+    const double *turn = p->turn_weights;
+    return component < 2 ? p->position_scale : fmax(turn[0], fmax(turn[1], turn[2]));
+}
+
+/* Time of knot m. */
+static double knot_time(const problem *p, int64_t m)
+{
+    double time = 0.0;
+    while (m-- > 0)
+        time += p->stretch * p->durations[m];
+    return time;
 }
 
 /* Scaled error of a component of the state at knot m. */
 static double state_residual(const problem *p, const double *states, int64_t m, int component)
 {
-    return state_scale(p, component) * (states[STATE * m + component] - p->goal[component]);
+    double goal = p->goal[component];
+    if (component < 2 && p->goal_velocity[component] != 0.0)
+        goal += p->goal_velocity[component] * knot_time(p, m);
+    return state_scale(p, component) * (states[STATE * m + component] - goal);
 }
 
 static double cost_of(const problem *p, const double *v, const double *inputs,
@@ -164,7 +177,7 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     }
     double ends[7][ROW] = {{0.0}};
     for (int k = 0; k < 4; k++)
-        ends[k][2 + k] = 1.0;
+        ends[k][2 + k] = state_scale(p, 2 + k);
     for (int k = 0; k < 3; k++)
         ends[4 + k][6] = p->momentum_row[k];
     terminal_rows(p, w, (const double(*)[ROW])ends, 6, NULL);

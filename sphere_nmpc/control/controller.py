@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.goal_motion import GoalMotion
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
@@ -25,6 +26,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
+    POSITION,
     STATE_SIZE,
     Vector,
     as_state,
@@ -79,6 +81,7 @@ class Controller:
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
         self._itinerary: Itinerary | None = None
+        self._motion = GoalMotion()
         self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
         self._interrupted = False
@@ -94,7 +97,7 @@ class Controller:
         """Description of the step to the newest of these poses."""
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
-        self._motion = 0
+        self._followed = 0
         self.failures = 0
         """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
@@ -136,6 +139,12 @@ class Controller:
         """Pose of the goal that is aimed at, shape (6,), or None."""
         return None if self._itinerary is None else self._itinerary.goal.pose.copy()
 
+    def goal_speed(self, time: float) -> float:
+        """Return the speed at which the goal is expected to move at `time` on [m/s]."""
+        if self._itinerary is None:
+            return 0.0
+        return float(np.linalg.norm(self._motion.at(self._itinerary.goal, time).rate[POSITION]))
+
     def set_goal(self, goal: Vector) -> bool:
         """Track one goal state, shape (6,), with all of its orientation; see `set_goals`.
 
@@ -146,13 +155,20 @@ class Controller:
         """
         return self.set_goals(Itinerary((Goal(as_state(goal)),)))
 
-    def set_goals(self, goals: Itinerary) -> bool:
+    def set_goals(self, goals: Itinerary, time: float | None = None) -> bool:
         """Visit other goals, from the next sampling instant on.
 
         False if they are those in force; the present plan and their progress are then kept, unless
-        all of a list have been visited.
+        all of a list have been visited. A single goal that is given again and again may differ a
+        little each time, where the control time `time` [s] is known for which it is given.
         """
         known = self._itinerary
+        if time is not None and len(goals.goals) == 1:
+            goal, is_other = self._motion.update(time, goals.goal)
+            goals = replace(goals, goals=(goal,))
+            if known is not None and not is_other:
+                self._itinerary = goals
+                return False
         if known is not None and known.lists_same(goals):
             visited = known.index > 0 and self.at_goal
             if not visited:
@@ -165,7 +181,7 @@ class Controller:
         """Give up the goals: the sphere stops on its path. False if there was none."""
         if self._itinerary is None:
             return False
-        self._itinerary = None
+        self._itinerary, self._motion = None, GoalMotion()
         self._begin_anew()
         return True
 
@@ -352,14 +368,15 @@ class Controller:
         if estimate is not None:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
-        goal = None if goals is None else goals.goal.nearest(state)
+        goal = None if goals is None else self._motion.at(goals.goal, time).nearest(state, time)
         if goals is None or not self.enabled:
             mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
             plan = self._stop(time, mode, state)
         elif estimate is None:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
         else:
-            mode, plan = self._plan(time, estimate, goals.goal, time_budget)
+            aim = self._motion.at(goals.goal, time)
+            mode, plan = self._plan(time, estimate, aim, time_budget)
         decision = Decision(
             mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
         )
@@ -394,17 +411,18 @@ class Controller:
         try:
             plant = estimate.plant
             situation = Situation(
-                time, estimate.state, goal.nearest(estimate.state), self.speeds_at(time),
+                time, estimate.state, goal.nearest(estimate.state, time), self.speeds_at(time),
                 plant.constants, plant.noise, estimate.uncertainty, time_budget,
                 estimate.disturbance, plant.acceleration, plant.slippery, goal.orientation,
+                goal.rate,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
                 raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
-            self.plans += int(plan.motion not in (0, self._motion))
-            self._motion = plan.motion
+            self.plans += int(plan.motion not in (0, self._followed))
+            self._followed = plan.motion
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:

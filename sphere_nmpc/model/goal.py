@@ -6,13 +6,26 @@ A goal that leaves something free is a set of poses. `nearest` returns the membe
 the distance is measured, with `state_error` and the others of `sphere_nmpc.model.state`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+
+STANDING: Vector = np.zeros(5)
+"""Rate of a goal that does not move."""
+STANDING.flags.writeable = False
+
+
+def moved(pose: Vector, rate: Vector, elapsed: float) -> Vector:
+    """Return a pose, shape (6,), that has changed for a time [s] at a constant rate, shape (5,).
+
+    The rate is that of an error of `sphere_nmpc.model.error_state` [m/s; world, rad/s; body].
+    """
+    return apply_error(pose, elapsed * rate) if rate.any() else pose
 
 
 class Orientation(Enum):
@@ -26,9 +39,26 @@ class Orientation(Enum):
     """Nothing."""
 
     @property
-    def weights(self) -> tuple[float, float, float]:
-        """Weights of a small turn from a member about the world's x, y and z axes [-]."""
+    def weights(self) -> Vector:
+        """Weights of a small turn from a member about the world's axes [-], shape (3,)."""
         return _WEIGHTS[self]
+
+    def draw(self, rng: np.random.Generator, pose: Vector, count: int) -> Vector:
+        """Draw members of the set with `pose`, shape (6,); the one for all if it is the only one.
+
+        Returns
+        -------
+        ndarray, shape (6, count), or (6, 1)
+        """
+        if self is Orientation.FULL:
+            return pose[:, None]
+        turns = rng.standard_normal((4, count))
+        if self is Orientation.ANY_HEADING:
+            turns[1:3] = 0.0
+        turns /= np.linalg.norm(turns, axis=0)
+        members = [rotation.product(turn, pose[QUATERNION]) for turn in turns.T]
+        places = np.broadcast_to(pose[POSITION, None], (2, count))
+        return np.concatenate((places, np.array(members).T))
 
     def nearest(self, pose: Vector, state: Vector) -> Vector:
         """Return the member nearest to `state`, (6,) or (9,), of the set with `pose`, (6,)."""
@@ -46,9 +76,9 @@ class Orientation(Enum):
 
 
 _WEIGHTS = {
-    Orientation.FULL: (1.0, 1.0, 1.0),
-    Orientation.ANY_HEADING: (1.0, 1.0, 0.0),
-    Orientation.ANY: (0.0, 0.0, 0.0),
+    Orientation.FULL: np.ones(3),
+    Orientation.ANY_HEADING: np.array((1.0, 1.0, 0.0)),
+    Orientation.ANY: np.zeros(3),
 }
 _OPPOSITE = 1e-9
 """Cosine of half the tilt [-] below which the body is upside down, and all headings as near."""
@@ -64,14 +94,24 @@ class Goal:
         Goal state, or a member of the set.
     orientation : Orientation
         What it demands of the orientation.
+    rate : ndarray, shape (5,)
+        Rate of change of the pose, see `moved`.
+    since : float
+        Control time at which it is at `pose` [s].
     """
 
     pose: Vector
     orientation: Orientation = Orientation.FULL
+    rate: Vector = field(default_factory=lambda: STANDING)
+    since: float = 0.0
 
-    def nearest(self, state: Vector) -> Vector:
-        """Return the member, shape (6,), that is nearest to a state, shape (6,) or (9,)."""
-        return self.orientation.nearest(self.pose, state)
+    def at(self, time: float) -> Vector:
+        """Return the pose at a control time [s], shape (6,)."""
+        return moved(self.pose, self.rate, time - self.since)
+
+    def nearest(self, state: Vector, time: float) -> Vector:
+        """Return the member at a time [s] that is nearest to a state, (6,) or (9,); shape (6,)."""
+        return self.orientation.nearest(self.at(time), state)
 
     def equals(self, other: "Goal") -> bool:
         """Return whether it is the same set of poses, given in the same way."""

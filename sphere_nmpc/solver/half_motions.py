@@ -30,8 +30,8 @@ class Side(NamedTuple):
 
     Attributes
     ----------
-    end : ndarray, shape (6,)
-        State at rest from which they begin.
+    end : ndarray, shape (6,) or (6, M)
+        State at rest from which they begin, or one for each, all at one place.
     states : ndarray of float32, shape (L + 1, 6, M)
         States at the knots.
     steady : ndarray of int32, shape (M,)
@@ -126,7 +126,7 @@ def _integral(times: Vector, first: Floats, second: Floats) -> Vector:
 def half_motions(
     end: Vector, begin: Vector, signals: Floats, levels: int, drives: Drives, constants: Vector
 ) -> Side:
-    """Return half motions from the state `end`, shape (6,), of a robot with lumped constants (4,).
+    """Return half motions from `end`, see `Side`, of a robot with lumped constants (4,).
 
     The other parameters as for `knots_of`, with the speeds of a motion from this end.
     """
@@ -134,9 +134,10 @@ def half_motions(
     if solver is None:
         return plain_half_motions(end, begin, signals, levels, drives, constants)
     states = np.empty((levels + 1, 6, count), dtype=np.float32)
+    states[0] = end.reshape(6, -1)
     steady, corners = np.empty((2, count), dtype=np.int32)
     arrays = (
-        _doubles(constants), _doubles(end), _doubles(begin),
+        _doubles(constants), _doubles(begin),
         np.ascontiguousarray(signals, dtype=np.float32), states, steady, corners,
     )
     solver.hold_half_motions(count, levels, *drives, *_addresses(*arrays))
@@ -151,8 +152,8 @@ def plain_half_motions(
     knots = knots_of(signals, levels, begin, drives)
     step = step_function().map(count)
     states = np.empty((levels + 1, 6, count), dtype=np.float32)
-    states[0] = end[:, None]
-    x: Any = np.repeat(end[:, None], count, axis=1)
+    x: Any = np.broadcast_to(end.reshape(6, -1), (6, count))
+    states[0] = x
     all_constants = np.repeat(constants[:, None], count, axis=1)
     for level in range(levels):
         x = step(x, knots[level], knots[level + 1], drives.period, all_constants)
@@ -192,7 +193,7 @@ def meet(
     scores, memory = np.empty(count, np.float32), np.empty(14 * (count + LANES), np.float32)
     lengths, partners = np.empty((2, count), np.int32)
     arrays = (
-        _doubles(start.end), _doubles(goal.end), start.states, goal.states,
+        _place(start), _place(goal), start.states, goal.states,
         np.concatenate((start.steady, goal.steady)),
         np.concatenate((start.corners, 3 - goal.corners)), memory, scores, lengths, partners,
     )
@@ -216,8 +217,8 @@ def plain_meet(
         if np.sum(scores <= n * period) >= wanted:
             break
         for corner in range(4):
-            left = _collected(start, forth, corner, goal.end, speed * period * back)
-            right = _collected(goal, back, 3 - corner, start.end, speed * period * forth)
+            left = _collected(start, forth, corner, _place(goal), speed * period * back)
+            right = _collected(goal, back, 3 - corner, _place(start), speed * period * forth)
             if left.size == 0 or right.size == 0:
                 continue
             pairs += left.size * right.size
@@ -234,11 +235,16 @@ def plain_meet(
 
 
 def _collected(
-    side: Side, level: int, corner: int, end: Vector, reach: float
+    side: Side, level: int, corner: int, place: Vector, reach: float
 ) -> NDArray[np.intp]:
-    away = side.states[level][:2] - end[:2, None]
+    away = side.states[level][:2] - place[:, None]
     near = np.sum(away * away, axis=0) <= reach * reach
     return np.flatnonzero((side.steady <= level) & (side.corners == corner) & near)
+
+
+def _place(side: Side) -> Vector:
+    """Return the position of one end [m], shape (2,)."""
+    return _doubles(side.end.reshape(6, -1)[:2, 0])
 
 
 def _doubles(values: Vector) -> Vector:

@@ -33,7 +33,8 @@ class HoldProblem:
     subject to lower <= u_m <= upper. U = `input_scale`; a = `max_acceleration`; h_m the interval
     lengths, which need not be equal: a short first one lets the problem be solved again between
     the knots. t is the tilt of the axis at the start of an interval of steady rolling, and 0
-    without one. Where the goal moves, x_d is at p_d + v_d t_m. The paper's weights over beta: w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
+    without one. Where the goal moves, x_d is at p_d + v_d t_m. The paper's weights over beta:
+    w_T = 1, w_x = 1/beta, w_u = alpha U^2 / beta.
 
     With a positive `error_weight` w the durations are variables, too: sigma h_m with one factor
     sigma, the stretch. Then

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contract between a strategy and the control loop, and strategies by name."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.goal import STANDING, Orientation, moved
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
@@ -45,6 +45,8 @@ class Situation:
         Whether the sphere has slipped recently.
     orientation : Orientation
         What the goal demands of the orientation.
+    goal_rate : ndarray, shape (5,)
+        Rate of change of the goal, an error of a pose by time [m/s, rad/s]; 0 where it stands.
     """
 
     time: float
@@ -59,11 +61,16 @@ class Situation:
     acceleration: float = float("inf")
     slippery: bool = False
     orientation: Orientation = Orientation.FULL
+    goal_rate: Vector = field(default_factory=lambda: STANDING)
 
     @property
     def momentum(self) -> Vector:
         """Estimated momentum at that instant, shape (3,) [rad/s; world frame]."""
         return self.state[MOMENTUM]
+
+    def goal_after(self, elapsed: float, goal: Vector | None = None) -> Vector:
+        """Return where the goal, or another member of the set, is after a time [s], shape (6,)."""
+        return moved(self.goal if goal is None else goal, self.goal_rate, elapsed)
 
 
 class Strategy(Protocol):

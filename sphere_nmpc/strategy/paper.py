@@ -24,7 +24,7 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, without_momentum
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import (
@@ -135,6 +135,7 @@ class PaperStrategy:
         self._followed = 0
         self._origin: float | None = None
         self._horizon_end, self._last_cost = -np.inf, np.inf
+        self._end: Vector | None = None
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
@@ -149,6 +150,7 @@ class PaperStrategy:
             FirstOrderHold(times, answer.inputs_for(1)),
         )
         self._followed = answer.followed
+        self._end = solution.states[-1]
         capped = solution.status is not SolveStatus.CONVERGED
         settings = self._settings
         pose, goal = situation.state[POSE], situation.goal
@@ -242,7 +244,11 @@ class PaperStrategy:
         lower[0] = np.minimum(np.maximum(in_force - reach, -limit), limit)
         return HoldProblem(
             state=without_momentum(situation.state),
-            goal=situation.goal,
+            # Of a set of goals that which the last plan ends next to: the nearest one to the state
+            # is another one at each sample.
+            goal=situation.orientation.nearest(
+                situation.goal, situation.state if self._end is None else self._end
+            ),
             input_in_force=in_force,
             durations=durations,
             constants=situation.constants.as_array(),
@@ -255,4 +261,6 @@ class PaperStrategy:
             max_step=settings.longest_step,
             input_reference=rest,
             position_scale=settings.units.position_scale,
+            turn_weights=situation.orientation.weights,
+            goal_velocity=situation.goal_rate[POSITION],
         )

@@ -56,6 +56,8 @@ _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SELDOM = 0.05
 """Control period above which a command that may be lost is sent again before the next one [s]."""
+_OTHER_CLOCK = 1.0
+"""Age of a goal by its stamp [s] from which on that counts as of another clock."""
 _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
@@ -269,7 +271,7 @@ class ControllerNode(RunnableNode):
 
     def _set_goals(self, goals: Itinerary) -> None:
         """Visit goals; those that are in force already are only confirmed."""
-        is_new = self.controller.set_goals(goals)
+        is_new = self.controller.set_goals(goals, self._time_of_goal(goals.stamp))
         self._stored_goal.supersede()
         self._reports.goal(self._control_clock.stamp())
         if not is_new:
@@ -279,6 +281,14 @@ class ControllerNode(RunnableNode):
         self._event_log.report("goal", f"{several}{[round(float(v), 4) for v in pose]}")
         self._schedule.goal_changed()
         self._start()
+
+    def _time_of_goal(self, stamp: int) -> float | None:
+        """Return the control time of a goal [s]: that of its stamp, or now if that is off."""
+        now = self._control_clock.steady_now()
+        if now is None:
+            return None
+        given = self._control_clock.time_of(stamp)
+        return given if abs(now - given) < _OTHER_CLOCK else now
 
     def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was_in_force = self.controller.cancel()

@@ -121,6 +121,7 @@ class ControllerStatus:
             left = max(0.0, plan.arrival - time)
         return {
             **goals_in_force(controller.itinerary),
+            "goal_speed": 0.0 if decision.goal is None else controller.goal_speed(time),
             "time_left_s": left,
             "distance_left_m": plan.distance_left(time) if decision.solved else math.nan,
             "plans": controller.plans,

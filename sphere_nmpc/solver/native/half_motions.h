@@ -89,12 +89,12 @@ static inline lanes integral(float t, lanes a, lanes b)
     return at - 2 * clipped(at - a, zero, at) + 2 * clipped(at - b, zero, at);
 }
 
-/* States, (levels + 1) x 6 x count, of `count` half motions from `state` and rotor speeds `begin`
- * on, the first knot from which the speeds stay at their limits, and which of the four corners that
+/* States, (levels + 1) x 6 x count, of `count` half motions from the first of them, which are given,
+ * and rotor speeds `begin` on, the first knot from which the speeds stay at their limits, and which of the four corners that
  * is. `signals`, 6 x count: signs of both rotors, first and second switch of the first [s], of the
  * second. A rotor takes the time `ramp` from rest to its limit. `count` is a multiple of LANES. */
 void hold_half_motions(int64_t count, int64_t levels, double period, double ramp, double limit,
-                       const double *constants, const double *state, const double *begin,
+                       const double *constants, const double *begin,
                        const float *signals, float *states, int32_t *steady, int32_t *corners)
 {
     const float p[4] = {(float)constants[0], (float)constants[1], (float)constants[2],
@@ -104,9 +104,6 @@ void hold_half_motions(int64_t count, int64_t levels, double period, double ramp
         lanes place[2], q[4], u[2], since = load(signals + i), change = since - since;
         since = change;
         change += most * (float)(period / ramp);
-        for (int c = 0; c < 6; c++)
-            for (int j = 0; j < LANES; j++)
-                states[c * count + i + j] = (float)state[c];
         for (int c = 0; c < 2; c++) {
             place[c] = load(states + c * count + i);
             u[c] = since + (float)begin[c];

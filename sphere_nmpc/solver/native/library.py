@@ -67,7 +67,7 @@ def _loaded() -> ctypes.CDLL:
         ("hold_roll_out", None, [count, number, *[address] * 5]),
         ("hold_propagate", None, [count, number, *[address] * 6]),
         ("hold_expand", None, [address] * 4),
-        ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 7]),
+        ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 6]),
         ("hold_workspace", count, [count]),
         ("hold_meet", count, [*[count] * 4, *[number] * 4, *[address] * 10]),
     ):

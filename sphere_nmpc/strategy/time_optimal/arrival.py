@@ -10,7 +10,7 @@ knots of its guess, with every limit exact; at its end the rotors hold the momen
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,8 +23,16 @@ from sphere_nmpc.model.disturbance import (
     rest_speeds,
 )
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import STANDING, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, QUATERNION, Vector, without_momentum
+from sphere_nmpc.model.state import (
+    INPUT_SIZE,
+    MOMENTUM,
+    POSITION,
+    QUATERNION,
+    Vector,
+    without_momentum,
+)
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
 from sphere_nmpc.solver.roll_out import roll_out
@@ -65,7 +73,8 @@ class Arrival:
     states : ndarray, shape (K, 9)
         Predicted states at the knots.
     goal : ndarray, shape (6,)
-        Goal; a trial ends near the sign of its quaternion.
+        Where the goal is at time 0, or the member of the set at which it ends; a trial ends near
+        the sign of its quaternion.
     error : float
         Predicted terminal error, inf where it is not finite: the norm in R^6 for a trial, the sum
         of the absolute residuals of `HoldProblem` for a minimum-time problem.
@@ -79,6 +88,8 @@ class Arrival:
         Slope and imbalance that it was planned with.
     turns : int
         Whole turns of steady rolling that were left out of the problem.
+    goal_rate : ndarray, shape (5,)
+        Rate of change of the goal.
     """
 
     hold: FirstOrderHold
@@ -90,6 +101,7 @@ class Arrival:
     work: int
     disturbance: Disturbance
     turns: int = 0
+    goal_rate: Vector = field(default_factory=lambda: STANDING)
 
     @property
     def duration(self) -> float:
@@ -139,7 +151,7 @@ class ArrivalSolver:
         situation : Situation
             State of the robot and speeds of its rotors at the start.
         goal : ndarray, shape (6,)
-            Goal with the quaternion sign that is aimed at.
+            Where the goal is at the start, with the quaternion sign that is aimed at.
         guess : FirstOrderHold
             Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
             momentum along its motion is added, so that the same motion results but for a turn
@@ -152,13 +164,15 @@ class ArrivalSolver:
             knots = knots + self._compensation(situation, durations, knots)
         momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
         rest = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
-        problem = self._problem(situation, goal, durations, self.grid.spacing)
+        there = situation.goal_after(guess.end, goal)
+        problem = self._problem(situation, there, durations, self.grid.spacing)
         problem.lower[-1] = problem.upper[-1] = rest
         problem.input_weight = _REGULARISATION
         problem.slew_weight = 1.0
         solution = self._trial.solve(problem, knots)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
         error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
+        goal = self._orientation(situation).nearest(goal, solution.states[-1])
         return _arrival(situation, problem, solution, goal, error, work)
 
     def solve(
@@ -197,14 +211,17 @@ class ArrivalSolver:
                 situation, state=without_momentum(situation.state), disturbance=UNDISTURBED
             )
         max_step = (2.0 if coarse else 1.0) * self.grid.fine
-        problem = self._problem(situation, goal, durations, max_step)
+        # A goal that moves: its place at the arrival, its orientation at the end of the guess.
+        there = np.concatenate((goal[POSITION], situation.goal_after(guess.end, goal)[QUATERNION]))
+        problem = self._problem(situation, there, durations, max_step)
+        problem.goal_velocity = situation.goal_rate[POSITION]
         problem.error_weight = factor * tuning.error_weight * self.grid.unit
         if is_zero(situation.momentum, situation.disturbance):
             problem.lower[-1] = problem.upper[-1] = 0.0
         elif tuning.is_out_of_balance(situation) and not situation.uncertainty > 0.0:
             # Where poses are noisy the estimate of this component changes from sample to sample
             # by more than a plan can follow, and it is left to the tilt at rest.
-            body_z = rotation.matrix(goal[QUATERNION])[:, 2]
+            body_z = rotation.matrix(there[QUATERNION])[:, 2]
             problem.momentum_row = tuning.momentum_weight * body_z
         if turns:
             self._roll_steadily(problem, rolling, guess.speeds[1:], steady, turns)
@@ -223,6 +240,7 @@ class ArrivalSolver:
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
         work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
+        goal = self._orientation(situation).nearest(goal, solution.states[-1])
         return _arrival(situation, problem, solution, goal, error, work, turns)
 
     def solves(
@@ -284,7 +302,13 @@ class ArrivalSolver:
             durations=durations, constants=situation.constants.as_array(), lower=-upper,
             upper=upper, input_scale=self._max_speed, max_acceleration=self._acceleration,
             max_step=max_step, disturbance=situation.disturbance,
+            turn_weights=self._orientation(situation).weights,
         )
+
+    def _orientation(self, situation: Situation) -> Orientation:
+        """Return what is demanded of the orientation: with momentum all, to rest there."""
+        small = self.settings.is_small(situation)
+        return situation.orientation if small else Orientation.FULL
 
 
 def _is_finite(solution: HoldSolution) -> bool:
@@ -299,4 +323,5 @@ def _arrival(
     return Arrival(
         FirstOrderHold(times, solution.inputs), solution.states, goal, error,
         solution.iterations, solution.kkt_residual, work, situation.disturbance, turns,
+        situation.goal_rate,
     )

@@ -18,6 +18,7 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import after_slope, rest_speeds
+from sphere_nmpc.model.goal import STANDING
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
@@ -184,7 +185,7 @@ class IntermediateGoals:
             self._place = here + (near / distance) * way
         goal = situation.goal.copy()
         goal[POSITION] = self._place
-        return replace(situation, goal=goal)
+        return replace(situation, goal=goal, goal_rate=STANDING)
 
 
 def _unloading_orientation(

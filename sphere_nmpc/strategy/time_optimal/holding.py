@@ -34,6 +34,13 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum, ramp_to, speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
+_TRACKED, _TRACKING_PERIOD = 6, 0.2
+"""Knots of the problem that tracks a goal, and their spacing [s; for the robot of Table 1]."""
+_TRACKING_WEIGHT = 1e-3
+"""Weight of the squared rotor speeds over those of the largest ones [-] in it."""
+_ITERATIONS = 30
+"""Cap on its iterations."""
+
 
 class RestAtGoal:
     """Plans of a sphere that rests at the goal.
@@ -57,17 +64,24 @@ class RestAtGoal:
         self._corrections = PaperStrategy(
             _for_corrections(settings), robot, tuning.correction_weight, np.inf
         )
+        self._tracking = PaperStrategy(_for_tracking(settings), robot, 1.0, np.inf)
 
     def change(self, settings: ControllerSettings) -> None:
         """Use other weights and another cap on iterations; the warm start is kept."""
         self._corrections.change(_for_corrections(settings))
+        self._tracking.change(_for_tracking(settings))
 
     def reset(self) -> None:
         """Forget the warm start."""
         self._corrections.reset()
+        self._tracking.reset()
 
     def plan(self, situation: Situation) -> Plan:
         """Return a ramp to rest, or a correction of what rolling itself can correct."""
+        if situation.goal_rate.any():
+            goal = nearer_sign(situation.goal, situation.state)
+            plan = self._tracking.plan(dataclasses.replace(situation, goal=goal))
+            return dataclasses.replace(plan, status=PlanStatus.HOLDING)
         error = state_error(situation.state, situation.goal)
         tuning = self._tuning
         noisy = tuning.dead_band(situation.noise, 0.0) > tuning.leaving_error
@@ -120,6 +134,15 @@ class RestAtGoal:
 def _for_corrections(settings: ControllerSettings) -> ControllerSettings:
     """Return settings with the paper's horizon, whatever that of the strategy `paper`."""
     return dataclasses.replace(settings, horizon=ControllerSettings.horizon)
+
+
+def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
+    """Return settings that keep the sphere near a goal that moves, at each of the knots."""
+    time = settings.units.time
+    return dataclasses.replace(
+        settings, horizon=_TRACKED, sample_period=_TRACKING_PERIOD * time, terminal_weight=1.0,
+        input_weight=_TRACKING_WEIGHT / settings.units.max_speed**2, max_iterations=_ITERATIONS,
+    )
 
 
 def come_to_rest(

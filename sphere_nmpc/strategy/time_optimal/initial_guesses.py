@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, flipped_sign
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, flipped_sign
 from sphere_nmpc.solver.half_motions import (
     Drives,
     Floats,
@@ -40,7 +40,7 @@ class Guess(NamedTuple):
     hold : FirstOrderHold
         Rotor speeds, from time 0 on.
     goal : ndarray, shape (6,)
-        Goal with the quaternion sign that they lead to.
+        Goal, or member of the set, with the quaternion sign that they lead to.
     """
 
     hold: FirstOrderHold
@@ -89,7 +89,12 @@ def meeting_guesses(
     constants = situation.constants.as_array()
     in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)
     forth = half_motions(start, in_force, signals, levels, drives, constants)
-    back = half_motions(goal, _AT_REST, signals, levels, drives, constants)
+    goals = situation.orientation.draw(rng, goal, count)
+    # A goal that moves counts as where it is after a guess of the mean duration.
+    there = situation.goal_after(0.5 * sum(durations))
+    ends = goals.copy() if goals.shape[1] > 1 else there[:, None].copy()
+    ends[POSITION] = there[POSITION, None]
+    back = half_motions(ends, _AT_REST, signals, levels, drives, constants)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
         1.0 / speed, settings.turn_weight * radius**2,
@@ -97,17 +102,19 @@ def meeting_guesses(
     best = np.argsort(found.scores, kind="stable")[:wanted]
     best = best[np.isfinite(found.scores[best])]
     partners = found.partners[best]
-    there = knots_of(signals[:, best], levels, in_force, drives)
+    from_start = knots_of(signals[:, best], levels, in_force, drives)
     from_goal = -knots_of(signals[:, partners], levels, _AT_REST, drives)
     guesses = []
     for k, (i, j) in enumerate(zip(best, partners, strict=True)):
         periods = int(found.periods[i])
         before, after = (periods + 1) // 2, periods // 2
-        speeds: Vector = np.vstack((there[: before + 1, :, k], from_goal[:after, :, k][::-1]))
+        speeds: Vector = np.vstack((from_start[: before + 1, :, k], from_goal[:after, :, k][::-1]))
         same_sign = forth.states[before, 2:, i] @ back.states[after, 2:, j] > 0.0
         times: Vector = period * np.arange(periods + 1, dtype=np.float64)
-        hold = FirstOrderHold(times, speeds)
-        guesses.append(Guess(hold, goal if same_sign else flipped_sign(goal)))
+        member: Vector = goals[:, j % goals.shape[1]]
+        guesses.append(
+            Guess(FirstOrderHold(times, speeds), member if same_sign else flipped_sign(member))
+        )
     work = count * (20 + levels) // 40 + found.pairs // 1000
     return guesses, work
 

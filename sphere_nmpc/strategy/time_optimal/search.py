@@ -11,6 +11,7 @@ the search aims at the near goal, whatever the distance; what it finds is extend
 solved again, as the direction to the near goal is slightly another one.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -83,8 +84,7 @@ class ArrivalSearch:
         self._near = situation
         if settings.is_small(situation):
             self._aim_near(known)
-        way = self._near.goal[POSITION] - situation.state[POSITION]
-        self._least = float(np.linalg.norm(way)) / self._rolling.speed + robot.ramp_time
+        self._least = self._rolling_time(self._near) + robot.ramp_time
         self._reached = _REACHED
         if settings.is_small(situation):  # otherwise the sphere leaves the goal by itself
             error = state_error(situation.state, situation.goal)
@@ -230,8 +230,9 @@ class ArrivalSearch:
 
     def _aim_near(self, known: Arrival | None) -> None:
         """Leave whole turns of a distant goal out of the search."""
-        situation, rolling, goal = self._situation, self._rolling, self._situation.goal
-        way = goal[POSITION] - situation.state[POSITION]
+        situation, rolling = self._situation, self._rolling
+        there = situation.goal_after(self._rolling_time(situation))
+        way = there[POSITION] - situation.state[POSITION]
         if known is None:
             beyond = float(np.linalg.norm(way)) - self._settings.near_distance(self._solver.robot)
             self._turns = max(0, int(beyond / rolling.turn_length))
@@ -241,9 +242,17 @@ class ArrivalSearch:
             way = known.states[interval + 1, POSITION] - known.states[interval, POSITION]
         if self._turns:
             self._turn = rolling.turn_length / float(np.linalg.norm(way)) * way
-            near = goal.copy()
-            near[POSITION] = goal[POSITION] - self._turns * self._turn
-            self._near = replace(situation, goal=near)
+            self._near = replace(situation, goal=self._goal_after(situation.goal, 0))
+
+    def _rolling_time(self, situation: Situation) -> float:
+        """Return the time of steady rolling to where the goal then is [s]."""
+        way = situation.goal[POSITION] - situation.state[POSITION]
+        velocity, speed = situation.goal_rate[POSITION], self._rolling.speed
+        distance, along = float(np.linalg.norm(way)), float(way @ velocity)
+        excess = speed**2 - float(velocity @ velocity)
+        if excess <= 0.0:  # it is met where it is now, if at all
+            return distance / speed
+        return (along + math.sqrt(along**2 + excess * distance**2)) / excess
 
     def _steps_to_goal(self, added: int) -> Iterator[tuple[int, int]]:
         """Yield the whole turns that have been added after each step, and how many in it.
@@ -258,8 +267,10 @@ class ArrivalSearch:
 
     def _goal_after(self, near: Vector, turns: int) -> Vector:
         """Return the goal that is `turns` whole turns beyond the near one."""
-        goal = near.copy()
-        goal[POSITION] = self._situation.goal[POSITION] - (self._turns - turns) * self._turn
+        goal, missing = near.copy(), self._turns - turns
+        # Without these turns it is met earlier.
+        moved = self._rolling.turn_time * self._situation.goal_rate[POSITION]
+        goal[POSITION] = self._situation.goal[POSITION] + missing * (moved - self._turn)
         return goal
 
 

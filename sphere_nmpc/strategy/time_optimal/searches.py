@@ -177,4 +177,5 @@ def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: flo
         situation.state, speeds, np.diff(times), situation.constants.as_array(), max_step,
         situation.disturbance,
     )[-1]
-    return replace(situation, time=time, state=state, input_in_force=speeds[-1])
+    goal = situation.goal_after(time - now)
+    return replace(situation, time=time, state=state, input_in_force=speeds[-1], goal=goal)

@@ -103,8 +103,11 @@ class TimeOptimalSettings:
     # Holding at the goal
 
     largest_change_of_goal: float = 0.2
-    """Change of the orientation aimed at [rad] above which a plan is dropped, where the momentum
-    cannot be held at the goal itself."""
+    """Change of the goal aimed at [Rs, rad] up to which a plan is changed, and above which it is
+    dropped: a goal that moves is not the predicted one, and where the momentum cannot be held at
+    the goal another orientation is aimed at."""
+    tracked_error: float = 0.3
+    """Error [-] up to which a goal that moves is tracked, and above which a plan leads to it."""
     unloading_share: float = 0.8
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded, until
     the momentum along the loaded direction is zero."""

@@ -11,19 +11,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import moved
+from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import (
     MOMENTUM,
-    POSITION,
     QUATERNION,
     Vector,
     angle_error,
     nearer_sign,
+    position_error,
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import RAISES, Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _ENDED = 1e-3
 """Time left of a plan [s] below which it has ended."""
+
+
+def is_near(
+    goal: Vector, other: Vector, constants: LumpedConstants, settings: TimeOptimalSettings
+) -> bool:
+    """Return whether a plan to one goal, shape (6,), is changed to another one, not dropped."""
+    allowed = settings.largest_change_of_goal
+    near = position_error(goal, other) < allowed * constants.shell_radius
+    return near and angle_error(goal, other) < allowed
 
 
 @dataclass(frozen=True)
@@ -71,17 +83,25 @@ class Following:
         """Control time of the arrival [s]."""
         return self.planned_at + self.arrival.duration
 
-    def leads_to(self, goal: Vector) -> bool:
-        """Return whether it ends at a goal, shape (6,), but for what momentum changes of it."""
-        own = self.arrival.goal
-        change = self.solver.settings.largest_change_of_goal
-        return np.array_equal(own[POSITION], goal[POSITION]) and angle_error(own, goal) < change
+    def leads_to(self, situation: Situation) -> bool:
+        """Return whether the goal of a situation is that of the plan, or has changed by little.
 
-    def turned_to(self, goal: Vector) -> "Following":
-        """Return the plan with another goal, which it is solved for from then on."""
-        turned = self.arrival.goal.copy()
-        turned[QUATERNION] = nearer_sign(goal, turned)[QUATERNION]
-        return replace(self, arrival=replace(self.arrival, goal=turned))
+        The change is that of where the goal will be when the plan arrives: the goal moves, or
+        momentum changes the orientation that can be held.
+        """
+        arrival = self.arrival
+        own = moved(arrival.goal, arrival.goal_rate, arrival.duration)
+        goal = situation.goal_after(self.time_left(situation.time))
+        return is_near(own, goal, situation.constants, self.solver.settings)
+
+    def aimed_at(self, situation: Situation) -> "Following":
+        """Return the plan with the goal of a situation, which it is solved for from then on."""
+        goal = situation.goal_after(self.planned_at - situation.time)
+        arrival = replace(
+            self.arrival, goal=nearer_sign(goal, self.arrival.goal),
+            goal_rate=situation.goal_rate,
+        )
+        return replace(self, arrival=arrival)
 
     def time_left(self, now: float) -> float:
         """Return the time from `now` to the arrival [s]."""
@@ -119,7 +139,7 @@ class Following:
         Parameters
         ----------
         situation : Situation
-            The present one; its goal is not used.
+            The present one; what is aimed at is the goal of the plan.
         dead_band : float
             Error within which the sphere rests at the goal.
         deadline : float
@@ -129,12 +149,14 @@ class Following:
         if self.time_left(now) < _ENDED:
             return None
         hold = self.rest(now)
+        goal = moved(arrival.goal, arrival.goal_rate, now - self.planned_at)
+        situation = replace(situation, goal_rate=arrival.goal_rate)
         # With noise an error is left where it would take a manoeuvre to correct it.
         noisy = settings.noisy_share * (dead_band - settings.least_dead_band)
         wanted = max(settings.arrival_error, noisy)
         for factor in RAISES:
             arrival = self.solver.solve(
-                situation, arrival.goal, hold, factor, deadline - time.perf_counter(), kept=True
+                situation, goal, hold, factor, deadline - time.perf_counter(), kept=True
             )
             if arrival.error <= wanted or time.perf_counter() > deadline:
                 break

@@ -19,8 +19,9 @@ import time
 
 import numpy as np
 
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, state_error
+from sphere_nmpc.model.state import QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -46,6 +47,7 @@ from sphere_nmpc.strategy.time_optimal.states import (
     Saturated,
     Searching,
     State,
+    is_near,
 )
 from sphere_nmpc.worker.contract import Worker
 from sphere_nmpc.worker.in_line import InLine
@@ -108,7 +110,7 @@ class TimeOptimalStrategy:
     def reset(self) -> None:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._state: State = Searching()
-        self._goal: Vector | None = None
+        self._last: Situation | None = None
         self._improved_at = -np.inf
         for searches in (self._in_line, self._beside):
             if searches is not None:
@@ -143,9 +145,10 @@ class TimeOptimalStrategy:
     def plan(self, situation: Situation) -> Plan:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
-        if self._goal is None or not np.array_equal(self._goal, situation.goal):
-            self._goal = situation.goal
+        situation = self._with_member(situation)
+        if self._is_other_goal(situation):
             self._forget_goal()
+        self._last = situation
         self._use_attained(situation)
         situation = self._aimed(situation)
         self._state = self._next(self._state, situation, began + situation.time_budget)
@@ -189,22 +192,23 @@ class TimeOptimalStrategy:
         error = state_error(situation.state, goal)
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if isinstance(state, Following):
-            plan = state.turned_to(goal) if state.leads_to(goal) else state
+            plan = state.aimed_at(situation) if state.leads_to(situation) else state
             kept = plan.solved_again(situation, dead_band, deadline)
             if kept is not None and is_fruitless:
                 kept = dataclasses.replace(kept, fruitless=kept.fruitless + 1)
-            followed = _better(kept, found, goal)
+            followed = _better(kept, found, situation)
             if followed is not None:
                 return self._searched_beyond(followed, situation, dead_band, deadline)
             state = Searching()
         if is_saturated(situation.momentum, goal[QUATERNION], self._robot.max_rotor_speed):
             return Saturated()
-        if isinstance(state, Holding) and error < max(dead_band, state.leaving_error):
+        tracked = tuning.tracked_error if situation.goal_rate.any() else 0.0
+        if isinstance(state, Holding) and error < max(dead_band, state.leaving_error, tracked):
             return state
         at_rest = self._is_at_rest(situation)
-        band = dead_band
+        band = max(dead_band, tracked)
         if not tuning.is_small(situation):
-            band = max(dead_band, tuning.leaving_error)
+            band = max(band, tuning.leaving_error)
         if not isinstance(state, Holding | Saturated) and at_rest and error < band:
             return Holding(tuning.leaving_band(situation.uncertainty))
         self._rest_at_goal.reset()
@@ -283,7 +287,7 @@ class TimeOptimalStrategy:
         settings, now = self._settings, situation.time
         searches = self._searches
         begins = now + (max(searches.ahead, settings.control_period) if searches.ahead else 0.0)
-        suits = plan.reaches and plan.leads_to(situation.goal)
+        suits = plan.reaches and plan.leads_to(situation)
         over = suits and (
             plan.fruitless >= self._tuning.fruitless_searches
             or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
@@ -295,8 +299,8 @@ class TimeOptimalStrategy:
         start = later(
             situation, plan.arrival.hold.delayed(plan.planned_at), begins, plan.solver.grid.fine
         )
-        goal = plan.arrival.goal if suits else situation.goal
-        start = dataclasses.replace(start, goal=goal)
+        if suits:
+            start = dataclasses.replace(start, goal=nearer_sign(start.goal, plan.arrival.goal))
         known = plan if suits else None
         longest = self._longest(1.0, deadline)
         self._search(start, plan.solver, settings.planning_effort, longest, known)
@@ -305,7 +309,7 @@ class TimeOptimalStrategy:
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if is_fruitless:
             return dataclasses.replace(plan, fruitless=plan.fruitless + 1)
-        return _better(plan, found, situation.goal) or plan
+        return _better(plan, found, situation) or plan
 
     def _is_at_rest(self, situation: Situation) -> bool:
         """Return whether the rotors turn at the speeds at which the sphere rests."""
@@ -313,6 +317,26 @@ class TimeOptimalStrategy:
         turn, limit = situation.state[QUATERNION], self._robot.max_rotor_speed
         held = speeds_of_rest(situation.momentum, turn, limit)
         return bool(np.all(np.abs(in_force - held) < tuning.small_momentum))
+
+    def _is_other_goal(self, situation: Situation) -> bool:
+        """Return whether the goal is another one than the last, which may have moved."""
+        last, orientation = self._last, situation.orientation
+        if last is None or last.orientation is not orientation:
+            return True
+        moved = last.goal_after(situation.time - last.time)
+        moved = orientation.nearest(moved, situation.goal)
+        return not is_near(moved, situation.goal, situation.constants, self._tuning)
+
+    def _with_member(self, situation: Situation) -> Situation:
+        """Return the situation with the member of the goals that is nearest to the plan's end.
+
+        Without a plan that is the one nearest to the present state.
+        """
+        if situation.orientation is Orientation.FULL:
+            return situation
+        near = self._state.arrival.goal if isinstance(self._state, Following) else situation.state
+        goal = situation.orientation.nearest(situation.goal, near)
+        return dataclasses.replace(situation, goal=goal)
 
     def _aimed(self, situation: Situation) -> Situation:
         """Return the situation with a goal that is near enough and can be held."""
@@ -347,14 +371,14 @@ class TimeOptimalStrategy:
 
 
 def _better(
-    kept: Following | None, found: Following | None, goal: Vector
+    kept: Following | None, found: Following | None, situation: Situation
 ) -> Following | None:
     """Return the plan to follow of the one in force and one that was found."""
     if found is None or kept is None:
         return found if kept is None else kept
-    if not kept.leads_to(goal):
+    if not kept.leads_to(situation):
         return found
-    if not found.leads_to(goal) or not found.reaches:
+    if not found.leads_to(situation) or not found.reaches:
         return kept
     gain = _LEAST_GAIN * kept.solver.grid.unit
     return found if not kept.reaches or found.arrives < kept.arrives - gain else kept

@@ -11,8 +11,8 @@ import pytest
 from compiled_solver import compiled, expand_compiled_error
 from scipy.optimize import minimize
 
-from sphere_nmpc.model.disturbance import Disturbance, rest_speeds
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.disturbance import Disturbance, rest_speeds
 from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, Vector
 from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.minimum_time import expand_error, minimise_time

@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from ruamel.yaml import YAML
@@ -20,6 +19,7 @@ from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.demo.plan import HOLD, DemoPlan
 from sphere_sim.demo.results import write_results
 from sphere_sim.evaluation.metrics import GoalRun
+from sphere_sim.output.live_display import LiveDisplay
 from sphere_sim.ros.session.child_process import ChildProcess
 from sphere_sim.ros.session.demo_session import DemoSession
 from sphere_sim.ros.session.goal_run import wait_until_settled
@@ -27,8 +27,6 @@ from sphere_sim.ros.session.process_set import ProcessSet
 
 _READY_TIMEOUT = 45.0
 """How long the nodes may take to be ready [s]; a busy machine needs some ten."""
-_LINE_EVERY = 2.0
-"""Wall time between two lines where there is no terminal [s]."""
 _PAGE_TIMEOUT = 10.0
 """How long the viewer may take to show a page before the run starts without it [s]."""
 
@@ -59,7 +57,7 @@ def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
 
                 def spin() -> None:
                     session.spin()
-                    display.show()
+                    display.update()
 
                 arrived = (
                     wait_until_settled(run, spin, plan.duration, linger=plan.linger) is not None
@@ -107,35 +105,19 @@ def _write_parameters(plan: DemoPlan) -> Path:
     return path
 
 
-class _Display:
-    """Newest values of a run, updated in place on a terminal, otherwise a line now and then."""
+class _Display(LiveDisplay):
+    """Display of the newest values of a run."""
 
     def __init__(self, console: Console, session: DemoSession, run: GoalRun) -> None:
-        self._console = console
+        super().__init__(console)
         self._session = session
         self._run = run
-        self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
-        self._printed_at = -math.inf
         self._first: float | None = None
 
-    def __enter__(self) -> "_Display":
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def show(self) -> None:
+    def update(self) -> None:
         """Show the newest values."""
-        if math.isnan(self._run.time):
-            return
-        if self._live is not None:
-            self._live.update(Group(self._table(), self._bar()), refresh=True)
-        elif time.monotonic() >= self._printed_at + _LINE_EVERY:
-            self._printed_at = time.monotonic()
-            self._console.print(self._line(), highlight=False, soft_wrap=True)
+        if not math.isnan(self._run.time):
+            self.show(lambda: Group(self._table(), self._bar()), self._line)
 
     def _line(self) -> str:
         run, session = self._run, self._session

@@ -16,6 +16,8 @@ from sphere_nmpc.quantity import NANOSECONDS
 
 LARGEST = 1e30
 """Largest magnitude of a number that is believed [SI units]: its square is one, too."""
+_MOST_GOALS = 1e6
+"""Largest number of goals that is believed."""
 HOLDING = "holding"
 """Status of a plan that has reached the goal and holds the sphere there."""
 
@@ -60,6 +62,33 @@ def reported_solve(values: Mapping[str, str]) -> ReportedSolve:
     return ReportedSolve(
         number(values, "solve_time_s"), number(values, "cost"),
         number(values, "arrival_s") - number(values, "time_s"), values.get("plan", ""),
+    )
+
+
+@dataclass(frozen=True)
+class ReportedProgress:
+    """Progress of the sphere through its goals as a status message reports it.
+
+    It has the stamp of the message that brought the goals, as text and empty without a goal; the
+    goal aimed at, from 0 on, and the number of goals; the time [s] and the length of the path [m]
+    to that one, nan where they are unknown.
+    """
+
+    stamp: str = ""
+    index: int = 0
+    count: int = 0
+    time_left: float = math.nan
+    distance_left: float = math.nan
+
+
+def reported_progress(values: Mapping[str, str]) -> ReportedProgress:
+    """Return the progress that the key-value pairs of a status message report."""
+    index, count = (number(values, f"goal_{name}") for name in ("index", "count"))
+    known_goal = 0.0 <= index < count <= _MOST_GOALS
+    return ReportedProgress(
+        values.get("goal_stamp", ""),
+        int(index) if known_goal else 0, int(count) if known_goal else 0,
+        number(values, "time_left_s"), number(values, "distance_left_m"),
     )
 
 

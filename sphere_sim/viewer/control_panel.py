@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control panel: texts, and widgets from which requests are taken.
 
-Buttons call back on threads of the server; the callbacks only put requests into a queue. What
+Buttons call back on the thread of the server; the callbacks only put requests into a queue. What
 other programs have written is escaped in HTML, and plain text everywhere else on the page. It is
 never part of Markdown, which has links, images and HTML.
 """
@@ -23,6 +23,10 @@ from sphere_sim.viewer.goal import GOAL_PRESETS
 from sphere_sim.viewer.source import Capabilities, Frame, PageRequest
 
 _PICK = "pick a goal …"
+_ON_THE_WAY: dict[str, source.Enable | source.Cancel] = {
+    "Stop": source.Enable(False), "Continue": source.Enable(True), "Cancel": source.Cancel(),
+}
+"""Requests of the buttons that concern the way to the goal."""
 _SEEK_HOLD = 0.7
 """Time for which a slider that a user has moved is not updated [s]."""
 _LEGEND = """
@@ -106,6 +110,14 @@ class ControlPanel:
                 "the button"
             )
             send = gui.add_button("Send goal", icon=viser.Icon.TARGET_ARROW)
+            self._clickable = gui.add_checkbox(
+                "click sends a point", False, hint="A click on the floor sends that position as a "
+                "goal, with any orientation; dragging still turns the view"
+            )
+            self._way = gui.add_button_group(
+                "sphere", tuple(_ON_THE_WAY), visible=False, hint="Stop on the way, and continue; "
+                "Cancel stops without a goal from then on"
+            )
         with gui.add_folder("Time" if live else "Recording"):
             # Two buttons, so that a click has the meaning of the label that the user read.
             self._pause = gui.add_button("Pause")
@@ -141,6 +153,12 @@ class ControlPanel:
         self._on_click(self._resume, lambda: source.Pause(False))
         self._on_click(self._reset, source.Reset)
         self._on_click(push, self._make_push)
+        self._on_click(self._way, lambda: _ON_THE_WAY.get(self._way.value))
+
+    @property
+    def sends_points(self) -> bool:
+        """Whether a click on the floor sends a point."""
+        return bool(self._clickable.value)
 
     @property
     def sends_at_once(self) -> bool:
@@ -185,6 +203,7 @@ class ControlPanel:
             (self._pause, capabilities.pause and not capabilities.paused),
             (self._resume, capabilities.pause and capabilities.paused),
             (self._reset, capabilities.reset),
+            (self._way, capabilities.stop),
             (self._disturbance, capabilities.push),
             (self._speed.handle, capabilities.speed is not None),
             (self._seek.handle, capabilities.duration is not None),
@@ -226,7 +245,8 @@ class ControlPanel:
         return source.ApplyPush((impulse * math.cos(direction), impulse * math.sin(direction)))
 
     def _on_click(self, button: Any, make: Callable[[], PageRequest | None]) -> None:
-        def click(_: viser.GuiEvent) -> None:
+        # In the event loop: of several clicks each has the values of its own moment.
+        async def click(_: viser.GuiEvent) -> None:
             request = make()
             if request is not None:
                 self.put(request)
@@ -254,15 +274,22 @@ def _status_bar(frame: Frame, live: bool) -> str:
 
 
 def _number_lines(frame: Frame) -> str:
-    """Return time, mode and distance to the goal as HTML.
+    """Return time, mode, distance to the goal and what is left of the way as HTML.
 
-    There are always three lines: the widgets below must not move under the mouse pointer.
+    There are always four lines: the widgets below must not move under the mouse pointer.
     """
-    distance = "–"
+    distance = left = "–"
     if frame.state is not None and frame.goal is not None:
         distance = (
             f"to the goal: <b>{position_error(frame.state, frame.goal):.3f} m</b>, "
             f"<b>{angle_error(frame.state, frame.goal):.3f} rad</b>"
         )
-    lines = f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance
+    progress = frame.progress
+    if math.isfinite(progress.time_left):
+        left = f"left: <b>{progress.time_left:.1f} s</b>"
+        if math.isfinite(progress.distance_left):
+            left += f", <b>{progress.distance_left:.2f} m</b> of path"
+    if progress.count > 1:
+        left += f"; goal <b>{progress.index + 1} of {progress.count}</b>"
+    lines = f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance, left
     return f'<div style="{_NUMBERS}">{"<br>".join(lines)}</div>'

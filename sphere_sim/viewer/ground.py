@@ -54,6 +54,10 @@ class Ground:
         )
         self._drawn_plan: Vector | None = None
 
+    def covers(self, position: Vector) -> bool:
+        """Return whether a position, shape (2,) [m], is on the floor that is drawn."""
+        return bool(np.all(np.abs(position - self._floor.position[:2]) <= _CELLS * self.cell))
+
     def clear_path(self) -> None:
         """Delete the path."""
         self._path.clear()

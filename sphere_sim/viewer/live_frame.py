@@ -13,6 +13,7 @@ from sphere_sim.recording.message_fields import (
     HOLDING,
     known,
     reported_momentum,
+    reported_progress,
     reported_solve,
 )
 from sphere_sim.viewer.source import Frame, radius_at
@@ -96,6 +97,7 @@ class LiveFrame:
             cost=solve.cost if np.isnan(to_go) else float("nan"),
             to_go=to_go,
             solve_time=solve.duration if solve.duration > 0.0 else float("nan"),
+            progress=reported_progress(values),
             momentum=reported_momentum(values),
             strategy=values.get("strategy", ""),
             mode=values.get("mode", ""),

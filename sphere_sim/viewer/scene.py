@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Three-dimensional scene: created once, then only poses and new points of lines are sent."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -87,6 +87,22 @@ class Scene:
         at, span = self._view
         return bool(np.linalg.norm(position - at) <= _SHOWN * span)
 
+    def report_clicks(self, on_click: Callable[[Vector], object] | None) -> None:
+        """Call a function with each position on the floor that is clicked, shape (2,) [m].
+
+        It is called on another thread. Drags, which turn the view, are no clicks. None ends this.
+        """
+        self._scene.remove_click_callback()
+        if on_click is None:
+            return
+
+        def report(event: viser.SceneClickEvent) -> None:
+            place = on_floor(np.array(event.ray_origin), np.array(event.ray_direction))
+            if place is not None and self._ground.covers(place):
+                on_click(place)
+
+        self._scene.on_click()(report)
+
     def look_at(self, places: Vector) -> None:
         """Set the initial view of pages opened from now on to these places, shape (n, 2) [m].
 
@@ -128,6 +144,14 @@ class Scene:
         distance = span / (_SPAN * DEFAULT_RADIUS)
         camera.position = place + distance * np.subtract(CAMERA, LOOK_AT)
         camera.look_at = place
+
+
+def on_floor(origin: Vector, direction: Vector) -> Vector | None:
+    """Return where a ray, shapes (3,), meets the floor from above, shape (2,) [m]; None if not."""
+    if not (origin[2] > 0.0 > direction[2]):
+        return None
+    place: Vector = (origin - origin[2] / direction[2] * direction)[:2]
+    return place if np.all(np.isfinite(place)) else None
 
 
 def _add_lights(scene: viser.SceneApi) -> None:

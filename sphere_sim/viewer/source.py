@@ -12,6 +12,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
+from sphere_sim.recording.message_fields import ReportedProgress
 
 _DEFAULT = RobotParameters()
 DEFAULT_RADIUS = _DEFAULT.shell_radius
@@ -28,14 +29,16 @@ def _unknown(size: int = INPUT_SIZE) -> Vector:
 class Capabilities:
     """Requests that the source of the frames can fulfil.
 
-    It accepts to `pause`, `reset` or `push`; `paused` says whether time is paused, `speed` is the
-    requested ratio of time shown to wall time, None where it cannot be changed, and `duration` the
-    length of a recording [s], None for a live source. `strategies` can be selected.
+    It accepts to `pause`, `reset` or `push`, and to `stop` the sphere on its way; `paused` says
+    whether time is paused, `speed` is the requested ratio of time shown to wall time, None where
+    it cannot be changed, and `duration` the length of a recording [s], None for a live source.
+    `strategies` can be selected.
     """
 
     pause: bool = False
     reset: bool = False
     push: bool = False
+    stop: bool = False
     paused: bool = False
     speed: float | None = None
     strategies: tuple[str, ...] = ()
@@ -63,6 +66,8 @@ class Frame:
     solve_time, to_go, cost : float
         Duration of the newest solve, and time until its plan reaches the goal [s]; value of the
         optimal control problem, unless that is a time.
+    progress : ReportedProgress
+        Progress through the goals.
     momentum : ndarray, shape (3,)
         Momentum about the contact point that the controller estimates [N m s; world frame].
     strategy, mode : str
@@ -84,6 +89,7 @@ class Frame:
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")
+    progress: ReportedProgress = field(default_factory=ReportedProgress)
     momentum: Vector = field(default_factory=lambda: _unknown(3))
     strategy: str = ""
     mode: str = ""
@@ -121,6 +127,25 @@ class SetGoal:
     """Request for a goal, shape (6,)."""
 
     goal: Vector
+
+
+@dataclass(frozen=True)
+class SetPoint:
+    """Request for a goal at a position (x, y) [m; world frame] with any orientation."""
+
+    position: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Enable:
+    """Request to go on to the goal, or to stop on the way and keep it."""
+
+    enabled: bool
+
+
+@dataclass(frozen=True)
+class Cancel:
+    """Request to stop on the way, without a goal from then on."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +188,10 @@ class Seek:
     time: float
 
 
-Request = SetGoal | Pause | Reset | ApplyPush | SetSpeed | SetStrategy | Seek
+Request = (
+    SetGoal | SetPoint | Enable | Cancel
+    | Pause | Reset | ApplyPush | SetSpeed | SetStrategy | Seek
+)
 """Request to a source."""
 
 

@@ -20,6 +20,7 @@ from sphere_sim.viewer.source import (
     PageRequest,
     Request,
     SetGoal,
+    SetPoint,
     Source,
 )
 
@@ -48,6 +49,7 @@ class Viewer:
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
         self._panel_updated = 0.0
+        self._takes_clicks = False
 
     @property
     def url(self) -> str:
@@ -58,6 +60,9 @@ class Viewer:
         """Handle requests and show new frames; to be called once a `FRAME_PERIOD`."""
         for request in self._panel.take():
             self._carry_out(request)
+        if self._panel.sends_points != self._takes_clicks:
+            self._takes_clicks = not self._takes_clicks
+            self._scene.report_clicks(self._send_point if self._takes_clicks else None)
         frames = self._source.frames()
         for frame in frames:
             self._scene.extend_lines(frame)
@@ -128,6 +133,9 @@ class Viewer:
         goal = gizmo.goal
         if send and goal is not None:
             self._notify(self._source.handle(SetGoal(goal)))
+
+    def _send_point(self, place: Vector) -> None:
+        self._panel.put(SetPoint((float(place[0]), float(place[1]))))
 
     def _state(self) -> Vector:
         """Return the state of the sphere; the origin where it is unknown."""

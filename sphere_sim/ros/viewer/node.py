@@ -4,8 +4,9 @@
 
 subscribes  pose, joint_states, controller/active_goal, controller/predicted_path,
             controller/status, /diagnostics
-publishes   goal_pose, simulator/push
-calls       simulator/pause, simulator/reset and parameters, where available
+publishes   goal_pose, goal_point, simulator/push
+calls       controller/enable, controller/cancel, simulator/pause, simulator/reset and parameters,
+            where available
 """
 
 import time
@@ -13,28 +14,33 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, Vector3
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3
 from rclpy.executors import Executor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
-from sphere_nmpc.ros.messages import WORLD_FRAME, pose_to_ros
+from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.ros.session.goal_messages import GoalMessage, point_message, pose_message
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
 from sphere_sim.viewer.server import announce
 from sphere_sim.viewer.source import (
     ApplyPush,
+    Cancel,
     Capabilities,
+    Enable,
     Frame,
     Pause,
     Request,
     Reset,
     SetGoal,
+    SetPoint,
     SetSpeed,
     SetStrategy,
 )
@@ -55,6 +61,9 @@ class TopicSource:
         self.subscriptions = RobotSubscriptions(node, frame)
         """Subscriptions to the robot's topics."""
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 1)
+        self._points = node.create_publisher(PointStamped, "goal_point", 1)
+        self._enable = node.create_client(SetBool, "controller/enable")
+        self._cancel = node.create_client(Trigger, "controller/cancel")
         self._pause = node.create_client(SetBool, "simulator/pause")
         self._reset = node.create_client(Trigger, "simulator/reset")
         self._pushes = node.create_publisher(Vector3, "simulator/push", 10)
@@ -84,7 +93,13 @@ class TopicSource:
     def handle(self, request: Request) -> str:
         """Publish the goal or push, call the service or set the parameter of a request."""
         if isinstance(request, SetGoal):
-            return self._send_goal(request)
+            return self._send(self._goals, pose_message(request.goal))
+        if isinstance(request, SetPoint):
+            return self._send(self._points, point_message(request.position))
+        if isinstance(request, Enable):
+            return self._call(self._enable, SetBool.Request(data=request.enabled))
+        if isinstance(request, Cancel):
+            return self._call(self._cancel, Trigger.Request())
         if isinstance(request, Pause):
             return self._call(self._pause, SetBool.Request(data=request.paused))
         if isinstance(request, Reset):
@@ -98,11 +113,10 @@ class TopicSource:
             self._strategy.set(request.name)
         return ""
 
-    def _send_goal(self, request: SetGoal) -> str:
-        if self._goals.get_subscription_count() == 0:
-            return "goal_pose has no subscriber: is a controller running?"
-        # Without a frame it is in that of the controller; stamp 0 means now.
-        self._goals.publish(pose_to_ros(request.goal, 0, self.subscriptions.radius, frame=""))
+    def _send(self, publisher: Publisher, message: GoalMessage) -> str:
+        if publisher.get_subscription_count() == 0:
+            return f"{publisher.topic_name} has no subscriber: is a controller running?"
+        publisher.publish(message)
         return ""
 
     def _call(self, client: Any, request: Any) -> str:
@@ -129,6 +143,7 @@ class TopicSource:
             pause=self._pause.service_is_ready(),
             reset=self._reset.service_is_ready(),
             push=self._pushes.get_subscription_count() > 0,
+            stop=self._enable.service_is_ready() and self._cancel.service_is_ready(),
             paused=self.subscriptions.paused,
             speed=float(speed.value) if speed.writable else None,
             strategies=strategy.choices if strategy.writable else (),

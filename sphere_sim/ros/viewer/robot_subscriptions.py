@@ -67,11 +67,6 @@ class RobotSubscriptions:
         """Whether the robot's clock is paused."""
         return self._live.paused
 
-    @property
-    def radius(self) -> float:
-        """Radius of the shell [m]."""
-        return self._live.frame.radius
-
     def newest(self) -> Frame:
         """Return the newest frame."""
         return self._live.take(time.monotonic(), self._node.count_publishers(_STATUS))

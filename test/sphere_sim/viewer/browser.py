@@ -176,16 +176,16 @@ class Browser:
 
     def type_number(self, label: str, number: str) -> None:
         """Replace the number in the field beside a label."""
-        beside = (
-            "(() => { let n = e; while (n && !n.innerText.trim()) n = n.parentElement;"
-            f" return n && n.innerText.trim() === {json.dumps(label)}; }})()"
-        )
-        self._click("input.mantine-NumberInput-input", beside)
+        self._click("input.mantine-NumberInput-input", _beside(label))
         self.evaluate("document.activeElement.select()")
         self.call("Input.insertText", text=number)
         # The page sends the newest change of all fields, at most every 50 ms by its own timer.
         self.evaluate("window.sent = false; setTimeout(() => { window.sent = true; }, 200)")
         self.wait(lambda: self.evaluate("window.sent"), "the page's timers do not run")
+
+    def check(self, label: str) -> None:
+        """Change the check box beside a label."""
+        self._click("input[type=checkbox]", _beside(label))
 
     def box(self, selector: str) -> tuple[float, float, float, float]:
         """Return left, top, width and height of the largest element of a selector [px]."""
@@ -209,6 +209,12 @@ class Browser:
             " e.click(); return true; })()"
         )
         self.wait(lambda: self.evaluate(script), f"no {selector} with {condition}")
+
+    def click(self, place: tuple[float, float]) -> None:
+        """Click a pixel."""
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            self._mouse(kind, *place)
+            time.sleep(0.1)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
         """Drag with the mouse from one pixel to another."""
@@ -259,6 +265,14 @@ class Browser:
             self._drawn = base64.b64decode(event["data"])
         elif method == "Network.requestWillBeSent":
             self.requested.append(event["request"]["url"])
+
+
+def _beside(label: str) -> str:
+    """Return the condition that a label is the text beside an element."""
+    return (
+        "(() => { let n = e; while (n && !n.innerText.trim()) n = n.parentElement;"
+        f" return n && n.innerText.trim() === {json.dumps(label)}; }})()"
+    )
 
 
 def page_of(folder: Path) -> str:

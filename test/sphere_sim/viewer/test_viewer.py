@@ -13,8 +13,10 @@ pytest.importorskip("viser")
 from robots import GIANT, PALM
 
 from sphere_nmpc.model.state import make_state, state_error
+from sphere_sim.recording.message_fields import ReportedProgress
 from sphere_sim.viewer.goal import GOAL_PRESETS
 from sphere_sim.viewer.plots import History
+from sphere_sim.viewer.scene import on_floor
 from sphere_sim.viewer.source import (
     DEFAULT_RADIUS,
     Capabilities,
@@ -109,6 +111,28 @@ def test_preset_is_sent_at_once_or_with_the_button(viewer, script) -> None:
     viewer.tick()
     assert script.requests[1].goal[:2].tolist() == [0.0, 0.0]
     assert script.requests[2:] == [Pause(True)]
+
+
+@pytest.mark.parametrize(
+    ("origin", "direction", "place"),
+    [((1.0, 2.0, 3.0), (0.0, 0.5, -1.5), (1.0, 3.0)), ((1.0, 2.0, 3.0), (0.0, 1.0, 0.1), None),
+     ((1.0, 2.0, -3.0), (0.0, 0.0, 1.0), None), ((1.0, 2.0, 3.0), (1.0, 0.0, np.nan), None),
+     ((np.inf, 2.0, 3.0), (1.0, 0.0, -1.0), None)],
+)
+def test_ray_of_a_click_meets_the_floor_or_nothing(origin, direction, place) -> None:
+    found = on_floor(np.array(origin), np.array(direction))
+    assert place is None if found is None else found.tolist() == pytest.approx(place)
+
+
+def test_what_is_left_of_the_way_is_shown(viewer, script) -> None:
+    progress = ReportedProgress("1.0", 1, 3, 4.25, 2.5)
+    script.next = [at(1.0, 2.0, progress=progress)]
+    viewer.tick()
+    shown = viewer._panel._numbers.content
+    assert "left: <b>4.2 s</b>, <b>2.50 m</b> of path; goal <b>2 of 3</b>" in shown
+    lines = shown.count("<br>")
+    viewer._panel.show(at(1.0, 2.0), 0.5)
+    assert viewer._panel._numbers.content.count("<br>") == lines, "widgets below would move"
 
 
 def widget(viewer: Viewer, label: str):

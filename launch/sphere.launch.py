@@ -57,12 +57,12 @@ SHARE = Path(get_package_share_directory(PACKAGE))
 STATE_PUBLISHER = "robot_state_publisher"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
-    "controller/active_goal", "controller/at_goal", "controller/predicted_path",
+    "controller/active_goal", "controller/at_goal", "controller/eta", "controller/predicted_path",
     "controller/status", "simulator/pushed",
 )
-"""Without goal_pose and simulator/push: `ros2 topic pub --once` ends after the first matched
-subscription, which has to be the one that is meant. The accepted goals are in active_goal, the
-pushes in pushed."""
+"""Without goal_pose, goal_point, goals and simulator/push: `ros2 topic pub --once` ends after the
+first matched subscription, which has to be the one that is meant. The accepted goals are in
+active_goal, the pushes in pushed."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]

@@ -70,6 +70,8 @@ OF_ROS = ("--params-file", "--enclave", "--log-level")
 """Arguments of ROS with name:=value, and others."""
 NOT_CHECKED = ("security", "pkg prefix", "topic list", "node list")
 """Commands of ros2 whose arguments do not depend on the package."""
+GOALS = ("goal_pose", "goal_point", "goals")
+"""Topics on which a controller is given goals."""
 LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 OF_ROSBAG2 = ("/tf", "/tf_static", "/rosout", "/parameter_events")
@@ -239,7 +241,7 @@ def check_ros2(words: Sequence[str], inline: bool) -> None:
     given = list(operands(rest))
     if command in ("topic pub", "service call"):
         check_content(*given)
-        if given[0].endswith("goal_pose") and {"-1", "--once"} & {*rest}:
+        if given[0].endswith(GOALS) and {"-1", "--once"} & {*rest}:
             raise WrongCommandError("--once: perhaps before the controller is matched, give -t 3")
     elif command in ("topic echo", "topic hz", "topic info"):
         type_of(*given)

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the recorder, its default topics, and topic patterns.
 
-``goal_pose`` is not recorded by default: ``ros2 topic pub --once`` publishes to its first matched
-subscription and ends, so that with a recorder among the subscribers the goal may never reach the
-controller. Accepted goals are on ``controller/active_goal``, refused ones in ``/rosout``. For the
-same reason pushes are recorded from ``simulator/pushed``.
+``goal_pose``, ``goal_point`` and ``goals`` are not recorded by default: ``ros2 topic pub --once``
+publishes to its first matched subscription and ends, so that with a recorder among the subscribers
+the goal may never reach the controller. Accepted goals are on ``controller/active_goal``, refused
+ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``.
 """
 
 from collections.abc import Sequence

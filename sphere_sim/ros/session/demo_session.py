@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launcher's own node, which waits for the others, sends the goal and starts time."""
 
-import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -22,6 +20,7 @@ from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import joint_states_from_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.evaluation.metrics import GoalRun
+from sphere_sim.recording.message_fields import number
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
 from sphere_sim.ros.session.serving import serve_until
@@ -59,11 +58,8 @@ class DemoSession:
         self._recorder = self._node.create_client(Trigger, "recorder/is_recording")
         self.rotor_speeds: Vector = np.zeros(2)
         """Newest rotor speeds [rad/s]."""
-        self.solve_time = math.nan
-        """Newest solve time [s]."""
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._node.create_subscription(JointState, "joint_states", self._note_joints, newest)
-        self._node.create_subscription(DiagnosticStatus, "controller/status", self._note_solve, 10)
 
     def __enter__(self) -> "DemoSession":
         return self
@@ -72,6 +68,11 @@ class DemoSession:
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()
+
+    @property
+    def solve_time(self) -> float:
+        """Newest solve time [s]."""
+        return number(self._runner.sender.status.values, "solve_time_s")
 
     def prepare(self, goal: Vector, tolerance: float, hold: float, timeout: float) -> GoalRun:
         """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.
@@ -126,10 +127,6 @@ class DemoSession:
     def _note_joints(self, message: Any) -> None:
         with suppress(InvalidInputError):
             _, self.rotor_speeds, _ = joint_states_from_ros(message)
-
-    def _note_solve(self, message: Any) -> None:
-        values = {pair.key: pair.value for pair in message.values}
-        self.solve_time = float(values.get("solve_time_s", "nan"))
 
 
 def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...]) -> list[str]:

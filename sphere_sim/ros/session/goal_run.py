@@ -12,10 +12,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.messages import pose_from_ros, seconds, stamp_from_ros
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, GoalRun
+from sphere_sim.ros.session.goal_messages import pose_message
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
 from sphere_sim.ros.session.serving import serve_until
 
@@ -80,7 +80,7 @@ class GoalRunner:
         tolerance: float = SETTLED_ERROR, hold: float = 1.0,
     ) -> GoalRun:
         """Bring a goal into force, see `GoalSender.send`, and begin a run to it, see `GoalRun`."""
-        self.sender.send(goal, RobotParameters().shell_radius, timeout, repeat)
+        self.sender.send(pose_message(goal), timeout, repeat)
         self.run = GoalRun(goal, tolerance, hold)
         return self.run
 

@@ -14,6 +14,8 @@ import pytest
 import rclpy
 import yaml
 from documented_topics import table
+from geometry_msgs.msg import PointStamped, PoseStamped
+from nav_msgs.msg import Goals
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -21,7 +23,6 @@ from rclpy.subscription import Subscription
 
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_sim.ros.recorder.node import RecorderNode
-from sphere_sim.ros.session.goal_command import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
@@ -118,8 +119,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     graph.add(ControllerNode([simulated]))
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0)]
     goal = rclpy.create_node("goal")
-    GoalSender(goal, lambda: None)
-    ControllerStatus(goal, lambda: None)
+    for kind in (PoseStamped, PointStamped, Goals):
+        GoalSender(goal, lambda: None, kind)
     graph._executor.add_node(goal)
     for node in followers:
         node.set_parameters([simulated])
@@ -144,7 +145,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
         for node in (*followers, goal):
             node.destroy_node()
     # `ros2 topic pub --once` ends after the first matched subscription.
-    takers = {name for name, rows in allowed().items() if "/goal_pose" in rows["subscriber"]}
+    goals = {"/goal_pose", "/goal_point", "/goals"}
+    takers = {name for name, rows in allowed().items() if goals & rows["subscriber"]}
     assert takers == {"controller"}
 
 
@@ -161,7 +163,7 @@ def test_document_has_the_tables_of_the_policy() -> None:
     }
 
 
-OF_TOOLS = {"/markers", "/robot_description", "/clicked_point", "/initialpose"}
+OF_TOOLS = {"/markers", "/robot_description", "/initialpose"}
 """Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
 
 

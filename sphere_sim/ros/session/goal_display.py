@@ -15,7 +15,7 @@ from sphere_sim.output.live_display import LiveDisplay
 from sphere_sim.recording.message_fields import ReportedProgress
 from sphere_sim.ros.session.controller_status import ControllerStatus
 
-_WIDTH = 20
+_WIDTH = 18
 """Width of the bar [characters]."""
 
 

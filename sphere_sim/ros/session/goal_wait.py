@@ -87,7 +87,7 @@ def cancel(sender: GoalSender, spin: Callable[[], object]) -> str:
         return f"perhaps not cancelled: {error}"
 
     def is_at_rest() -> bool:
-        return not status.progress.stamp and status.values.get("at_rest") == "True"
+        return not status.progress.stamp and status.values.get("at_rest") == "true"
 
     if serve_until(spin, is_at_rest, _STOP_TIMEOUT):
         return "cancelled; the sphere is at rest on its path"

@@ -221,6 +221,11 @@ def fill(message: Any, values: Any) -> None:
         try:
             if isinstance(value, dict):
                 fill(current, value)
+            elif part := re.fullmatch(r"sequence<(\w+)/(\w+)>", fields[name]):
+                kind = getattr(import_module(f"{part[1]}.msg"), part[2])
+                setattr(message, name, [kind(check_fields=True) for _ in value])
+                for item, of_item in zip(getattr(message, name), value, strict=True):
+                    fill(item, of_item)
             elif isinstance(current, array):
                 setattr(message, name, array(current.typecode, value))
             else:
@@ -299,6 +304,8 @@ def test_commands_in_documents_are_understood() -> None:
         ("ros2 launch sphere_nmpc sphere.launch.py rvis:=true", "rvis: not an argument"),
         ("ros2 topic pub -t 3 /goal geometry_msgs/msg/PoseStamped", "/goal: not in"),
         ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{data: a}'", "data: given"),
+        ("ros2 topic pub -t 3 /goals nav_msgs/msg/Goals '{goals: [{x: 1}]}'", "has no field x"),
+        ("ros2 topic pub --once /goal_point geometry_msgs/msg/PointStamped", "--once: perhaps"),
         ("ros2 param set /controller horizon 5", "cannot be changed while it runs"),
         ("ros2 action list", "a new kind of command"),
         ("make tea", "no target of make"),

@@ -115,8 +115,8 @@ class ControlPanel:
                 "goal, with any orientation; dragging still turns the view"
             )
             self._way = gui.add_button_group(
-                "on the way", tuple(_ON_THE_WAY), visible=False, hint="Stop, which keeps the goal, "
-                "and continue; or cancel: stop, without a goal from then on"
+                "on the way", tuple(_ON_THE_WAY), visible=False,
+                hint="Stop keeps the goal; Cancel stops, without a goal from then on",
             )
         with gui.add_folder("Time" if live else "Recording"):
             # Two buttons, so that a click has the meaning of the label that the user read.

@@ -53,6 +53,13 @@ def test_page_shows_the_robot_and_its_requests_reach_the_nodes(graph, page, tmp_
         assert abs(goal[2]) == pytest.approx(1.0, abs=1e-3)
         page.wait(lambda: np.mean(np.abs(scene_of(page, tmp_path / "after.png") - before)) > 1.0)
 
+        page.click_button("Stop")
+        page.wait_for("disabled")
+        page.click_button("Continue")
+        page.wait(lambda: "disabled" not in page.text and "left: " in page.text)
+        page.click_button("Cancel")
+        page.wait_for("no goal")
+
         page.type_number("impulse [N s]", "0.6")
         page.type_number("direction [°]", "30")
         page.click_button("Push")

@@ -25,7 +25,17 @@ from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 from sphere_sim.ros.viewer.node import TopicSource
-from sphere_sim.viewer.source import ApplyPush, Pause, Reset, SetGoal, SetSpeed, SetStrategy
+from sphere_sim.viewer.source import (
+    ApplyPush,
+    Cancel,
+    Enable,
+    Pause,
+    Reset,
+    SetGoal,
+    SetPoint,
+    SetSpeed,
+    SetStrategy,
+)
 
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
@@ -91,15 +101,29 @@ def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> N
     graph.until(lambda: controller.get_parameter("strategy").value == "paper")
     assert newest(source).capabilities.reset and source.handle(Reset()) == ""
 
+    graph.until(lambda: newest(source).capabilities.stop)
+    for enabled in (False, True):
+        assert source.handle(Enable(enabled)) == ""
+        graph.until(lambda enabled=enabled: controller.controller.enabled is enabled)
+    graph.until(lambda: newest(source).progress.count == 1)
+    assert source.handle(Cancel()) == ""
+    graph.until(lambda: controller.controller.goal is None)
+    graph.until(lambda: newest(source).progress.count == 0)
+    assert source.handle(SetPoint((-0.25, 0.5))) == ""
+    graph.until(lambda: controller.controller.goal is not None)
+    assert controller.controller.goal[:2].tolist() == [-0.25, 0.5]
+
 
 def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     frame = newest(source)
     assert frame.state is None and frame.robot == RobotParameters()
     assert frame.alerts == ("no pose yet", "no controller yet")
     assert "goal_pose" in source.handle(SetGoal(GOAL))
+    assert "goal_point" in source.handle(SetPoint((0.0, 0.0)))
     assert "pause" in source.handle(Pause(True))
+    assert "cancel" in source.handle(Cancel()) and "enable" in source.handle(Enable(True))
     can = frame.capabilities
-    assert not (can.pause or can.push) and can.speed is None
+    assert not (can.pause or can.push or can.stop) and can.speed is None
 
     def refuse(request, response):
         response.success, response.message = False, "the lid is open"

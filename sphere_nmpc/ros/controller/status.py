@@ -118,7 +118,7 @@ class ControllerStatus:
         if decision.mode is Mode.AT_GOAL:
             left = 0.0
         elif decision.mode is Mode.TRACKING:
-            left = max(0.0, plan.arrival - time)
+            left = float(np.maximum(0.0, plan.arrival - time))  # nan where it is not known
         return {
             **goals_in_force(controller.itinerary),
             "goal_speed": 0.0 if decision.goal is None else controller.goal_speed(time),

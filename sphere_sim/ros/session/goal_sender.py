@@ -12,8 +12,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.messages import stamp_to_ros
+from sphere_nmpc.ros.messages import stamp_text, stamp_to_ros
 from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_messages import GoalMessage
 from sphere_sim.ros.session.serving import serve_until
@@ -76,8 +75,7 @@ class GoalSender:
         # The controller knows them again by it, and does not take it for a time.
         stamp = time.time_ns()
         message.header.stamp = stamp_to_ros(stamp)
-        seconds, rest = divmod(stamp, NANOSECONDS)
-        self.stamp = f"{seconds}.{rest:09d}"
+        self.stamp = stamp_text(stamp)
         end = time.monotonic() + timeout
         while (left := end - time.monotonic()) > 0.0:
             self._publisher.publish(message)

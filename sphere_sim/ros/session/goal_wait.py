@@ -40,6 +40,8 @@ def wait_until_reached(
     """
     status = sender.status
     elapsed, instant, silent = 0.0, math.nan, 0.0
+    # Until the next decision a status may have the new goals with the mode of the ones before.
+    sent = number(status.values, "time_s")
     without: float | None = None
     while True:
         began, count = time.monotonic(), status.count
@@ -69,7 +71,7 @@ def wait_until_reached(
             raise NotReachedError("another goal took over")
         if status.mode == Mode.DISABLED.value:
             raise NotReachedError(f"the controller does not pursue it: {status.obstacle()}")
-        if status.mode == Mode.AT_GOAL.value:
+        if status.mode == Mode.AT_GOAL.value and instant != sent:
             return elapsed
 
 

@@ -60,11 +60,14 @@ class Robot:
         self._folder = folder
         at_origin = ("-p", "initial_state:=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]")
         self.simulator = start(folder, "simulator", "--ros-args", *at_origin)
-        self.controller = start(
-            folder, "controller", "--ros-args", "-p", "use_sim_time:=true", "-p",
-            "goal_memory:=0.0",
-        )
+        self.start_controller()
         self.command: subprocess.Popen[bytes] | None = None
+
+    def start_controller(self) -> None:
+        """Start the controller, which resumes the goals of one before."""
+        self.controller = start(
+            self._folder, "controller", "--ros-args", "-p", "use_sim_time:=true"
+        )
 
     @property
     def printed(self) -> str:
@@ -90,7 +93,16 @@ def wait(condition: Callable[[], object]) -> None:
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory) -> Iterator[Robot]:
+def goal_files(tmp_path_factory) -> Iterator[Path]:
+    """Return an empty folder in which controllers keep their goals."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory, goal_files) -> Iterator[Robot]:
     robot = Robot(tmp_path_factory.mktemp("robot"))
     yield robot
     stop([robot.controller, robot.simulator])
@@ -168,8 +180,17 @@ def test_command_ends_when_the_goal_is_cancelled_or_the_controller_disabled(robo
 
 
 @pytest.mark.slow
-def test_command_ends_when_the_controller_is_gone(robot) -> None:
+def test_command_continues_with_a_restarted_controller_and_ends_without_one(
+    robot, goal_files
+) -> None:
     robot.begin(*FAR)
+    begun = time.time()
+    wait(lambda: any(file.stat().st_mtime > begun for file in goal_files.rglob("*.json")))
+    robot.controller.kill()
+    before = robot.printed.count(" s left")
+    robot.start_controller()
+    wait(lambda: robot.printed.count(" s left") >= before + 2)
+    assert robot.command.poll() is None
     robot.controller.kill()
     assert robot.code() == 1
     assert "no message on /controller/status for 10 s: the controller is gone" in robot.printed

@@ -111,7 +111,7 @@ class ControlPanel:
             )
             send = gui.add_button("Send goal", icon=viser.Icon.TARGET_ARROW)
             self._clickable = gui.add_checkbox(
-                "click sends a point", False, hint="A click on the floor sends that position as a "
+                "point by click", False, hint="A click on the floor sends that position as a "
                 "goal, with any orientation; dragging still turns the view"
             )
             self._way = gui.add_button_group(

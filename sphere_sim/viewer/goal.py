@@ -117,7 +117,9 @@ class GoalGizmo:
 
     def show(self, in_force: Vector | None) -> None:
         """Follow the goal in force when it changes, and update the label."""
-        if in_force is not None and time.monotonic() > self._dragged_until:
+        if in_force is None:
+            self._in_force = None
+        elif time.monotonic() > self._dragged_until:
             known = self._in_force
             if known is None or state_error(in_force, known) > _SAME:
                 self._in_force = in_force
@@ -126,9 +128,8 @@ class GoalGizmo:
         if goal is None:
             goal = _ORIGIN if self._in_force is None else self._in_force
             self.move_to(goal)
-        text = "goal, not sent"
-        if self._in_force is not None:
-            equal = state_error(goal, self._in_force) < _VISIBLE
-            text = "goal" if equal else "goal, not in force"
+        known = self._in_force
+        equal = known is not None and state_error(goal, known) < _VISIBLE
+        text = "goal" if equal else "goal, not in force"
         if text != self._label.text:
             self._label.text = text

@@ -43,6 +43,7 @@ class LiveFrame:
         self.refused = ""
         """Why the newest pose cannot be shown; empty otherwise."""
         self._reported: tuple[str, ...] = ()
+        self._has_goal = True
 
     @property
     def paused(self) -> bool:
@@ -57,7 +58,9 @@ class LiveFrame:
         """
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
         alerts = (self._pose_alert(now), self._controller_alert(now, controllers))
-        return replace(frame, alerts=(*filter(None, alerts), *self._reported))
+        # One that has been cancelled is kept: a status may be older than a new goal.
+        goal = frame.goal if self._has_goal else None
+        return replace(frame, goal=goal, alerts=(*filter(None, alerts), *self._reported))
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         """Update the state, shape (6,), by a pose that arrived now [s].
@@ -89,6 +92,7 @@ class LiveFrame:
         given_up, missing = values.get("giving_up", ""), values.get("no_progress", "")
         missing = f"no progress: {missing}" if missing else ""
         self._reported = tuple(filter(None, (given_up, missing)))
+        self._has_goal = values.get("goal_stamp") != ""
         solve = reported_solve(values)
         to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
         self.frame = replace(

@@ -47,7 +47,7 @@ def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(page, tmp_p
 
         place = pixel(page, (0.8, -0.9, 0.0))
         page.click(place)  # not enabled yet: nothing comes of it
-        page.check("click sends a point")
+        page.check("point by click")
         wait_for_pointer(True)
         assert script.requests == []
         page.click(place)
@@ -58,7 +58,7 @@ def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(page, tmp_p
         script.requests.clear()
 
         page.drag(place, (place[0] + 60.0, place[1]))  # turns the view
-        page.check("click sends a point")
+        page.check("point by click")
         wait_for_pointer(False)
         page.click(place)
         page.click_button("Stop")

@@ -50,6 +50,15 @@ def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:
     assert cut == frame.mode == frame.notices[0] and cut in frame.alerts
 
 
+def test_cancelled_goal_is_not_shown_until_there_is_another() -> None:
+    live = LiveFrame(0.0)
+    live.update(goal=state(1.0))
+    assert live.take(0.0, 1).goal is not None, "without a status, too"
+    for stamp, shown in (("1.0", True), ("", False), ("2.0", True)):
+        live.add_status({"goal_stamp": stamp})
+        assert (live.take(0.0, 1).goal is not None) is shown
+
+
 def test_missing_messages_and_what_the_status_gives_up_are_alerts() -> None:
     live = LiveFrame(0.0)
     assert live.take(0.0, 1).alerts == ("no pose yet", "no controller yet")

@@ -92,6 +92,11 @@ def test_goal_is_sent_at_the_end_of_a_drag(viewer, script) -> None:
     (request,) = script.requests
     assert isinstance(request, SetGoal) and request.goal[:2].tolist() == [0.5, -0.5]
     assert state_error(gizmo.goal, in_force) < 1e-9, "then the goal in force is shown"
+    assert gizmo._label.text == "goal"
+    script.next = [at(1.0, 2.0)]
+    viewer.tick()
+    assert gizmo._label.text == "goal, not in force", "it was cancelled"
+    assert state_error(gizmo.goal, in_force) < 1e-9
 
 
 def test_preset_is_sent_at_once_or_with_the_button(viewer, script) -> None:

@@ -4,6 +4,7 @@
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.model.disturbance import (
     Disturbance,
     imbalance_of_offset,
@@ -53,6 +55,16 @@ def test_every_value_is_documented(strategy) -> None:
     # The deviations are described with what they belong to.
     assert {key.removesuffix("_deviation") for key in values} <= documented
     assert values["giving_up"] == "" and values["momentum_x"] == 0.0
+
+
+@pytest.mark.parametrize(("arrival", "left"), [(3.5, 1.5), (1.5, 0.0), (math.nan, math.nan)])
+def test_time_left_is_known_where_the_plan_has_an_arrival(arrival, left) -> None:
+    settings = ControllerSettings()
+    controller = Controller(settings, ROBOT)
+    decided = controller.decide(2.0)
+    decision = replace(decided, mode=Mode.TRACKING, plan=replace(decided.plan, arrival=arrival))
+    values = ControllerStatus(controller, ROBOT, settings).values(decision, 2.0, 0.0, 0)
+    assert values["time_left_s"] == pytest.approx(left, nan_ok=True)
 
 
 @pytest.mark.parametrize("direction", [0.0, -2.0])

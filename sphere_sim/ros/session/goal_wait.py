@@ -4,13 +4,13 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.recording.message_fields import number
+from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_sender import GoalSender, NotCancelledError
-from sphere_sim.ros.session.serving import serve_until
 
 SILENCE = 10.0
 """Wall time without a status after which the controller is gone [s]; launch starts one anew in
@@ -22,8 +22,6 @@ _LONGEST_SPIN = 1.0
 """Longest time for which a node is served at once [s]."""
 _ANSWER_TIMEOUT = 5.0
 """Longest wait for the answer of the service [s]."""
-_STOP_TIMEOUT = 10.0
-"""Longest wait for the sphere to be at rest [s]; a stop takes less than 0.5 s of control time."""
 
 
 class NotReachedError(SphereNmpcError):
@@ -39,29 +37,18 @@ def wait_until_reached(
     has the reason for which the goals are not pursued any more.
     """
     status = sender.status
-    elapsed, instant, silent = 0.0, math.nan, 0.0
+    elapsed, instant = 0.0, math.nan
     # Until the next decision a status may have the new goals with the mode of the ones before.
     sent = number(status.values, "time_s")
     without: float | None = None
-    while True:
-        began, count = time.monotonic(), status.count
-        spin()
-        now = time.monotonic()
-        if status.count == count:
-            # Less, if this process was stopped meanwhile.
-            silent += min(now - began, _LONGEST_SPIN)
-            if silent > SILENCE:
-                raise NotReachedError(
-                    f"no message on {status.topic} for {SILENCE:g} s: the controller is gone"
-                )
-            continue
-        silent, before, instant = 0.0, instant, number(status.values, "time_s")
+    for _ in _new_messages(status, spin):
+        before, instant = instant, number(status.values, "time_s")
         # A controller that was started anew may count from its own start.
         elapsed += max(0.0, instant - before)
         show()
         if not status.progress.stamp:
-            without = now if without is None else without
-            if now > without + _WITHOUT_GOAL:
+            without = time.monotonic() if without is None else without
+            if time.monotonic() > without + _WITHOUT_GOAL:
                 raise NotReachedError(
                     "no goal is in force any more: cancelled, or the controller was started anew"
                 )
@@ -72,7 +59,8 @@ def wait_until_reached(
         if status.mode == Mode.DISABLED.value:
             raise NotReachedError(f"the controller does not pursue it: {status.obstacle()}")
         if status.mode == Mode.AT_GOAL.value and instant != sent:
-            return elapsed
+            break
+    return elapsed
 
 
 def cancel(sender: GoalSender, spin: Callable[[], object]) -> str:
@@ -87,10 +75,30 @@ def cancel(sender: GoalSender, spin: Callable[[], object]) -> str:
         sender.cancel(_ANSWER_TIMEOUT)
     except NotCancelledError as error:
         return f"perhaps not cancelled: {error}"
+    try:
+        for _ in _new_messages(status, spin):
+            if not status.progress.stamp and status.values.get("at_rest") == "true":
+                break
+            if status.mode == Mode.CLOCK_STOPPED.value:
+                return f"cancelled; the sphere stops when time goes on, {status.obstacle()}"
+    except NotReachedError as error:
+        return f"cancelled; {error}"
+    return "cancelled; the sphere is at rest on its path"
 
-    def is_at_rest() -> bool:
-        return not status.progress.stamp and status.values.get("at_rest") == "true"
 
-    if serve_until(spin, is_at_rest, _STOP_TIMEOUT):
-        return "cancelled; the sphere is at rest on its path"
-    return f"cancelled; the sphere is not at rest after {_STOP_TIMEOUT:g} s, {status.mode!r:.100}"
+def _new_messages(status: ControllerStatus, spin: Callable[[], object]) -> Iterator[None]:
+    """Serve a node, and yield after each status; `NotReachedError` is raised where none comes."""
+    silent = 0.0
+    while True:
+        began, count = time.monotonic(), status.count
+        spin()
+        if status.count != count:
+            silent = 0.0
+            yield
+            continue
+        # Less, if this process was stopped meanwhile.
+        silent += min(time.monotonic() - began, _LONGEST_SPIN)
+        if silent > SILENCE:
+            raise NotReachedError(
+                f"no message on {status.topic} for {SILENCE:g} s: the controller is gone"
+            )

@@ -145,15 +145,16 @@ class Controller:
             return 0.0
         return float(np.linalg.norm(self._motion.at(self._itinerary.goal, time).rate[POSITION]))
 
-    def set_goal(self, goal: Vector) -> bool:
-        """Track one goal state, shape (6,), with all of its orientation; see `set_goals`.
+    def set_goal(self, goal: Vector | Goal) -> bool:
+        """Track one goal, or a goal state, shape (6,), with all of its orientation: `set_goals`.
 
         Raises
         ------
         InvalidStateError
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
-        return self.set_goals(Itinerary((Goal(as_state(goal)),)))
+        one = goal if isinstance(goal, Goal) else Goal(as_state(goal))
+        return self.set_goals(Itinerary((one,)))
 
     def set_goals(self, goals: Itinerary, time: float | None = None) -> bool:
         """Visit other goals, from the next sampling instant on.

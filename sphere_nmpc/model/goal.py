@@ -43,6 +43,10 @@ class Orientation(Enum):
         """Weights of a small turn from a member about the world's axes [-], shape (3,)."""
         return _WEIGHTS[self]
 
+    def nearest_of(self, pose: Vector, states: Vector) -> Vector:
+        """Return the member nearest to each of the rows of `states`, shape (K, 6)."""
+        return np.array([self.nearest(pose, state) for state in states])
+
     def draw(self, rng: np.random.Generator, pose: Vector, count: int) -> Vector:
         """Draw members of the set with `pose`, shape (6,); the one for all if it is the only one.
 

@@ -11,6 +11,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.disturbances import Push
@@ -51,11 +52,11 @@ class Trajectory:
 
 
 def run_closed_loop(
-    simulator: Simulator, controller: Controller, goal: Vector, duration: float,
+    simulator: Simulator, controller: Controller, goal: Vector | Goal, duration: float,
     control_period: float, output_period: float = 0.01, latency: float = 0.0,
     push: Push | None = None,
 ) -> Trajectory:
-    """Simulate a plant at its start under a new controller with a goal, shape (6,).
+    """Simulate a plant at its start under a new controller with a goal, a set or shape (6,).
 
     The run lasts `duration`, with a sampling instant every `control_period` and a row of the
     trajectory every `output_period`, which the controller does not see [s]. `latency` is the age

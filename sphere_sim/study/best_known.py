@@ -23,8 +23,16 @@ from rich.progress import Progress
 
 from sphere_nmpc.control.goal_memory import cache_folder
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import MOMENTUM, POSE, nearer_sign, state_error, without_momentum
+from sphere_nmpc.model.state import (
+    MOMENTUM,
+    POSE,
+    Vector,
+    nearer_sign,
+    state_error,
+    without_momentum,
+)
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
@@ -79,12 +87,14 @@ def best_known_time(
 
     The work of each search is `factor` times `EFFORT`.
     """
-    if state_error(motion.start, motion.goal) < SETTLED_ERROR and motion.starts_at_rest:
+    nearest = motion.orientation.nearest(motion.goal, motion.start)
+    if state_error(motion.start, nearest) < SETTLED_ERROR and motion.starts_at_rest:
         return BestKnownTimes(0.0, 0.0)
     robot = within_torque(robot)
-    goal = nearer_sign(motion.goal, motion.start)
+    goal = nearer_sign(nearest, motion.start)
     situation = Situation(
-        0.0, motion.start, goal, motion.speeds, robot.lumped, disturbance=motion.disturbance
+        0.0, motion.start, goal, motion.speeds, robot.lumped, disturbance=motion.disturbance,
+        orientation=motion.orientation,
     )
     solver = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing), _TUNING)
     fine = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing / _FINER), _TUNING)
@@ -109,15 +119,21 @@ def _settling(arrival: Arrival, situation: Situation) -> float:
     suffice, also of a motion with whole turns, which its solution does not integrate.
     """
     hold = arrival.hold
-    knot = max(0, (settling_index(state_errors(arrival.states[:, POSE], arrival.goal)) or 0) - 1)
+    knot = max(0, (settling_index(_errors(arrival.states, arrival, situation)) or 0) - 1)
     times = np.arange(hold.times[knot], hold.end, _RESOLUTION)
     times = np.unique(np.concatenate((times, hold.times[knot:])))
     states = roll_out(
         arrival.states[knot], np.array([hold.at(time) for time in times]), np.diff(times),
         situation.constants.as_array(), _STEP, situation.disturbance,
     )
-    index = settling_index(state_errors(states[:, POSE], arrival.goal))
+    index = settling_index(_errors(states, arrival, situation))
     return hold.end if index is None else float(times[index])
+
+
+def _errors(states: Vector, arrival: Arrival, situation: Situation) -> Vector:
+    """Return the distance of each state, (K, 9), from the nearest member of the goals, (K,)."""
+    poses = states[:, POSE]
+    return state_errors(poses, situation.orientation.nearest_of(arrival.goal, poses))
 
 
 def _searched(
@@ -184,6 +200,8 @@ def _key(motion: Motion, robot: RobotParameters, factor: float) -> str:
     if not motion.starts_in_model_of_paper:
         numbers += [*motion.speeds, *motion.start[MOMENTUM], *motion.disturbance.as_array()]
         numbers += [_MOMENTUM_STEPS, _MOMENTUM_VERSION]
+    if motion.orientation is not Orientation.FULL:
+        numbers += [*motion.orientation.weights]
     text = " ".join(f"{float(number):.9g}" for number in numbers)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 

@@ -15,6 +15,7 @@ from sphere_nmpc.model.disturbance import (
     is_zero,
     slope_torque,
 )
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, QUATERNION, Vector, without_momentum
 from sphere_sim.scenario.scenarios import Scenario
@@ -32,19 +33,21 @@ class Motion:
     """State at the start, shape (9,), and goal, shape (6,), of a motion.
 
     It ends at rest, with the momentum in the rotors. `speeds` are those at its start [rad/s].
+    `orientation` is what the goal demands of the orientation.
     """
 
     start: Vector
     goal: Vector
     speeds: Vector = field(default_factory=lambda: np.zeros(INPUT_SIZE))
     disturbance: Disturbance = UNDISTURBED
+    orientation: Orientation = Orientation.FULL
 
     def lower_bound(self, robot: RobotParameters) -> float:
         """Return a time [s] in which no motion is possible; nan where no bound is known.
 
         `sphere_sim.study.lower_bound` has the bound, which holds from rest without momentum.
         """
-        if not self.starts_in_model_of_paper:
+        if not self.starts_in_model_of_paper or self.orientation is not Orientation.FULL:
             return math.nan
         return lower_bound(self.start, self.goal, robot)
 

@@ -9,7 +9,7 @@ import pytest
 from sampled_loop import SampledLoop
 
 from sphere_nmpc.control.decision import Mode
-from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, position_error, upright_state, without_momentum
 from sphere_nmpc.settings import ControllerSettings
@@ -41,7 +41,7 @@ def test_first_plan_to_a_set_is_no_longer(kind: Orientation) -> None:
 
 def reached(loop: SampledLoop, goal: Goal) -> SampledLoop:
     """Return the loop after it has run to a goal, which it stays at."""
-    loop.controller.set_goals(Itinerary((goal,)))
+    loop.controller.set_goal(goal)
     loop.run(14.0)
     assert loop.decision.mode is Mode.AT_GOAL, loop.decision.plan.message
     assert loop.decision.error < 1e-2
@@ -63,7 +63,7 @@ def test_sphere_arrives_and_rests_at_a_set(strategy: str, kind: Orientation) -> 
 @pytest.mark.parametrize("kind", SETS)
 def test_pushed_sphere_comes_to_rest_at_a_set(kind: Orientation) -> None:
     loop = SampledLoop(upright_state(0.0, 0.0, 0.0))
-    loop.controller.set_goals(Itinerary((Goal(upright_state(1.0, 0.5, 0.0), kind),)))
+    loop.controller.set_goal(Goal(upright_state(1.0, 0.5, 0.0), kind))
     loop.run(0.5)
     loop.simulator.plant.push(np.array([0.4, -0.3]))
     reached(loop, Goal(upright_state(1.0, 0.5, 0.0), kind))

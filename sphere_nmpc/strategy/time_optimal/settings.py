@@ -106,7 +106,7 @@ class TimeOptimalSettings:
     """Change of the goal aimed at [Rs, rad] up to which a plan is changed, and above which it is
     dropped: a goal that moves is not the predicted one, and where the momentum cannot be held at
     the goal another orientation is aimed at."""
-    tracked_error: float = 0.3
+    tracked_error: float = 0.15
     """Error [-] up to which a goal that moves is tracked, and above which a plan leads to it."""
     unloading_share: float = 0.8
     """Share of the speed limit [-] at which a rotor of a sphere out of balance is unloaded, until

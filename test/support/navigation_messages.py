@@ -1,0 +1,174 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Package nav2_msgs with the two actions of the navigator, built where Nav2 is not installed.
+
+The generators, headers and libraries in the ROS wheels make it from the table of fields below,
+with gcc and g++, in about 15 s. It is built once a machine, interpreter and version of this file.
+"""
+
+import fcntl
+import hashlib
+import importlib.util
+import os
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+PACKAGE = "nav2_msgs"
+_RESULT = ("uint16 error_code", "string error_msg")
+_FEEDBACK = (
+    "geometry_msgs/PoseStamped current_pose", "builtin_interfaces/Duration navigation_time",
+    "builtin_interfaces/Duration estimated_time_remaining", "int16 number_of_recoveries",
+    "float32 distance_remaining",
+)
+FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "NavigateToPose": (
+        ("geometry_msgs/PoseStamped pose", "string behavior_tree"), _RESULT, _FEEDBACK,
+    ),
+    "NavigateThroughPoses": (
+        ("geometry_msgs/PoseStamped[] poses", "string behavior_tree"), _RESULT,
+        (*_FEEDBACK, "int16 number_of_poses_remaining"),
+    ),
+}
+"""Fields of goal, result and feedback of each action, as in Jazzy."""
+_USED = (
+    "builtin_interfaces", "unique_identifier_msgs", "service_msgs", "std_msgs", "geometry_msgs",
+    "action_msgs",
+)
+"""Packages whose messages are part of actions."""
+_BUILT = "built"
+_TYPES_C, _TYPES_PY = "rosidl_generator_c", "rosidl_generator_py"
+_INTROSPECTION, _FASTRTPS = "rosidl_typesupport_introspection_c", "rosidl_typesupport_fastrtps_c"
+_DISPATCH = "rosidl_typesupport_c"
+_LIBRARIES = (_TYPES_C, _INTROSPECTION, _FASTRTPS, _DISPATCH)
+"""Generators whose output is a library, in the order in which they are loaded."""
+_INIT = f"""import ctypes
+from pathlib import Path
+
+# The libraries find each other by the names of those that are loaded.
+for name in {_LIBRARIES}:
+    ctypes.CDLL(Path(__file__).with_name("lib{PACKAGE}__" + name + ".so"), ctypes.RTLD_GLOBAL)
+"""
+
+
+def provide() -> None:
+    """Make nav2_msgs importable, here and in nodes that are started, unless it is installed."""
+    if importlib.util.find_spec(PACKAGE) is None:
+        sys.path.append(str(built()))
+
+
+def built() -> Path:
+    """Return the folder that holds the package; one process builds it, while others wait."""
+    decisive = [Path(__file__).read_bytes(), sys.version.encode(), sys.prefix.encode()]
+    digest = hashlib.sha256(b"\n".join(decisive)).hexdigest()[:16]
+    folder = Path(tempfile.gettempdir(), f"sphere_nmpc_{PACKAGE}_{os.getuid()}_{digest}")
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            with tempfile.TemporaryDirectory(dir=folder.parent) as work:
+                # In a process of its own, as the generators replace the standard output.
+                prefix = {"AMENT_PREFIX_PATH": sys.prefix}
+                _run(sys.executable, __file__, work, environment=os.environ | prefix)
+                os.replace(Path(work, _BUILT), folder)
+    return folder
+
+
+def _build(work: Path) -> None:
+    """Generate and compile the package in an empty folder."""
+    _generate(work)
+    package = work / _BUILT / PACKAGE
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(_INIT)
+    python_types = work / _TYPES_PY / PACKAGE
+    (package / "action").mkdir()
+    for module in python_types.glob("action/*.py"):
+        module.rename(package / "action" / module.name)
+    units = [unit for kind in (*_LIBRARIES, _TYPES_PY) for unit in (work / kind).rglob("*.c*")]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        objects = list(pool.map(lambda unit: _compile(unit, work), units))
+    for kind in (*_LIBRARIES, _TYPES_PY):
+        own = [made for made in objects if made.is_relative_to(work / kind)]
+        library = f"lib{PACKAGE}__{kind}.so"
+        if kind == _TYPES_PY:
+            library = f"{PACKAGE}_s__{_DISPATCH}.so"
+        _link(own, package / library, kind)
+
+
+def _generate(work: Path) -> None:
+    from ament_index_python import get_package_share_directory
+    from rosidl_adapter.action import convert_action_to_idl
+    from rosidl_generator_c.cli import GenerateC
+    from rosidl_generator_py.cli import GeneratePython
+    from rosidl_generator_type_description.cli import HashTypeDescription
+    from rosidl_typesupport_c.cli import GenerateCTypesupport
+    from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
+    from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
+
+    include = [get_package_share_directory(package) for package in _USED]
+    source = work / "source"
+    (source / "action").mkdir(parents=True)
+    descriptions = []
+    for name, parts in FIELDS.items():
+        action = Path("action", f"{name}.action")
+        text = "\n---\n".join("\n".join(fields) for fields in parts)
+        (source / action).write_text(text + "\n")
+        convert_action_to_idl(source, PACKAGE, action, source / action.parent)
+        descriptions.append(f"{source}:{action.with_suffix('.idl')}")
+    hashes = HashTypeDescription("hash").generate_type_hashes(
+        PACKAGE, descriptions, include, work / "hashes"
+    )
+    of_hashes = {"type_description_files": hashes}
+    supports = [_FASTRTPS, _INTROSPECTION]
+    generators = {
+        _TYPES_C: (GenerateC("c"), of_hashes),
+        _INTROSPECTION: (GenerateIntrospectionCTypesupport("introspection"), {}),
+        _FASTRTPS: (GenerateFastRTPSCTypesupport("fastrtps"), {}),
+        _DISPATCH: (GenerateCTypesupport("dispatch", typesupport_implementations=supports), {}),
+        _TYPES_PY: (GeneratePython("py", typesupport_implementations=[_DISPATCH]), {}),
+    }
+    for kind, (generator, more) in generators.items():
+        generator.generate(PACKAGE, descriptions, include, work / kind / PACKAGE, **more)
+
+
+def _compile(unit: Path, work: Path) -> Path:
+    import numpy
+
+    headers = Path(sys.prefix, "include")
+    folders = [
+        *(work / kind for kind in _LIBRARIES), *(path for path in headers.iterdir()), headers,
+        sysconfig.get_path("include"), numpy.get_include(),
+    ]
+    compiler = ("gcc", "-std=gnu11") if unit.suffix == ".c" else ("g++", "-std=c++17")
+    compiled = unit.with_name(f"{unit.name}.o")
+    _run(
+        *compiler, "-O0", "-fPIC", "-w", *(f"-I{folder}" for folder in folders),
+        "-c", str(unit), "-o", str(compiled),
+    )
+    return compiled
+
+
+def _link(objects: list[Path], library: Path, kind: str) -> None:
+    """Link a library with those of the same kind of other packages; the own ones are loaded."""
+    folder = Path(sys.prefix, "lib")
+    names = [f"{package}__{kind}" for package in _USED] + [kind, "rosidl_runtime_c", "rcutils"]
+    found = [name for name in names if (folder / f"lib{name}.so").exists()]
+    _run(
+        "g++", "-shared", "-o", str(library), *map(str, objects), f"-Wl,-soname,{library.name}",
+        f"-L{folder}", f"-Wl,-rpath,{folder},--unresolved-symbols=ignore-all,-z,lazy",
+        *(f"-l{name}" for name in found),
+    )
+
+
+def _run(*command: str, environment: dict[str, str] | None = None) -> None:
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=environment
+    )
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+
+
+if __name__ == "__main__":
+    _build(Path(sys.argv[1]).resolve())

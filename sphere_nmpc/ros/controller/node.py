@@ -273,6 +273,7 @@ class ControllerNode(RunnableNode):
         """Visit goals; those that are in force already are only confirmed."""
         is_new = self.controller.set_goals(goals, self._time_of_goal(goals.stamp))
         self._stored_goal.supersede()
+        self._save_goal()
         self._reports.goal(self._control_clock.stamp())
         if not is_new:
             return

@@ -43,6 +43,8 @@ _LEVELS = {
     Mode.POSE_JUMPED: WARN,
     Mode.FALLBACK: WARN,
 }
+_OF_GOAL = (Mode.NO_GOAL, Mode.TRACKING, Mode.AT_GOAL, Mode.NO_PROGRESS)
+"""Modes that depend on the goal."""
 _NO_PROGRESS = "no progress"
 """Kind of the fault of a sphere that stands away from its goal."""
 _KEPT = 1000
@@ -101,7 +103,11 @@ class ControllerReports:
         self._publish_arrival()
 
     def goal(self, stamp: int) -> None:
-        """Publish the goal that is aimed at from now on, `stamp` [ns], and a status soon."""
+        """Publish the goal that is aimed at from now on, `stamp` [ns], and a status with it.
+
+        The status is immediate, so that each goal is shown, also one that is replaced before the
+        next sampling instant.
+        """
         goals = self._controller.itinerary
         if goals is not None:
             self._published_index = goals.index
@@ -110,6 +116,7 @@ class ControllerReports:
             )
         self._last_status = (float("-inf"), self._last_status[1])
         self._publish_arrival()
+        self._publish_present()
 
     def _publish_progress(self, time: float, epoch: int) -> None:
         """Publish the next goal of a list where the one before has been reached."""
@@ -128,17 +135,30 @@ class ControllerReports:
             return Mode.CLOCK_STOPPED
         if not self._monitor.is_steady:
             return Mode.CLOCK_JUMPED
-        return Mode.NO_POSE if self._decision is None else self._decision.mode
+        if self._decision is None:
+            return Mode.NO_POSE
+        mode, controller = self._decision.mode, self._controller
+        if mode in _OF_GOAL:
+            # The decision may be about an earlier goal.
+            if controller.itinerary is None:
+                return Mode.NO_GOAL
+            if mode is Mode.AT_GOAL and not controller.at_goal:
+                return Mode.TRACKING
+        return mode
 
     def update(self) -> None:
         """Publish a status if there was none for a while; call it after each check."""
-        if perf_counter() - self._status_at < _LONGEST_SILENCE:
-            return
-        mode = self._mode
+        if perf_counter() - self._status_at >= _LONGEST_SILENCE:
+            self._publish_present()
+
+    def _publish_present(self) -> None:
+        """Publish a status between sampling instants."""
+        mode, time = self._mode, self._monitor.time
         # Nothing was solved since: the last solve time must not be counted again.
-        values = {"time_s": f"{self._monitor.time:.9g}", "strategy": self._strategy}
+        values: dict[str, Any] = {"time_s": f"{time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
         values |= goals_in_force(self._controller.itinerary)
+        values["at_rest"] = not math.isnan(time) and self._controller.is_at_rest(time)
         message = self._message if mode is self._last_status[1] else mode.value
         self._publish_status(mode, message, values)
 

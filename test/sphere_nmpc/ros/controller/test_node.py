@@ -264,6 +264,23 @@ def test_arrival_is_published_until_there_is_another_goal(robot, capfd) -> None:
     assert [arrival.data for arrival in arrivals] == [False, True, False]
 
 
+def test_each_goal_is_shown_at_once_and_not_as_reached_with_the_one_before(robot) -> None:
+    robot.send_goal(CASE.start)
+    robot.pass_time(1.0)
+    assert robot.status()["mode"] == "at the goal"
+    robot.statuses.clear()
+    for stamp in (5, 6):  # without an instant between
+        robot.goal_sender.publish(pose_to_ros(CASE.goal, stamp, 0.3))
+        robot.graph.until(lambda: shown(robot, f"0.{stamp:09}"))  # noqa: B023
+    for status in shown(robot, "0.000000005") + shown(robot, "0.000000006"):
+        assert status["mode"] != "at the goal"
+
+
+def shown(robot, stamp: str) -> list[dict[str, str]]:
+    """Return the statuses that show the goal with a stamp."""
+    return [values for values in map(values_of, robot.statuses) if values["goal_stamp"] == stamp]
+
+
 def test_cancel_stops_and_leaves_no_goal(robot) -> None:
     robot.send_goal()
     robot.pass_time(1.25)
@@ -411,6 +428,7 @@ def test_use_sim_time_that_is_unset_while_the_node_runs_is_told_with_its_remedy(
 
 def until_on_the_way(robot) -> None:
     """Let time pass until the clock counts as steady and the controller tracks its goal."""
+    robot.pass_time(0.1)  # those under way are about the time before
     robot.statuses.clear()
 
     def is_on_the_way() -> bool:

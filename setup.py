@@ -15,8 +15,8 @@ from setuptools.command.build_ext import build_ext
 NAME = "sphere_nmpc"
 SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 VERBS = (
-    "demo", "simulator", "controller", "recorder", "goal", "viewer", "markers", "study",
-    "benchmark", "report",
+    "demo", "simulator", "controller", "navigator", "recorder", "goal", "viewer", "markers",
+    "study", "benchmark", "report",
 )
 READING = ["rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "zstandard>=0.22"]
 """To read recordings. Of rosbags the type store and the form in which bags hold QoS profiles are

@@ -55,6 +55,7 @@ from sphere_sim.world.settings import PLANTS
 PACKAGE = "sphere_nmpc"
 SHARE = Path(get_package_share_directory(PACKAGE))
 STATE_PUBLISHER = "robot_state_publisher"
+ACTIONS = "nav2_msgs"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/eta", "controller/predicted_path",
@@ -99,6 +100,7 @@ ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
     "record": ("false", BOOLEAN, "Write a bag"),
     "rviz": ("false", BOOLEAN, "Start RViz"),
     "viewer": ("false", BOOLEAN, "Serve the page of the viewer"),
+    "navigator": ("false", BOOLEAN, "Offer the actions of Nav2, for which nav2_msgs is needed"),
     "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch"),
 }
 """Default, choices and description of each argument."""
@@ -136,17 +138,20 @@ def actions(context: LaunchContext) -> list:
     if start := value["initial_state"]:
         with refusing("initial_state", start, "numbers"):
             simulator["initial_state"] = initial_state(start)
-    controller = {**clock, **frame}
+    following = {**clock, **frame}
+    controller = dict(following)
     if strategy := value["strategy"]:
         controller["strategy"] = strategy
-    record, viewer, shown, respawn = (
-        value[name] in TRUE for name in ("record", "viewer", "rviz", "respawn")
+    record, viewer, shown, navigator, respawn = (
+        value[name] in TRUE for name in ("record", "viewer", "rviz", "navigator", "respawn")
     )
     needed = {"viewer:=true": "viser"} if viewer else {}
     needed |= {"plant:=rigid_body": "mujoco"} if value["plant"] == "rigid_body" else {}
     refuse_missing(needed)
-    if shown and not is_installed("rviz2"):
-        raise RuntimeError("rviz:=true: 'rviz2' is not installed; apt install ros-jazzy-rviz2")
+    for argument, wanted, package in (("rviz", shown, "rviz2"), ("navigator", navigator, ACTIONS)):
+        if wanted and not is_installed(package):
+            remedy = f"apt install ros-jazzy-{package.replace('_', '-')}"
+            raise RuntimeError(f"{argument}:=true: '{package}' is not installed; {remedy}")
     refuse_other_nodes(place, value["clock"])
     common = {"namespace": f"/{place}", "output": "screen"}
     # The nodes of this package use the clock of their namespace; those of others are remapped.
@@ -164,6 +169,8 @@ def actions(context: LaunchContext) -> list:
         model = {"robot_description": ParameterValue(urdf, value_type=str), **clock, **prefix}
         nodes.append(Node(package=STATE_PUBLISHER, executable=STATE_PUBLISHER,
                           parameters=[model], **remapped))
+    if navigator:
+        nodes.append(Node(executable="navigator", parameters=[params, following], **own))
     if record:
         nodes.append(recording(clock, own, place))
     if viewer:

@@ -23,10 +23,11 @@ import yaml
 pytest.importorskip("rclpy")
 
 import faults
+import navigation_messages
 from document_commands import DOCUMENTS, Command, all_commands, commands
 from documented_topics import types_of
 from launch_stand_in import LAUNCH, ROOT, started
-from parameter_tables import NODES, PARTS
+from parameter_tables import NODES, OF_ROBOT, PARTS
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
@@ -48,7 +49,7 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
 }
 """Parser of each verb, and of `make faults`; the other verbs take the arguments of ROS only."""
 SETTINGS: dict[str, list[tuple[str, Any]]] = {
-    node: [("", settings), ("robot", RobotParameters()),
+    node: [("", settings), *([("robot", RobotParameters())] if node in OF_ROBOT else []),
            *((prefix, more) for prefix, _, more in PARTS[node])]
     for node, settings in NODES.items()
 } | {
@@ -62,9 +63,9 @@ WITH_VALUE = {
 }
 FLAGS = {
     "-1", "--once", "--no-arr", "--csv", "-v", "--verbose", "-a", "--all", "--use-sim-time",
-    "--topics",
+    "--topics", "-f", "--feedback",
 }
-"""Options of ros2 topic, service, param and bag."""
+"""Options of ros2 topic, service, action, param and bag."""
 ASSIGNING = ("-p", "--param", "-r", "--remap")
 OF_ROS = ("--params-file", "--enclave", "--log-level")
 """Arguments of ROS with name:=value, and others."""
@@ -162,7 +163,8 @@ def check_launch(words: Sequence[str]) -> None:
     config = f"params_file:={ROOT}/config/sphere.yaml"
     words = [config if word.startswith("params_file:=") else word for word in arguments]
     try:
-        started(*(word for word in words if not word.startswith("-")), installed=["rviz2"])
+        given = [word for word in words if not word.startswith("-")]
+        started(*given, installed=["rviz2", "nav2_msgs"])
     except (RuntimeError, ValueError) as error:
         raise WrongCommandError(str(error)) from None
 
@@ -197,16 +199,18 @@ def type_of(name: str, given: str = "") -> str:
     if not kinds:
         raise WrongCommandError(f"{name}: not in msg_docs/topics.md")
     for kind in sorted(kinds):
-        if given in ("", kind, re.sub("/(msg|srv)/", "/", kind)):
+        if given in ("", kind, re.sub("/(msg|srv|action)/", "/", kind)):
             return kind
     raise WrongCommandError(f"{name}: given the type {given}, expected {' or '.join(kinds)}")
 
 
 def check_content(name: str, given: str = "", values: str = "{}", *rest: str) -> None:
-    """Check type and content of a message on a topic, or of the request of a service."""
+    """Check type and content of a message on a topic, of a request or of an action's goal."""
     package, group, kind = type_of(name, given).split("/")
     found = getattr(import_module(f"{package}.{group}"), kind)
-    fill(getattr(found, "Request", found)(check_fields=True), yaml.safe_load(values))
+    part = next((it for it in ("Request", "Goal") if hasattr(found, it)), None)
+    content = getattr(found, part) if part else found
+    fill(content(check_fields=True), yaml.safe_load(values))
 
 
 def fill(message: Any, values: Any) -> None:
@@ -235,7 +239,7 @@ def fill(message: Any, values: Any) -> None:
 
 
 def check_ros2(words: Sequence[str], inline: bool) -> None:
-    """Check a ros2 command of a topic, service, parameter, bag, executable or launch file."""
+    """Check a ros2 command of a topic, service, action, parameter, bag, node or launch file."""
     group, verb, *rest = [*words, "", ""][:max(2, len(words))]
     command = f"{group} {verb}".strip()
     # Such as `ros2 bag record -a` in a sentence about it.
@@ -250,6 +254,9 @@ def check_ros2(words: Sequence[str], inline: bool) -> None:
             raise WrongCommandError("--once: perhaps before the controller is matched, give -t 3")
     elif command in ("topic echo", "topic hz", "topic info"):
         type_of(*given)
+    elif command == "action send_goal":
+        navigation_messages.provide()
+        check_content(*given)
     elif command in ("param set", "param get"):
         check_parameter([given[0].split("/")[-1]], *given[1:], live=verb == "set")
     elif command == "bag record":

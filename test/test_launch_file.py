@@ -51,6 +51,9 @@ def test_other_packages_are_used_where_they_are_installed_and_asked_for() -> Non
     assert own.keys() == {"simulator", "controller", "recorder", "viewer"}
     assert nodes(started("viewer:=False")).keys() == {"simulator", "controller"}
     actions = started(*ALL, installed=OTHERS)
+    assert "navigator" not in nodes(actions)
+    navigator = nodes(started("navigator:=true", installed=["nav2_msgs"]))["navigator"]
+    assert parameters(navigator) == {"use_sim_time": True, **FRAME}
     assert {"robot_state_publisher", "rviz2"} <= nodes(actions).keys()
     assert recorders(actions)[0]["cmd"][:3] == ["ros2", "bag", "record"]
 
@@ -67,6 +70,8 @@ def bare_python(tmp_path_factory) -> Path:
     ("word", "told"),
     [
         ("rviz:=true", r"rviz:=true: 'rviz2' is not installed; apt install ros-jazzy-rviz2"),
+        ("navigator:=true",
+         r"navigator:=true: 'nav2_msgs' is not installed; apt install ros-jazzy-nav2-msgs"),
         ("plant:=rigid_body", r"rigid_body: 'mujoco' is not .*sphere_nmpc\[rigid\]' \(for {}\)"),
     ],
 )
@@ -286,8 +291,8 @@ def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path) -> None:
 def test_recording_has_every_documented_topic_except_requested_goals() -> None:
     (record,) = recorders(started("record:=1", installed=OTHERS))
     recorded = set(record["cmd"][record["cmd"].index("--topics") + 1:])
-    documented = {topic for _, topic, _, verb, _ in table() if verb != "service"}
+    documented = {topic for _, topic, _, verb, _ in table() if verb not in ("service", "action")}
     # `ros2 topic pub --once` ends after the first matched subscription.
-    requested = {"/goal_pose", "/simulator/push"}
+    requested = {"/goal_pose", "/goal_point", "/goals", "/simulator/push"}
     assert "--use-sim-time" in record["cmd"]
     assert documented - requested <= recorded and not requested & recorded

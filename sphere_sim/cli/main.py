@@ -21,6 +21,7 @@ VERBS = {
     "demo": ("sphere_sim.cli.demo", "run one of the paper's cases and watch it"),
     "simulator": ("sphere_sim.ros.simulator.node", "start the simulator node"),
     "controller": ("sphere_nmpc.ros.controller.node", "start the controller node"),
+    "navigator": ("sphere_nmpc.ros.navigator.node", "start the node with the actions of Nav2"),
     "recorder": ("sphere_sim.ros.recorder.node", "start the recorder node"),
     "goal": ("sphere_sim.ros.session.goal_command", "publish a goal pose"),
     "viewer": ("sphere_sim.cli.viewer", "show a running or recorded sphere in the browser"),

@@ -10,6 +10,7 @@ import fcntl
 import hashlib
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -55,9 +56,26 @@ for name in {_LIBRARIES}:
 
 
 def provide() -> None:
-    """Make nav2_msgs importable, here and in nodes that are started, unless it is installed."""
+    """Make nav2_msgs importable, here and in nodes that are started, unless it is installed.
+
+    A test is skipped where something is missing to build it.
+    """
     if importlib.util.find_spec(PACKAGE) is None:
+        if missing := lacking():
+            import pytest
+
+            pytest.skip(f"{PACKAGE} is not installed, and to build it {missing} is missing")
         sys.path.append(str(built()))
+
+
+def lacking() -> str:
+    """Return what is missing to build the package, empty where nothing is."""
+    files = {
+        "the wheel of rosidl_generator_py": Path(sys.prefix, "share", _TYPES_PY),
+        "Python.h": Path(sysconfig.get_path("include"), "Python.h"),
+    }
+    missing = [program for program in ("gcc", "g++") if shutil.which(program) is None]
+    return ", ".join(missing + [name for name, path in files.items() if not path.exists()])
 
 
 def built() -> Path:
@@ -73,6 +91,8 @@ def built() -> Path:
                 prefix = {"AMENT_PREFIX_PATH": sys.prefix}
                 _run(sys.executable, __file__, work, environment=os.environ | prefix)
                 os.replace(Path(work, _BUILT), folder)
+    if folder.stat().st_uid != os.getuid():
+        raise RuntimeError(f"{folder}: of another user, expected one of this user; remove it")
     return folder
 
 

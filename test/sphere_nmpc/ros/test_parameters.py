@@ -4,8 +4,9 @@
 
 from dataclasses import dataclass
 
+import navigation_messages
 import pytest
-from parameter_tables import NODES, PARTS
+from parameter_tables import NODES, OF_ROBOT, PARTS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -13,10 +14,13 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_nmpc.ros.parameters import Parameters
 from sphere_sim.ros.simulator.node import SimulatorNode
 
-CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
+CLASSES = {
+    "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
+}
 
 
 @pytest.fixture
@@ -28,12 +32,12 @@ def controller(graph) -> ControllerNode:
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_node_declares_each_quantity_with_unit_range_and_description(graph, name) -> None:
+    navigation_messages.provide()
     node = CLASSES[name]()
     graph.add(node)
     expected = {}
-    for prefix, part in [
-        ("", NODES[name]), ("robot", RobotParameters()), *((p, part) for p, _, part in PARTS[name])
-    ]:
+    robot = [("robot", RobotParameters())] if name in OF_ROBOT else []
+    for prefix, part in [("", NODES[name]), *robot, *((p, part) for p, _, part in PARTS[name])]:
         expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(part).items()}
     declared = set(node.list_parameters([], depth=0).names)
     assert declared - expected.keys() <= {"use_sim_time", "start_type_description_service"}

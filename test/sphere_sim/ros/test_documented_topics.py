@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import navigation_messages
 import pytest
 import rclpy
 import yaml
@@ -22,13 +23,16 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 
 ROOT = Path(__file__).parents[3]
-CLASSES = {"simulator": SimulatorNode, "controller": ControllerNode}
+CLASSES = {
+    "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
+}
 SHARED = {"/clock", "/diagnostics"}
 """Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
 ELSEWHERE = re.compile("/rosout|/parameter_events|/tf|.*parameter|.*type_description")
@@ -60,11 +64,12 @@ def offered(node) -> set[tuple[str, str, str, str]]:
 @pytest.mark.parametrize("name", CLASSES)
 @pytest.mark.parametrize("graph", [["--ros-args", "-r", "__ns:=/second"]], indirect=True)
 def test_tables_agree_with_the_node_which_may_be_in_a_namespace(graph, name) -> None:
+    navigation_messages.provide()
     node = CLASSES[name]()
     graph.add(node)
     documented = {
         (topic if topic in SHARED else f"/second{topic}", *rest)
-        for owner, topic, *rest in table() if owner == name
+        for owner, topic, *rest in table() if owner == name and rest[1] != "action"
     }
     assert offered(node) == documented
 
@@ -76,6 +81,10 @@ RULES = (
 """Blocks and attributes of the policy, and the name of the same in the ROS graph."""
 SOMETIMES = {"/tf", "/tf_static"}
 """Published only where tf2_msgs is installed and a subscription exists."""
+OF_ACTION = {
+    "publisher": ("feedback", "status"), "service": ("send_goal", "cancel_goal", "get_result"),
+}
+"""What the server of an action opens."""
 Rows = dict[str, set[str]]
 """Full names by kind."""
 
@@ -90,6 +99,9 @@ def allowed() -> dict[str, Rows]:
                    for e in block}
             for tag, rule, kind in RULES
         }
+        for action in (e.text for e in profile.iter("action")):
+            for kind, parts in OF_ACTION.items():
+                nodes[name][kind] |= {f"/{action}/_action/{part}" for part in parts}
     return nodes
 
 
@@ -117,7 +129,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     most = {"plant": "rigid_body", "lockstep": True}
     graph.add(SimulatorNode([Parameter(name, value=value) for name, value in most.items()]))
     graph.add(ControllerNode([simulated]))
-    followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0)]
+    navigation_messages.provide()
+    followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode()]
     goal = rclpy.create_node("goal")
     for kind in (PoseStamped, PointStamped, Goals):
         GoalSender(goal, lambda: None, kind)
@@ -156,9 +169,9 @@ def test_document_has_the_tables_of_the_policy() -> None:
         name: [{full(t, name) for t in re.findall(r"`([^`]+)`", cell)} for cell in cells]
         for name, *cells in re.findall(r"^\| `(\w+)` \|(.*)\|(.*)\|(.*)\|(.*)\|$", text, re.M)
     }
-    of_every_node = re.compile(r"parameter|rosout|type_description")
+    not_listed = re.compile(r"parameter|rosout|type_description|_action/")
     assert documented == {
-        name: [{t for t in row if not of_every_node.search(t)} for row in rows.values()]
+        name: [{t for t in row if not not_listed.search(t)} for row in rows.values()]
         for name, rows in allowed().items()
     }
 

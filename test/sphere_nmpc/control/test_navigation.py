@@ -1,0 +1,367 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals of actions against a controller that is written out here, and against random events."""
+
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.navigation import (
+    GoalReport,
+    Navigation,
+    NavigatorSettings,
+    Outcome,
+    Requests,
+)
+
+SETTINGS = NavigatorSettings(controller_timeout=5.0, no_pose_timeout=20.0)
+STEP = 0.1  # s
+FOREIGN = "7.000000000"
+A, B, C = b"A", b"B", b"C"
+
+
+@dataclass
+class World:
+    """A navigation and the controller it talks to; messages arrive at the next step."""
+
+    navigation: Navigation = field(default_factory=lambda: Navigation(SETTINGS))
+    now: float = 100.0
+    in_force: str = ""
+    mode: Mode = Mode.NO_GOAL
+    moves: float = 0.0
+    """Time that the sphere still needs, to the goal or to rest [s]."""
+    plans: int = 0
+    lives: bool = True
+    takes_goals: bool = True
+    sent: list[str] = field(default_factory=list)
+    cancels: int = 0
+    ended: dict[bytes, tuple[Outcome, str]] = field(default_factory=dict)
+    _under_way: str | None = None
+    _cancel_under_way: bool = False
+    _stamps: dict[bytes, str] = field(default_factory=dict)
+
+    def begin(self, goal: bytes) -> None:
+        self._stamps[goal] = f"{len(self._stamps) + 1}.000000000"
+        self._do(self.navigation.begin(goal, self._stamps[goal], self.now))
+
+    def stamp(self, goal: bytes) -> str:
+        return self._stamps[goal]
+
+    def outcome(self, goal: bytes) -> Outcome:
+        return self.ended[goal][0]
+
+    def take(self, stamp: str) -> None:
+        """Put a goal in force at the controller."""
+        self.in_force, self.mode, self.moves = stamp, Mode.TRACKING, 2.0
+        self.plans += 1
+
+    def drop(self) -> None:
+        if self.in_force:
+            self.in_force, self.mode, self.moves = "", Mode.NO_GOAL, 0.3
+
+    def restart(self, kept: bool) -> None:
+        self.lives, self.plans = True, 0
+        if kept:
+            self.take(self.in_force)
+        else:
+            self.in_force, self.mode, self.moves = "", Mode.NO_GOAL, 0.0
+
+    def step(self, duration: float = STEP) -> None:
+        for _ in range(round(duration / STEP)):
+            self.now += STEP
+            if self.lives:
+                self._control()
+            self._do(self.navigation.update(self.now))
+
+    def _control(self) -> None:
+        if self._under_way is not None and self.takes_goals:
+            self.take(self._under_way)
+        if self._cancel_under_way:
+            self.drop()
+            self.navigation.cancel_answered(self.now)
+        self._under_way, self._cancel_under_way = None, False
+        if self.mode in (Mode.TRACKING, Mode.NO_GOAL, Mode.AT_GOAL):
+            self.moves = max(0.0, self.moves - STEP)
+        if self.mode is Mode.TRACKING and self.moves == 0.0:
+            self.mode = Mode.AT_GOAL
+        at_rest = self.moves == 0.0
+        self._do(self.navigation.receive(GoalReport(
+            self.in_force, 0, self.mode.value, at_rest, self.plans, self.moves, self.moves
+        ), self.now))
+
+    def _do(self, requests: Requests) -> None:
+        for ending in requests.ended:
+            assert ending.goal not in self.ended, "a second end"
+            self.ended[ending.goal] = ending.outcome, ending.reason
+        if requests.cancel:
+            self.cancels += 1
+            self._cancel_under_way = True
+            self.navigation.cancel_requested(self.now)
+        if requests.send:
+            self.sent.append(self._under_way or self.stamp(self.navigation.goal))
+            self._under_way = self.stamp(self.navigation.goal)
+            self.navigation.sent(self.now)
+
+
+@pytest.fixture
+def world() -> World:
+    world = World()
+    world.step(1.0)
+    return world
+
+
+def test_goal_succeeds_at_the_goal(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    assert world.navigation.goal == A
+    assert world.navigation.report.time_left == pytest.approx(1.0)
+    world.step(1.5)
+    assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
+    world.step(20.0)
+    assert world.in_force == world.stamp(A), "it stays there"
+    assert world.cancels == 0 and len(world.sent) == 1
+
+
+def test_cancelled_goal_ends_at_rest_and_once_however_often_it_is_cancelled(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    assert world.navigation.cancel(A, world.now)
+    assert world.navigation.cancel(A, world.now)
+    world.step(0.2)
+    assert world.in_force == "" and not world.ended, "it is dropped but still moves"
+    world.step(0.5)
+    assert world.ended == {A: (Outcome.CANCELED, "at rest")}
+    assert not world.navigation.cancel(A, world.now)
+    assert world.cancels == 1
+
+
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
+def test_goal_that_is_cancelled_at_once_does_not_come_into_force_later(world, after) -> None:
+    world.begin(A)
+    world.step(after)
+    assert world.navigation.cancel(A, world.now)
+    world.step(3.0)
+    assert world.outcome(A) is Outcome.CANCELED
+    assert world.in_force == ""
+
+
+def test_newer_goal_takes_over_without_a_cancel_between(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.begin(B)
+    assert world.ended == {A: (Outcome.ABORTED, "a newer goal has taken over")}
+    world.step(1.0)
+    assert world.in_force == world.stamp(B)
+    world.step(2.0)
+    assert world.outcome(B) is Outcome.SUCCEEDED
+    assert world.cancels == 0 and len(world.sent) == 2
+
+
+def test_goal_after_a_cancel_is_not_dropped_with_the_one_before(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    assert world.navigation.cancel(A, world.now)
+    world._do(world.navigation.update(world.now))  # the request is under way
+    world.begin(B)
+    assert world.outcome(A) is Outcome.ABORTED, "the sphere will not be at rest"
+    assert len(world.sent) == 1
+    world.step(4.0)
+    assert world.outcome(B) is Outcome.SUCCEEDED
+
+
+def test_goal_of_somebody_else_takes_over(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.take(FOREIGN)
+    world.step()
+    assert world.ended == {A: (Outcome.ABORTED, "another goal has taken over")}
+    world.step(5.0)
+    assert world.in_force == FOREIGN and world.cancels == 0 and len(world.sent) == 1
+
+
+def test_goal_in_force_before_is_not_taken_for_a_newer_one(world) -> None:
+    world.take(FOREIGN)
+    world.step(1.0)
+    world.begin(A)
+    world.step()
+    assert not world.ended
+    world.step(3.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED
+
+
+def test_goal_that_is_cancelled_at_the_controller_is_aborted_at_once(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.drop()
+    world.step()
+    assert world.ended == {A: (Outcome.ABORTED, "cancelled at the controller")}
+
+
+def test_lost_goal_is_sent_again_until_the_controller_shows_it(world) -> None:
+    world.begin(A)
+    world._under_way = None
+    world.step(4.0)
+    assert len(world.sent) == 2
+    assert world.outcome(A) is Outcome.SUCCEEDED
+
+
+def test_goal_that_the_controller_refuses_is_aborted(world) -> None:
+    world.takes_goals = False
+    world.begin(A)
+    world.step(6.0)
+    assert world.outcome(A) is Outcome.ABORTED
+    assert "has not taken it" in world.ended[A][1]
+
+
+def test_killed_controller_is_told_once_and_nothing_is_followed_later(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.lives = False
+    world.step(4.0)
+    assert not world.ended
+    world.step(3.0)
+    assert world.ended == {A: (Outcome.ABORTED, "no status of the controller for 5 s")}
+    assert world.cancels == 0, "nobody would be told"
+    world.restart(kept=True)
+    world.step(2.0)
+    assert world.in_force == "", "a goal that has ended is dropped"
+    assert world.cancels == 1
+
+
+def test_goal_goes_on_where_a_controller_is_restarted_in_time(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.lives = False
+    world.step(3.0)
+    world.restart(kept=True)
+    world.step(1.0)
+    assert not world.ended
+    world.step(3.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED
+    assert len(world.sent) == 1
+
+
+def test_goal_that_a_restarted_controller_does_not_know_is_aborted(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.lives = False
+    world.step(2.0)
+    world.restart(kept=False)
+    world.step(2.0)
+    assert not world.ended, "it may still be restored"
+    world.step(5.0)
+    assert world.outcome(A) is Outcome.ABORTED
+    assert "follows it no longer" in world.ended[A][1]
+
+
+def test_older_goal_restored_by_a_restarted_controller_is_replaced(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.begin(B)
+    world.step(0.3)
+    world.lives = False
+    world.in_force = world.stamp(A)
+    world.step(1.0)
+    world.restart(kept=True)
+    world.step(6.0)
+    assert world.outcome(B) is Outcome.SUCCEEDED
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_goal_cancelled_without_a_controller_ends_once(world, restarts) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.lives = False
+    assert world.navigation.cancel(A, world.now)
+    world.step(2.0)
+    assert not world.ended
+    if restarts:
+        world.restart(kept=True)
+    world.step(10.0)
+    assert world.outcome(A) is (Outcome.CANCELED if restarts else Outcome.ABORTED)
+    assert not restarts or world.in_force == ""
+
+
+def test_goal_without_poses_waits_and_is_aborted_in_the_end(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.mode = Mode.NO_FRESH_POSE
+    world.step(15.0)
+    world.mode = Mode.TRACKING
+    world.step(0.5)
+    assert not world.ended
+    world.mode = Mode.CLOCK_STOPPED
+    world.step(19.0)
+    assert not world.ended
+    world.step(2.0)
+    assert world.ended == {A: (Outcome.ABORTED, "the clock stands still, for 20 s")}
+
+
+def test_goal_is_not_aborted_for_poses_that_were_missing_before_it(world) -> None:
+    world.mode = Mode.NO_POSE
+    world.step(100.0)
+    world.begin(A)
+    world.step(1.0)
+    assert not world.ended
+
+
+def test_replans_are_counted_from_the_first_plan_on(world) -> None:
+    world.plans = 40
+    world.begin(A)
+    world.step(0.5)
+    assert world.navigation.replans == 0
+    world.plans += 2
+    world.step()
+    assert world.navigation.replans == 2
+    world.lives = False
+    world.step(1.0)
+    world.restart(kept=True)
+    world.plans = 3
+    world.step()
+    assert world.navigation.replans == 2
+
+
+def test_abandoned_goal_ends_and_is_dropped(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world._do(world.navigation.abandon("the navigator has ended"))
+    assert world.ended == {A: (Outcome.ABORTED, "the navigator has ended")}
+    world.step(1.0)
+    assert world.in_force == ""
+    assert world.navigation.abandon("again") == Requests()
+
+
+EVENTS = ("begin", "cancel", "foreign", "kill", "restart", "restart with memory", "lose", "drop")
+
+
+@given(st.lists(st.tuples(st.sampled_from(EVENTS), st.integers(0, 25)), max_size=25))
+def test_each_goal_has_one_end_whatever_happens(events) -> None:
+    world, begun = World(), 0
+    for event, steps in events:
+        if event == "begin":
+            begun += 1
+            world.begin(str(begun).encode())
+        elif event == "cancel" and world.navigation.goal:
+            assert world.navigation.cancel(world.navigation.goal, world.now)
+        elif event == "foreign" and world.lives:
+            world.take(FOREIGN)
+        elif event == "kill":
+            world.lives = False
+        elif event.startswith("restart") and not world.lives:
+            world.restart(kept="memory" in event)
+        elif event == "lose":
+            world._under_way, world._cancel_under_way = None, False
+        elif event == "drop" and world.lives:
+            world.drop()
+        world.step(steps * STEP)
+    world.step(12.0)
+    assert len(world.ended) == begun
+    # What is followed in the end is a goal that was reached, or one of somebody else.
+    followed = {world.stamp(goal): goal for goal in world.ended}.get(world.in_force)
+    world.step(3.0)
+    assert not world.lives or followed is None or (
+        world.in_force == "" or world.outcome(followed) is Outcome.SUCCEEDED
+    )

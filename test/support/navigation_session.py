@@ -1,0 +1,87 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator, controller and navigator as processes, which may be killed, and a client of them."""
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from navigation_client import NavigationClient
+from patience import PATIENCE
+from ros_graph import Graph, values_of
+
+from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_sim.ros.session.child_process import parameter_options
+from sphere_sim.ros.session.process_set import ProcessSet
+
+FACTOR = 4.0
+"""Simulated over wall time."""
+AT_REST = 0.01
+"""Largest way [m] of a sphere at rest, whose last commands and poses a busy machine delays."""
+
+
+class Session:
+    """Simulator, controller and navigator in a set of processes, and a client.
+
+    The navigator does not lose patience, unless `navigator` gives other parameters.
+    """
+
+    def __init__(self, graph: Graph, processes: ProcessSet, **navigator: object) -> None:
+        self.graph, self.processes = graph, processes
+        patient = {"controller_timeout": PATIENCE, "no_pose_timeout": PATIENCE}
+        given = {
+            "simulator": {
+                "real_time_factor": FACTOR, "initial_state": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+            },
+            "controller": {"use_sim_time": True},
+            "navigator": {"use_sim_time": True, **patient, **navigator},
+        }
+        for verb, parameters in given.items():
+            self.processes.start(verb, ["--ros-args", *parameter_options(parameters)])
+        self.statuses: list[dict[str, str]] = []
+        """Values of all statuses of the controller."""
+        self._pose: PoseStamped | None = None
+        probe = graph.probe
+        probe.create_subscription(
+            DiagnosticStatus, "controller/status",
+            lambda message: self.statuses.append(values_of(message)), 10,
+        )
+        probe.create_subscription(PoseStamped, "pose", self._note, 10)
+        self.client = NavigationClient(probe, graph.until)
+        self.client.wait_for_navigator()
+        graph.until(lambda: self._pose and self.status()["mode"] == "no goal")
+
+    def _note(self, message: PoseStamped) -> None:
+        self._pose = message
+
+    @property
+    def place(self) -> Vector:
+        """Position of the sphere [m], shape (2,)."""
+        return pose_from_ros(self._pose)[POSITION]
+
+    def moves(self) -> None:
+        """Wait until the sphere moves."""
+        start = self.place
+        self.graph.until(lambda: np.linalg.norm(self.place - start) > 0.05)
+
+    def status(self) -> dict[str, str]:
+        """Return a status that is published from now on."""
+        seen = len(self.statuses)
+        self.graph.until(lambda: len(self.statuses) > seen + 1)
+        return self.statuses[-1]
+
+    def stays(self) -> bool:
+        """Return whether the sphere is at rest."""
+        self.status()
+        before = self.place
+        self.graph.spin_for(0.5)
+        return bool(np.linalg.norm(self.place - before) < AT_REST)
+
+    def restart(self, name: str) -> None:
+        """Kill a node and start it again."""
+        self.processes[name].kill()
+        self.processes[name].start()
+
+    def log(self, name: str) -> str:
+        """Return what a node has printed."""
+        return self.processes[name].output

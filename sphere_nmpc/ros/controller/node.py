@@ -273,10 +273,10 @@ class ControllerNode(RunnableNode):
         """Visit goals; those that are in force already are only confirmed."""
         is_new = self.controller.set_goals(goals, self._time_of_goal(goals.stamp))
         self._stored_goal.supersede()
-        self._save_goal()
         self._reports.goal(self._control_clock.stamp())
         if not is_new:
             return
+        self._save_goal()
         pose, number = goals.goal.pose, len(goals.goals)
         several = f"first of {number}: " if number > 1 else ""
         self._event_log.report("goal", f"{several}{[round(float(v), 4) for v in pose]}")

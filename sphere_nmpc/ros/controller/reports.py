@@ -158,6 +158,8 @@ class ControllerReports:
         values: dict[str, Any] = {"time_s": f"{time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
         values |= goals_in_force(self._controller.itinerary)
+        if self._decision is not None and mode is not self._decision.mode:
+            values |= {"time_left_s": math.nan, "distance_left_m": math.nan}
         values["at_rest"] = not math.isnan(time) and self._controller.is_at_rest(time)
         message = self._message if mode is self._last_status[1] else mode.value
         self._publish_status(mode, message, values)

@@ -244,7 +244,7 @@ class ControllerReports:
 
     def _warnings(self, decision: Decision) -> dict[str, str]:
         """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""
-        goal = self._controller.goal
+        goal = decision.goal
         if goal is None or not decision.solved:
             return {}
         missing = {_NO_PROGRESS: decision.no_progress} if decision.no_progress else {}

@@ -101,7 +101,8 @@ class ControllerStatus:
             "command_loss": controller.rotor_feedback.loss,
             **self._plant_values(),
             **momentum_values(
-                decision.momentum, decision.disturbance, self._robot, controller.goal
+                decision.momentum, decision.disturbance, self._robot,
+                controller.goal if decision.goal is None else decision.goal,
             ),
             "giving_up": plan.given_up,
             "no_progress": decision.no_progress,

@@ -18,7 +18,7 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import after_slope, rest_speeds
-from sphere_nmpc.model.goal import STANDING
+from sphere_nmpc.model.goal import STANDING, Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
@@ -92,7 +92,7 @@ class HeldGoal:
         if end is None:
             end = self._expected(situation, holding)
         found = holdable_goal(goal, end, situation.disturbance)
-        if found is not goal:
+        if found is not goal and situation.orientation is not Orientation.ANY:
             self.given_up = given_up_angle(angle_error(found, goal))
         return found
 

@@ -21,8 +21,10 @@ _LONGEST_GAP = 0.6
 the last one counts as standing."""
 _STEP, _TURN = 0.15, 0.5
 """Difference from what was expected [m, rad] up to which a goal is the one before, moved."""
-_WINDOW = 1.5
-"""Time of which goals are kept [s]."""
+_WINDOW, _WIDEST = 1.5, 1.5
+"""Time [s] of which goals are kept, and turn [rad] up to which they are on a line."""
+_SPACING = 0.04
+"""Least time between goals that are kept [s], but for the newest one."""
 _LEAST, _FIRST = 3, 5
 """Number of goals from which on a rate is estimated, and before their noise is known."""
 _FORGETTING = 0.8
@@ -61,8 +63,10 @@ class GoalMotion:
             self._noise = _LEAST_NOISE
             self._goal = replace(given, since=time)
             return self._goal, True
+        if len(self._given) > 1 and time < self._given[-2][0] + _SPACING:
+            self._given.pop()
         self._given.append((time, given.pose))
-        while self._given[0][0] < time - _WINDOW:
+        while self._is_off(*self._given[0]):
             self._given.popleft()
         self._goal = self._estimate(goal)
         return self._goal, False
@@ -80,6 +84,11 @@ class GoalMotion:
         expected = goal.orientation.nearest(goal.at(time), given.pose)
         near = position_error(expected, given.pose) < _STEP
         return near and angle_error(expected, given.pose) < _TURN
+
+    def _is_off(self, time: float, pose: Vector) -> bool:
+        """Return whether a goal is too far from the newest one to be on a line with it."""
+        newest = self._given[-1]
+        return time < newest[0] - _WINDOW or bool(angle_error(pose, newest[1]) > _WIDEST)
 
     def _estimate(self, goal: Goal) -> Goal:
         """Return the goal by a line through the newest poses."""

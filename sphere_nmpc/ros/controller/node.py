@@ -8,6 +8,7 @@ publishes   rotor_trajectory, rotor_commands, control_period, ~/active_goal, ~/a
 services    ~/enable, ~/cancel
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -58,6 +59,8 @@ _SELDOM = 0.05
 """Control period above which a command that may be lost is sent again before the next one [s]."""
 _OTHER_CLOCK = 1.0
 """Age of a goal by its stamp [s] from which on that counts as of another clock."""
+_GOAL_TOLD_EVERY = 0.1
+"""Least wall time between two reports of one goal that is given again and again [s]."""
 _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
@@ -88,6 +91,7 @@ class ControllerNode(RunnableNode):
             self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
         self.controller = Controller(settings, robot, worker=self._worker)
         self._monitor = ControllerMonitor(self, self._fault_log)
+        self._goal_told = -math.inf
         self._stored_goal = StoredGoal(
             self, settings.goal_memory, self._control_clock, self._fault_log
         )
@@ -273,6 +277,9 @@ class ControllerNode(RunnableNode):
         """Visit goals; those that are in force already are only confirmed."""
         is_new = self.controller.set_goals(goals, self._time_of_goal(goals.stamp))
         self._stored_goal.supersede()
+        if not is_new and time.monotonic() < self._goal_told + _GOAL_TOLD_EVERY:
+            return
+        self._goal_told = time.monotonic()
         self._reports.goal(self._control_clock.stamp())
         if not is_new:
             return

@@ -12,12 +12,14 @@ from sampled_loop import SampledLoop
 from sphere_nmpc.control.goal_motion import GoalMotion
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     POSITION,
     Vector,
     angle_error,
     make_state,
     position_error,
+    state_error,
     upright_state,
 )
 from sphere_nmpc.settings import ControllerSettings
@@ -122,6 +124,19 @@ def test_rate_is_that_of_the_stamps_also_of_a_goal_that_turns() -> None:
     np.testing.assert_allclose(found.rate, rate, atol=5e-3)
     assert position_error(found.at(5.0), Goal(START, rate=rate).at(5.0)) < 0.01
     assert not motion.at(found, time + 1.0).rate.any(), "no longer given"
+
+
+def test_pose_of_another_robot_that_rolls_is_followed() -> None:
+    """The goal turns as it rolls, at 1 rad/s, and is given at 100 Hz."""
+    motion, speed = GoalMotion(), 0.3
+    rate = np.array([speed, 0.0, 0.0, speed / RobotParameters().shell_radius, 0.0])
+    for k in range(500):
+        found, is_other = motion.update(0.01 * k, Goal(Goal(START, rate=rate).at(0.01 * k)))
+        assert not is_other or k == 0
+        if k > 20:
+            np.testing.assert_allclose(found.rate, rate, atol=1e-6)
+    late, _ = motion.update(4.995, Goal(Goal(START, rate=rate).at(5.0)))
+    assert state_error(late.at(5.0), Goal(START, rate=rate).at(5.0)) < 0.01, "the newest counts"
 
 
 def test_goal_that_moves_in_another_way_is_noticed_at_once() -> None:

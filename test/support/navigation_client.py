@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Client of the actions of the navigator, which checks that each goal has one end."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +21,8 @@ ENDS = {
     GoalStatus.STATUS_SUCCEEDED: "succeeded", GoalStatus.STATUS_CANCELED: "canceled",
     GoalStatus.STATUS_ABORTED: "aborted",
 }
+_AGAIN = 10.0
+"""Time without an answer after which a goal is sent again [s]."""
 RADIUS = 0.3
 """Height of goals [m], which nobody uses."""
 
@@ -92,16 +95,27 @@ class NavigationClient:
         return {bytes(one.endpoint_gid) for one in found}
 
     def send(self, *poses: PoseStamped, tree: str = "", through: bool = False) -> Sent:
-        """Send one goal, or several in order, and wait for the answer."""
+        """Send one goal, or several in order, and wait for the answer.
+
+        It is sent again where none comes: a client that knows a navigator which was killed does
+        not wait until it is matched with the next one, whose answer is then lost.
+        """
         name = "navigate_through_poses" if through or len(poses) != 1 else "navigate_to_pose"
         goal = self.kinds[name].Goal(behavior_tree=tree)
         if name == "navigate_to_pose":
             goal.pose = poses[0]
         else:
             goal.poses = list(poses)
-        sent = Sent()
-        sent.answer = self._clients[name].send_goal_async(goal, sent.feedback.append)
-        self._until(sent.answer.done)
+        sent, due = Sent(), 0.0
+
+        def is_answered() -> bool:
+            nonlocal sent, due
+            if (sent.answer is None or not sent.answer.done()) and time.monotonic() > due:
+                sent, due = Sent(), time.monotonic() + _AGAIN
+                sent.answer = self._clients[name].send_goal_async(goal, sent.feedback.append)
+            return bool(sent.answer.done())
+
+        self._until(is_answered)
         if sent.is_accepted:
             sent.result = sent.handle.get_result_async()
         return sent

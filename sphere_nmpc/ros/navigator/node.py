@@ -49,8 +49,8 @@ _PERIOD = 0.1
 _RANDOM = 1_000_000
 """Part of a stamp [ns] that is random, so that those of a navigator that is started again differ,
 also where the clock stands still."""
-_LAST_TURNS = 20
-"""Turns of the executor at the end, in which results are sent."""
+_LAST = 0.5
+"""Wall time at the end in which the result of a goal is sent and received [s]."""
 
 
 @dataclass
@@ -95,10 +95,11 @@ class NavigatorNode(RunnableNode):
     def finish(self) -> None:
         """Abort the goal, and have the controller stop the sphere on its path."""
         self._ends = True
-        self._carry_out(self._navigation.abandon("the navigator has ended"))
-        for _ in range(_LAST_TURNS):
-            if self.executor is not None:
-                self.executor.spin_once(timeout_sec=0.0)
+        requests = self._navigation.abandon("the navigator has ended")
+        self._carry_out(requests)
+        end = time.monotonic() + (_LAST if requests.ended else 0.0)
+        while self.executor is not None and time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=_PERIOD)
 
     def destroy_node(self) -> None:
         """Destroy the action servers and the node."""

@@ -106,6 +106,8 @@ class Estimator:
         self._knot: float | None = None
         self._tracker: Tracker | None = None
         self._replies: list[Reply[Posterior | None]] = []
+        self._has_diverged = False
+        """Whether a result was not finite since the last estimate."""
         self._result = Posterior.initial(settings.drive_lag, self._scaling)
         self._begin(self._result)
 
@@ -169,6 +171,9 @@ class Estimator:
         if not self._poses:
             return None
         self._learn()
+        if self._has_diverged:
+            self._has_diverged = False
+            raise ArithmeticError("the estimate is not finite, and begins anew")
         plant = self.plant  # First, as it takes over a result that has arrived.
         tracker = self._tracked()
         state, covariance = tracker.predict(time)
@@ -239,6 +244,12 @@ class Estimator:
         replies, lost = self._replies, False
         while replies and not replies[0].pending:
             reply = replies.pop(0)
+            if reply.result is not None and not reply.result.is_finite:
+                # It would make all that follow it so, too.
+                self._has_diverged = True
+                self._tracker = None
+                self._begin(Posterior.initial(self._settings.drive_lag, self._scaling))
+                return
             if reply.result is not None:
                 self._result = reply.result
                 self._tracker = None

@@ -75,6 +75,11 @@ class Posterior:
         return cls(-np.inf, knot, scaling.prior(lag), np.diag(deviations**2))
 
     @property
+    def is_finite(self) -> bool:
+        """Whether mean and covariance are finite."""
+        return all(np.isfinite(one).all() for one in (self.knot, self.common, self.covariance))
+
+    @property
     def disturbance(self) -> Vector:
         """Momentum, slope and imbalance, shape (8,), at the places `DISTURBANCE`."""
         return np.concatenate((self.knot[MOMENTUM.start :], self.common[IMBALANCE]))

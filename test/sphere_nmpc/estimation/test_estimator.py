@@ -10,6 +10,8 @@ from delayed_worker import DelayedWorker
 
 from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.estimator import Estimator
+from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -206,3 +208,24 @@ def test_worker_that_refuses_the_beginning_is_asked_again(sent: SentInputs) -> N
     worker.busy = False
     track(found, sent, clock=clock)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+
+
+@BOTH
+def test_estimate_that_is_not_finite_is_told_once_and_begins_anew(
+    settings: ControllerSettings, sent: SentInputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = tracked(settings, sent)
+    observe, spoilt = MovingHorizon.observe, list[float]()
+
+    def spoil(horizon: MovingHorizon, interval: Interval, time: float) -> None:
+        observe(horizon, interval, time)
+        if not spoilt:
+            spoilt.append(time)
+            horizon.result = replace(horizon.result, common=np.full(9, np.nan))
+
+    monkeypatch.setattr(MovingHorizon, "observe", spoil)
+    with pytest.raises(ArithmeticError, match="not finite, and begins anew"):
+        track(made, sent, LATER)
+    assert spoilt and gain(made) == 1.0
+    track(made, sent, LATER)
+    assert gain(made) == pytest.approx(GAIN, abs=0.02)

@@ -83,11 +83,13 @@ class CommandSender:
         self._speeds.wait_for_all_acked(Duration(seconds=0.5))
 
     def _sample(self) -> None:
+        hold, now = self._hold, self._now()
+        if hold is None or now is None:
+            return
         if self._copies > 0:
             self._copies -= 1
             self.repeat()
-        hold, now = self._hold, self._now()
-        if hold is None or now is None or self._silent:
+        if self._silent:
             return
         self._silent = now > hold.end  # after its last speeds, which are zero, were published
         self._publish(hold.at(now))

@@ -49,7 +49,10 @@ def _lock_domain() -> int:
 
 
 os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# After the folders: from the package that is tested.
+from sphere_nmpc.ros.network import use_loopback_only  # noqa: E402
+
+use_loopback_only()
 
 # No deadline, as the machine may be busy; equal examples in each run.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

@@ -12,8 +12,9 @@ should have restricted a node to this machine. So values are checked here first,
 - where other machines are named, a node waits for a network interface: Fast DDS announces the
   addresses of the start as long as a node runs, 127.0.0.1 where there are none, so that nodes on
   other machines would answer to themselves;
-- where nodes of other users use shared memory, UDP is selected: Fast DDS offers shared memory all
-  the same, so that such nodes discover each other but exchange no messages.
+- Fast DDS uses UDP alone: a node that is killed leaves locks behind in shared memory, at which
+  others may wait for ever, and nodes of two users discover each other there but exchange no
+  messages. For messages of this size it is no faster.
 """
 
 import os
@@ -47,10 +48,6 @@ _LOOPBACK_PROFILES = Path(__file__).with_name("loopback.xml")
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 _HIGHEST_DOMAIN = 232
 """Largest domain id for which the port numbers of DDS are valid."""
-_FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250
-"""Port numbering of DDS: first port of domain 0, and distance to that of the next domain."""
-_SEGMENTS = Path("/dev/shm")
-"""Where the operating system keeps shared memory."""
 _OWN = re.compile(r"localhost|(?<![\w.])127\.")
 """Names of this machine in lists of hosts."""
 _REACH = {
@@ -80,7 +77,8 @@ def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> l
     apply_localhost_only(environment)
     waited = wait_for_network(environment)  # first: names of peers may need it to be resolved
     check_environment(environment)
-    return [line for line in (waited, avoid_foreign_shared_memory(environment)) if line]
+    avoid_shared_memory(environment)
+    return [waited] if waited else []
 
 
 def check_environment(environment: Mapping[str, str] = os.environ) -> None:
@@ -255,47 +253,15 @@ def wait_for_network(
     return ""
 
 
-def avoid_foreign_shared_memory(
-    environment: MutableMapping[str, str] = os.environ, segments: Path = _SEGMENTS
-) -> str:
-    """Select UDP only where nodes of other users in this domain use shared memory.
-
-    The environment is unchanged where it selects transports itself. Returns a message about the
-    change in one line, empty where nothing was changed.
-    """
+def avoid_shared_memory(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Select UDP for Fast DDS, unless the environment selects transports itself."""
     if any(environment.get(name) for name in _TRANSPORT_VARIABLES):
-        return ""
-    if environment.get(_MIDDLEWARE, "") not in ("", "rmw_fastrtps_cpp"):
-        return ""
-    others = _owners(segments, domain_id(environment) or 0) - {os.geteuid()}
-    if not others:
-        return ""
-    if environment.get(DISCOVERY_RANGE, "").upper() == "LOCALHOST":
+        return
+    if _range(environment) == "LOCALHOST":
         # In this range ROS adds its own transports, among them shared memory.
         use_loopback_only(environment)
-        replacement = "the loopback alone"
     else:
         environment[_BUILTIN_TRANSPORTS] = "UDPv4"
-        replacement = f"{_BUILTIN_TRANSPORTS}=UDPv4"
-    users = ", ".join(map(str, sorted(others)))
-    return (
-        f"shared memory: given segments of other users (uid {users}) in this domain, which this "
-        f"user cannot open, expected only segments of this user; continuing with {replacement}"
-    )
-
-
-def _owners(segments: Path, domain: int) -> set[int]:
-    """Return the user ids that own Fast DDS segments of a domain."""
-    first = _FIRST_PORT + _PORTS_PER_DOMAIN * domain
-    owners = set()
-    try:
-        for entry in os.scandir(segments):
-            found = re.fullmatch(r"fastrtps_port([0-9]+)", entry.name)
-            if found and first <= int(found[1]) < first + _PORTS_PER_DOMAIN:
-                owners.add(entry.stat(follow_symlinks=False).st_uid)
-    except OSError:  # another operating system, or a segment removed meanwhile
-        pass
-    return owners
 
 
 def _range(environment: Mapping[str, str]) -> str:

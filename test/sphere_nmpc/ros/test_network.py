@@ -24,7 +24,7 @@ from sphere_nmpc.ros.network import (
     LOCALHOST_ONLY,
     RosEnvironmentError,
     apply_localhost_only,
-    avoid_foreign_shared_memory,
+    avoid_shared_memory,
     check_environment,
     check_middleware,
     network_addresses,
@@ -150,25 +150,15 @@ def test_addresses_are_those_of_interfaces_in_operation() -> None:
     assert bool(network_addresses()) == bool(known)
 
 
-@root
-def test_shared_memory_of_other_users_selects_udp(tmp_path) -> None:
-    def environment(**more: str) -> dict[str, str]:
-        return {"ROS_DOMAIN_ID": "42", **more}
-
-    segment = tmp_path / f"fastrtps_port{7400 + 250 * 42 + 11}"
-    segment.touch()
-    assert not avoid_foreign_shared_memory(environment(), tmp_path), "its own"
-    os.chown(segment, 65534, 65534)
-    changed = environment()
-    assert "uid 65534" in avoid_foreign_shared_memory(changed, tmp_path)
-    assert changed == environment(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
-    here = environment(ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-    assert "the loopback alone" in avoid_foreign_shared_memory(here, tmp_path)
+def test_udp_alone_is_used_unless_the_environment_selects_transports() -> None:
+    everywhere, here = {"ROS_DOMAIN_ID": "42"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    avoid_shared_memory(everywhere)
+    assert everywhere == {"ROS_DOMAIN_ID": "42", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    avoid_shared_memory(here)
     assert "over the loopback" in network_reach(here)
-    for unchanged in (
-        environment(FASTDDS_BUILTIN_TRANSPORTS="DEFAULT"), environment(ROS_DOMAIN_ID="43"), {}
-    ):
-        assert not avoid_foreign_shared_memory(dict(unchanged), tmp_path)
+    chosen = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+    avoid_shared_memory(chosen)
+    assert chosen == {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 
 
 def controller(
@@ -202,7 +192,6 @@ def test_node_of_a_user_without_home_exchanges_messages_with_one_of_root(tmp_pat
         node.terminate()
         lines.append(node.communicate(timeout=PATIENCE)[1])
     assert node.returncode == 0, lines
-    assert sum("shared memory: given" in line for line in lines) == 1
     assert sum("log file: given ~/.ros/log" in line for line in lines) == 1
 
 

@@ -47,13 +47,13 @@ def run(scenario: Scenario, kind: Orientation) -> tuple[float, list[float]]:
         SimulatorSettings(initial_state=tuple(scenario.start)), _ROBOT, plant
     )
     controller = Controller(_SETTINGS, _ROBOT)
-    run = run_closed_loop(
+    found = run_closed_loop(
         simulator, controller, Goal(scenario.goal, kind), _DURATION, _SETTINGS.control_period
     )
-    members = kind.nearest_of(scenario.goal, run.states)
-    index = settling_index(state_errors(run.states, members))
-    settled = np.inf if index is None else float(run.times[index])
-    return settled, _told(run, settled)
+    members = kind.nearest_of(scenario.goal, found.states)
+    index = settling_index(state_errors(found.states, members))
+    settled = np.inf if index is None else float(found.times[index])
+    return settled, _told(found, settled)
 
 
 def _told(run: Trajectory, settled: float) -> list[float]:

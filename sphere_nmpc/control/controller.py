@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.control.decision import Decision, Mode
-from sphere_nmpc.control.goal_motion import GoalMotion
+from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
@@ -141,9 +141,12 @@ class Controller:
 
     def goal_speed(self, time: float) -> float:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
-        if self._itinerary is None:
-            return 0.0
-        return float(np.linalg.norm(self._motion.at(self._itinerary.goal, time).rate[POSITION]))
+        goal = self._goal_at(time)
+        return 0.0 if goal is None else float(np.linalg.norm(goal.rate[POSITION]))
+
+    def _goal_at(self, time: float) -> Goal | None:
+        """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""
+        return None if self._itinerary is None else current(self._itinerary.goal, time)
 
     def set_goal(self, goal: Vector | Goal) -> bool:
         """Track one goal, or a goal state, shape (6,), with all of its orientation: `set_goals`.
@@ -170,6 +173,8 @@ class Controller:
             if known is not None and not is_other:
                 self._itinerary = goals
                 return False
+        else:
+            self._motion = GoalMotion()
         if known is not None and known.lists_same(goals):
             visited = known.index > 0 and self.at_goal
             if not visited:
@@ -359,7 +364,7 @@ class Controller:
         if self._is_carried:
             mode = Mode.POSE_JUMPED
             return Decision(mode, self._stop(time, mode), None, pose_age=age)
-        goals, estimate = self._itinerary, None
+        goals, aim, estimate = self._itinerary, self._goal_at(time), None
         failure: Exception = ArithmeticError("no estimate")
         try:
             estimate = self._estimator.estimate(time)
@@ -369,15 +374,14 @@ class Controller:
         if estimate is not None:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
-        goal = None if goals is None else self._motion.at(goals.goal, time).nearest(state, time)
-        if goals is None or not self.enabled:
+        goal = None if aim is None else aim.nearest(state, time)
+        if aim is None or goal is None or not self.enabled:
             mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
             plan = self._stop(time, mode, state)
         elif estimate is None:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
         else:
-            aim = self._motion.at(goals.goal, time)
-            mode, plan = self._plan(time, estimate, aim, time_budget)
+            mode, plan = self._plan(time, estimate, aim, goal, time_budget)
         decision = Decision(
             mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
         )
@@ -407,15 +411,14 @@ class Controller:
         )
 
     def _plan(
-        self, time: float, estimate: Estimate, goal: Goal, time_budget: float
+        self, time: float, estimate: Estimate, aim: Goal, goal: Vector, time_budget: float
     ) -> tuple[Mode, Plan]:
         try:
             plant = estimate.plant
             situation = Situation(
-                time, estimate.state, goal.nearest(estimate.state, time), self.speeds_at(time),
-                plant.constants, plant.noise, estimate.uncertainty, time_budget,
-                estimate.disturbance, plant.acceleration, plant.slippery, goal.orientation,
-                goal.rate,
+                time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
+                estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
+                plant.slippery, aim.orientation, aim.rate,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():

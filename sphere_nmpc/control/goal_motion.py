@@ -14,7 +14,7 @@ import numpy as np
 
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.goal import STANDING, Goal
-from sphere_nmpc.model.state import Vector, angle_error, position_error, without_momentum
+from sphere_nmpc.model.state import Vector, angle_error, position_error
 
 _LONGEST_GAP = 0.6
 """Time between two goals [s] above which they have nothing to do with each other, and after which
@@ -37,6 +37,13 @@ _LEAST_NOISE = np.array([2e-4, 1e-3])
 """Least standard deviation of goals [m, rad]: that of rounded numbers."""
 _PARTS = (slice(0, 2), slice(2, 5))
 """Position and orientation in an error of a pose."""
+
+
+def current(goal: Goal, time: float) -> Goal:
+    """Return a goal as it is at a control time [s]: one that is no longer given stands."""
+    if goal.rate.any() and time - goal.since > _LONGEST_GAP:
+        return replace(goal, rate=STANDING)
+    return goal
 
 
 class GoalMotion:
@@ -71,12 +78,6 @@ class GoalMotion:
         self._goal = self._estimate(goal)
         return self._goal, False
 
-    def at(self, goal: Goal, time: float) -> Goal:
-        """Return a goal as it is at `time` [s]: one that is no longer given stands."""
-        if goal.rate.any() and time - goal.since > _LONGEST_GAP:
-            return replace(goal, rate=STANDING)
-        return goal
-
     def _continues(self, goal: Goal, time: float, given: Goal) -> bool:
         newest = self._given[-1][0]
         if given.orientation is not goal.orientation or not newest < time <= newest + _LONGEST_GAP:
@@ -93,13 +94,11 @@ class GoalMotion:
     def _estimate(self, goal: Goal) -> Goal:
         """Return the goal by a line through the newest poses."""
         times = np.array([time for time, _ in self._given])
-        newest = without_momentum(self._given[-1][1])
-        errors = np.array([
-            error_between(newest, without_momentum(pose))[:5] for _, pose in self._given
-        ])
+        newest = self._given[-1][1]
+        errors = np.array([error_between(newest, pose) for _, pose in self._given])
         ages, count = times - times[-1], times.size
         if count < (_FIRST if self._noise is _LEAST_NOISE else _LEAST):
-            return replace(goal, pose=newest[:6], rate=STANDING, since=float(times[-1]))
+            return replace(goal, pose=newest, rate=STANDING, since=float(times[-1]))
         mean, centred = np.mean(errors, axis=0), ages - np.mean(ages)
         spread = float(centred @ centred)
         slope = centred @ errors / spread
@@ -119,7 +118,7 @@ class GoalMotion:
             if np.linalg.norm(slope[part]) > _SIGNIFICANT * sigma / np.sqrt(spread):
                 rate[part] = slope[part]
                 value[part] = mean[part] - np.mean(ages) * slope[part]
-        pose = apply_error(newest, np.concatenate((value, np.zeros(3))))[:6]
+        pose = apply_error(newest, value)
         if not rate.any() and not goal.rate.any():
             moved = position_error(pose, goal.pose), angle_error(pose, goal.pose)
             if np.all(np.array(moved) < _SIGNIFICANT * self._noise / np.sqrt(count)):

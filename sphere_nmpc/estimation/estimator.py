@@ -244,17 +244,17 @@ class Estimator:
         replies, lost = self._replies, False
         while replies and not replies[0].pending:
             reply = replies.pop(0)
-            if reply.result is not None and not reply.result.is_finite:
+            result = reply.result
+            if result is None:
+                lost = lost or reply.ready
+                continue
+            self._tracker = None
+            if not result.is_finite:
                 # It would make all that follow it so, too.
                 self._has_diverged = True
-                self._tracker = None
                 self._begin(Posterior.initial(self._settings.drive_lag, self._scaling))
                 return
-            if reply.result is not None:
-                self._result = reply.result
-                self._tracker = None
-            elif reply.ready:
-                lost = True
+            self._result = result
         if lost:
             self._is_begun = False
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector
 
 STANDING: Vector = np.zeros(5)
 """Rate of a goal that does not move."""
@@ -120,7 +120,7 @@ class Goal:
     def equals(self, other: "Goal") -> bool:
         """Return whether it is the same set of poses, given in the same way."""
         same = self.orientation is other.orientation
-        counts = POSITION if self.orientation is Orientation.ANY else slice(0, 6)
+        counts = POSITION if self.orientation is Orientation.ANY else POSE
         return same and np.array_equal(self.pose[counts], other.pose[counts])
 
 

@@ -165,6 +165,18 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     return pose_from_ros(message)
 
 
+def framed_poses_from_ros(
+    messages: Sequence[Any], common: str, frame: str = WORLD_FRAME
+) -> list[Vector]:
+    """Return the states of PoseStampeds, each as `framed_pose_from_ros`.
+
+    Those without a frame are in the `common` one, that of their list, which they are given.
+    """
+    for message in messages:
+        message.header.frame_id = message.header.frame_id or common
+    return [framed_pose_from_ros(message, frame) for message in messages]
+
+
 def framed_point_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """Return the upright state, shape (6,), at a PointStamped; otherwise as for a pose."""
     _check_frame(message, frame)

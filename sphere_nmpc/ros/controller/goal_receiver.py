@@ -14,7 +14,12 @@ from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
-from sphere_nmpc.ros.messages import framed_point_from_ros, framed_pose_from_ros, stamp_from_ros
+from sphere_nmpc.ros.messages import (
+    framed_point_from_ros,
+    framed_pose_from_ros,
+    framed_poses_from_ros,
+    stamp_from_ros,
+)
 
 
 class GoalReceiver:
@@ -52,8 +57,8 @@ class GoalReceiver:
             )
 
         self._subscriptions = [
-            subscribe(PoseStamped, "goal_pose", lambda message: (self._pose(message),)),
-            subscribe(PointStamped, "goal_point", lambda message: (self._point(message),)),
+            subscribe(PoseStamped, "goal_pose", self._pose),
+            subscribe(PointStamped, "goal_point", self._point),
             subscribe(Goals, "goals", self._list),
         ]
 
@@ -68,17 +73,16 @@ class GoalReceiver:
         stamp = stamp_from_ros(message.header.stamp) or self._clock.stamp()
         self._use(Itinerary(goals, stamp))
 
-    def _pose(self, message: Any) -> Goal:
-        return Goal(framed_pose_from_ros(message, self._frame), Orientation(self._orientation()))
+    def _pose(self, message: Any) -> tuple[Goal, ...]:
+        pose = framed_pose_from_ros(message, self._frame)
+        return (Goal(pose, Orientation(self._orientation())),)
 
-    def _point(self, message: Any) -> Goal:
-        return Goal(framed_point_from_ros(message, self._frame), Orientation.ANY)
+    def _point(self, message: Any) -> tuple[Goal, ...]:
+        return (Goal(framed_point_from_ros(message, self._frame), Orientation.ANY),)
 
     def _list(self, message: Any) -> tuple[Goal, ...]:
-        """Return the goals of a list; those without a frame are in the list's."""
-        poses = message.goals
-        if not poses:
+        """Return the goals of a list."""
+        if not message.goals:
             raise InvalidStateError("goals", "an empty list", "one pose or more; ~/cancel stops")
-        for pose in poses:
-            pose.header.frame_id = pose.header.frame_id or message.header.frame_id
-        return tuple(self._pose(pose) for pose in poses)
+        poses = framed_poses_from_ros(message.goals, message.header.frame_id, self._frame)
+        return tuple(Goal(pose, Orientation(self._orientation())) for pose in poses)

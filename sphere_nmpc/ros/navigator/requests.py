@@ -12,7 +12,7 @@ from nav_msgs.msg import Goals
 from sphere_nmpc.control.navigation import Ending, GoalReport, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.messages import framed_pose_from_ros
+from sphere_nmpc.ros.messages import framed_poses_from_ros
 
 _INSTALL = "apt install ros-jazzy-nav2-msgs"
 _LARGEST = 2**15 - 1
@@ -54,9 +54,8 @@ def goals_of(request: Any, frame: str) -> Goals:
         poses = request.poses
     if not poses:
         raise InvalidInputError("poses", list(poses), "one pose or more")
+    framed_poses_from_ros(poses, common, frame)
     for pose in poses:
-        pose.header.frame_id = pose.header.frame_id or common
-        framed_pose_from_ros(pose, frame)
         pose.header.frame_id = frame
     goals = Goals(goals=poses)
     goals.header.frame_id = frame

@@ -23,7 +23,7 @@ from sphere_nmpc.model.disturbance import (
     rest_speeds,
 )
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import STANDING, Orientation
+from sphere_nmpc.model.goal import STANDING, Orientation, moved
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
@@ -107,6 +107,10 @@ class Arrival:
     def duration(self) -> float:
         """Time to the arrival [s]."""
         return self.hold.end
+
+    def goal_after(self, elapsed: float) -> Vector:
+        """Return where the goal is after a time [s] from time 0 on, shape (6,)."""
+        return moved(self.goal, self.goal_rate, elapsed)
 
     @property
     def momentum(self) -> Vector:

@@ -77,20 +77,17 @@ class RestAtGoal:
         self._tracking.reset()
 
     def plan(self, situation: Situation) -> Plan:
-        """Return a ramp to rest, or a correction of what rolling itself can correct."""
-        if situation.goal_rate.any():
-            goal = nearer_sign(situation.goal, situation.state)
-            plan = self._tracking.plan(dataclasses.replace(situation, goal=goal))
-            return dataclasses.replace(plan, status=PlanStatus.HOLDING)
+        """Return a ramp to rest, a correction of what rolling corrects, or a way with the goal."""
         error = state_error(situation.state, situation.goal)
-        tuning = self._tuning
+        tuning, moves = self._tuning, bool(situation.goal_rate.any())
         noisy = tuning.dead_band(situation.noise, 0.0) > tuning.leaving_error
-        if error > tuning.least_dead_band or noisy or not tuning.is_small(situation):
-            goal = nearer_sign(situation.goal, situation.state)
-            plan = self._corrected(dataclasses.replace(situation, goal=goal))
-            return dataclasses.replace(plan, status=PlanStatus.HOLDING)
-        message = f"at the goal, {error:.1e} off"
-        return come_to_rest(situation, self._robot, message)
+        small = error <= tuning.least_dead_band and not noisy and tuning.is_small(situation)
+        if small and not moves:
+            return come_to_rest(situation, self._robot, f"at the goal, {error:.1e} off")
+        goal = nearer_sign(situation.goal, situation.state)
+        situation = dataclasses.replace(situation, goal=goal)
+        plan = self._tracking.plan(situation) if moves else self._corrected(situation)
+        return dataclasses.replace(plan, status=PlanStatus.HOLDING)
 
     def _corrected(self, situation: Situation) -> Plan:
         """Return the solution of the problem of the corrections, added to the speeds of rest."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, flipped_sign
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, flipped_sign
 from sphere_nmpc.solver.half_motions import (
     Drives,
     Floats,
@@ -77,7 +77,7 @@ def meeting_guesses(
     work : int
         Effort of finding them, in microseconds or so.
     """
-    start, goal, period = situation.state[POSE], situation.goal, drives.period
+    start, period = situation.state[POSE], drives.period
     radius = situation.constants.shell_radius
     unit = 1.0 / (situation.constants.input_gain * drives.limit)
     speed = SteadyRolling.of(situation.constants, drives.limit).speed
@@ -89,11 +89,9 @@ def meeting_guesses(
     constants = situation.constants.as_array()
     in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)
     forth = half_motions(start, in_force, signals, levels, drives, constants)
-    goals = situation.orientation.draw(rng, goal, count)
     # A goal that moves counts as where it is after a guess of the mean duration.
-    there = situation.goal_after(0.5 * sum(durations))
-    ends = goals.copy() if goals.shape[1] > 1 else there[:, None].copy()
-    ends[POSITION] = there[POSITION, None]
+    mean = 0.5 * sum(durations)
+    ends = situation.orientation.draw(rng, situation.goal_after(mean), count)
     back = half_motions(ends, _AT_REST, signals, levels, drives, constants)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
@@ -111,7 +109,7 @@ def meeting_guesses(
         speeds: Vector = np.vstack((from_start[: before + 1, :, k], from_goal[:after, :, k][::-1]))
         same_sign = forth.states[before, 2:, i] @ back.states[after, 2:, j] > 0.0
         times: Vector = period * np.arange(periods + 1, dtype=np.float64)
-        member: Vector = goals[:, j % goals.shape[1]]
+        member = situation.goal_after(-mean, ends[:, j % ends.shape[1]])
         guesses.append(
             Guess(FirstOrderHold(times, speeds), member if same_sign else flipped_sign(member))
         )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sampled_loop import SampledLoop
 
-from sphere_nmpc.control.goal_motion import GoalMotion
+from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -115,6 +115,15 @@ def test_another_goal_is_no_motion() -> None:
     assert motion.update(1.2, Goal(second.pose, Orientation.ANY))[1], "the same time"
 
 
+def test_goal_after_a_list_is_another_one_however_near_to_that_before_it() -> None:
+    loop, near = SampledLoop(START), upright_state(0.05, 0.0, 0.0)
+    controller = loop.controller
+    assert controller.set_goals(Itinerary((Goal(START),)), 0.0)
+    assert controller.set_goals(Itinerary((Goal(START), Goal(near))), 0.1)
+    assert controller.set_goals(Itinerary((Goal(near),)), 0.2)
+    assert controller.itinerary.is_last
+
+
 def test_rate_is_that_of_the_stamps_also_of_a_goal_that_turns() -> None:
     motion, rate = GoalMotion(), np.array([0.2, 0.1, 0.3, 0.0, -0.4])
     for k in range(30):
@@ -123,7 +132,7 @@ def test_rate_is_that_of_the_stamps_also_of_a_goal_that_turns() -> None:
         found, _ = motion.update(time, Goal(Goal(START, rate=rate).at(time)))
     np.testing.assert_allclose(found.rate, rate, atol=5e-3)
     assert position_error(found.at(5.0), Goal(START, rate=rate).at(5.0)) < 0.01
-    assert not motion.at(found, time + 1.0).rate.any(), "no longer given"
+    assert not current(found, time + 1.0).rate.any(), "no longer given"
 
 
 def test_pose_of_another_robot_that_rolls_is_followed() -> None:

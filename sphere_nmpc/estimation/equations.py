@@ -243,9 +243,10 @@ class NormalEquations:
         self.gradient[places] += away[fixed] * _FIXED**-2
         cost += float(np.sum(away[fixed] ** 2)) * _FIXED**-2
         cost += 2.0 * float(np.sum(np.log(_FIXED / given.scaling.deviations[fixed])))
-        self.step: Vector = self._solved(-self.gradient)
-        factor = np.linalg.cholesky(self.information)
-        known = 2.0 * float(np.sum(np.log(np.diag(factor))))
+        # SciPy's triangular solver is faster, but its import takes as long as all others here.
+        self.step: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
+        self._factor: Vector = np.asarray(np.linalg.cholesky(self.information))
+        known = 2.0 * float(np.sum(np.log(np.diag(self._factor))))
         self.cost = cost + float(self.gradient @ self.step) + known
         kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
         moved = np.array([self._local(KNOT * k, 2 * KNOT) for k in kept]).reshape(-1, _BLOCK, 1)
@@ -262,10 +263,6 @@ class NormalEquations:
         self.gradient[knots] += gradient[:width]
         self.gradient[common] += gradient[width:]
 
-    def _solved(self, right: Vector) -> Vector:
-        # SciPy's triangular solver is faster, but its import takes as long as all others here.
-        return np.asarray(np.linalg.solve(self.information, right), dtype=float)
-
     def _local(self, begin: int, width: int) -> Vector:
         return np.concatenate((self.step[begin : begin + width], self.step[-COMMON:]))
 
@@ -280,9 +277,10 @@ class NormalEquations:
         """Return that of the newest knot and the common unknowns, shape (19, 19)."""
         columns = np.zeros((self.gradient.size, LOCAL))
         columns[-LOCAL:] = np.eye(LOCAL)
-        covariance = self._solved(columns)[-LOCAL:]
-        symmetric: Vector = 0.5 * (covariance + covariance.T)
-        return symmetric
+        # A product with its transpose is never negative, however different the variances are.
+        inverse = np.linalg.solve(self._factor, columns)
+        covariance: Vector = inverse.T @ inverse
+        return covariance
 
     def without_first(self, point: Point, hypothesis: Hypothesis) -> Prior:
         """Return what the prior and the first interval tell of the knot at its end.

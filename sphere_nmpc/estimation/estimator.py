@@ -107,7 +107,7 @@ class Estimator:
         self._tracker: Tracker | None = None
         self._replies: list[Reply[Posterior | None]] = []
         self._has_diverged = False
-        """Whether a result was not finite since the last estimate."""
+        """Whether a result was not valid since the last estimate."""
         self._result = Posterior.initial(settings.drive_lag, self._scaling)
         self._begin(self._result)
 
@@ -173,7 +173,7 @@ class Estimator:
         self._learn()
         if self._has_diverged:
             self._has_diverged = False
-            raise ArithmeticError("the estimate is not finite, and begins anew")
+            raise ArithmeticError("the estimate is not a distribution, and begins anew")
         plant = self.plant  # First, as it takes over a result that has arrived.
         tracker = self._tracked()
         state, covariance = tracker.predict(time)
@@ -249,8 +249,8 @@ class Estimator:
                 lost = lost or reply.ready
                 continue
             self._tracker = None
-            if not result.is_finite:
-                # It would make all that follow it so, too.
+            if not result.is_valid:
+                # All that follows it would fail, too.
                 self._has_diverged = True
                 self._begin(Posterior.initial(self._settings.drive_lag, self._scaling))
                 return

@@ -75,9 +75,16 @@ class Posterior:
         return cls(-np.inf, knot, scaling.prior(lag), np.diag(deviations**2))
 
     @property
-    def is_finite(self) -> bool:
-        """Whether mean and covariance are finite."""
-        return all(np.isfinite(one).all() for one in (self.knot, self.common, self.covariance))
+    def is_valid(self) -> bool:
+        """Whether a fit can begin from it: a finite mean, a positive definite covariance."""
+        given = (self.knot, self.common, self.covariance)
+        if not all(np.isfinite(one).all() for one in given):
+            return False
+        try:
+            np.linalg.cholesky(np.linalg.inv(self.covariance))
+        except np.linalg.LinAlgError:
+            return False
+        return bool((np.diag(self.covariance) > 0.0).all())
 
     @property
     def disturbance(self) -> Vector:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator behind the contract: live changes, learning by a worker, also by a slow one."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.interval import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
+from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -210,9 +212,21 @@ def test_worker_that_refuses_the_beginning_is_asked_again(sent: SentInputs) -> N
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
 
 
+def not_finite(result: Posterior) -> Posterior:
+    return replace(result, common=np.full(9, np.nan))
+
+
+def not_positive(result: Posterior) -> Posterior:
+    return replace(result, covariance=result.covariance - np.diag(np.full(19, 1e-3)))
+
+
 @BOTH
-def test_estimate_that_is_not_finite_is_told_once_and_begins_anew(
-    settings: ControllerSettings, sent: SentInputs, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("spoiled", [not_finite, not_positive])
+def test_estimate_that_is_not_a_distribution_is_told_once_and_begins_anew(
+    settings: ControllerSettings,
+    sent: SentInputs,
+    spoiled: Callable[[Posterior], Posterior],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made = tracked(settings, sent)
     observe, spoilt = MovingHorizon.observe, list[float]()
@@ -221,10 +235,10 @@ def test_estimate_that_is_not_finite_is_told_once_and_begins_anew(
         observe(horizon, interval, time)
         if not spoilt:
             spoilt.append(time)
-            horizon.result = replace(horizon.result, common=np.full(9, np.nan))
+            horizon.result = spoiled(horizon.result)
 
     monkeypatch.setattr(MovingHorizon, "observe", spoil)
-    with pytest.raises(ArithmeticError, match="not finite, and begins anew"):
+    with pytest.raises(ArithmeticError, match="not a distribution, and begins anew"):
         track(made, sent, LATER)
     assert spoilt and gain(made) == 1.0
     track(made, sent, LATER)

@@ -148,6 +148,18 @@ def test_goal_that_is_cancelled_at_once_does_not_come_into_force_later(world, af
     assert world.in_force == ""
 
 
+def test_goal_that_a_busy_controller_takes_after_it_was_cancelled_is_dropped_first(world) -> None:
+    world.begin(A)
+    sent, world._under_way = world._under_way, None
+    assert world.navigation.cancel(A, world.now)
+    world.step(3.0)
+    assert not world.ended, "the sphere may still begin to move"
+    world._under_way = sent
+    world.step(2.0)
+    assert world.outcome(A) is Outcome.CANCELED
+    assert world.in_force == ""
+
+
 def test_newer_goal_takes_over_without_a_cancel_between(world) -> None:
     world.begin(A)
     world.step(1.0)

@@ -10,6 +10,7 @@ from patience import PATIENCE
 from ros_graph import Graph, values_of
 
 from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.ros.guarded_node import NEWEST
 from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.process_set import ProcessSet
@@ -46,7 +47,8 @@ class Session:
             DiagnosticStatus, "controller/status",
             lambda message: self.statuses.append(values_of(message)), 10,
         )
-        probe.create_subscription(PoseStamped, "pose", self._note, 10)
+        # Of a queue the oldest pose would be taken first, from before the sphere came to rest.
+        probe.create_subscription(PoseStamped, "pose", self._note, NEWEST)
         self.client = NavigationClient(probe, graph.until)
         self.client.wait_for_navigator()
         graph.until(lambda: self._pose and self.status()["mode"] == "no goal")
@@ -70,12 +72,12 @@ class Session:
         self.graph.until(lambda: len(self.statuses) > seen + 1)
         return self.statuses[-1]
 
-    def stays(self) -> bool:
-        """Return whether the sphere is at rest."""
+    def way_at_rest(self) -> float:
+        """Return how far the sphere moves within half a second [m]."""
         self.status()
         before = self.place
         self.graph.spin_for(0.5)
-        return bool(np.linalg.norm(self.place - before) < AT_REST)
+        return float(np.linalg.norm(self.place - before))
 
     def restart(self, name: str) -> None:
         """Kill a node and start it again."""

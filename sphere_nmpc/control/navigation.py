@@ -238,7 +238,7 @@ class Navigation:
             if now - max(self._without_pose_since, pursuit.began_at) > longest:
                 return Outcome.ABORTED, f"{report.mode}, for {longest:g} s"
         if pursuit.cancelled_at is not None:
-            return self._ending_of_cancelled(pursuit, report, now, limit)
+            return self._ending_of_cancelled(pursuit, report, now)
         if report.stamp == pursuit.stamp:
             is_there = report.mode == Mode.AT_GOAL.value
             return (Outcome.SUCCEEDED, "at the goal") if is_there else None
@@ -253,12 +253,12 @@ class Navigation:
         return None
 
     def _ending_of_cancelled(
-        self, pursuit: _Pursuit, report: GoalReport, now: float, limit: float
+        self, pursuit: _Pursuit, report: GoalReport, now: float
     ) -> tuple[Outcome, str] | None:
         # A busy controller may take it late, and would move then.
         is_under_way = (
             not pursuit.is_confirmed and pursuit.sent_at is not None
-            and now - pursuit.sent_at < limit
+            and now - pursuit.sent_at < self._settings.controller_timeout
         )
         is_known = pursuit.cancelled_at is not None and self._heard_at > pursuit.cancelled_at
         if is_under_way or not is_known or self._shows_own():

@@ -90,9 +90,10 @@ static inline lanes integral(float t, lanes a, lanes b)
 }
 
 /* States, (levels + 1) x 6 x count, of `count` half motions from the first of them, which are given,
- * and rotor speeds `begin` on, the first knot from which the speeds stay at their limits, and which of the four corners that
- * is. `signals`, 6 x count: signs of both rotors, first and second switch of the first [s], of the
- * second. A rotor takes the time `ramp` from rest to its limit. `count` is a multiple of LANES. */
+ * and rotor speeds `begin` on, the first knot from which the speeds stay at their limits, and which
+ * of the four corners that is. `signals`, 6 x count: signs of both rotors, first and second switch of
+ * the first [s], of the second. A rotor takes the time `ramp` from rest to its limit. `count` is a
+ * multiple of LANES. */
 void hold_half_motions(int64_t count, int64_t levels, double period, double ramp, double limit,
                        const double *constants, const double *begin,
                        const float *signals, float *states, int32_t *steady, int32_t *corners)

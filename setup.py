@@ -13,7 +13,7 @@ from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 
 NAME = "sphere_nmpc"
-SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
+SHARED = ("config", "config/maps", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 VERBS = (
     "demo", "simulator", "controller", "navigator", "recorder", "goal", "viewer", "markers",
     "study", "benchmark", "report",
@@ -21,10 +21,12 @@ VERBS = (
 READING = ["rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "zstandard>=0.22"]
 """To read recordings. Of rosbags the type store and the form in which bags hold QoS profiles are
 used; its minor versions below 1.0 change interfaces, as 0.11 did those of the reader."""
+MAPS = ["pyyaml>=5.4", "pillow>=9"]
+"""To read map files."""
 EXTRAS = {
-    "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6"],
+    "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6", *MAPS],
     "record": [*READING, "mcap-ros2-support>=0.5,<1"],
-    "sim": ["rich>=13", "matplotlib>=3.8,<4"],
+    "sim": ["rich>=13", "matplotlib>=3.8,<4", *MAPS],
     "study": ["dask>=2024.8", "distributed>=2024.8"],
     "rigid": ["mujoco>=3.2,<5"],
     "viewer": ["viser>=1.0,<2"],

@@ -58,12 +58,12 @@ STATE_PUBLISHER = "robot_state_publisher"
 ACTIONS = "nav2_msgs"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
-    "controller/active_goal", "controller/at_goal", "controller/eta", "controller/predicted_path",
-    "controller/status", "simulator/pushed",
+    "controller/active_goal", "controller/at_goal", "controller/eta", "controller/floor",
+    "controller/predicted_path", "controller/status", "simulator/pushed",
 )
-"""Without goal_pose, goal_point, goals and simulator/push: `ros2 topic pub --once` ends after the
-first matched subscription, which has to be the one that is meant. The accepted goals are in
-active_goal, the pushes in pushed."""
+"""Without goal_pose, goal_point, goals, map, keepout and simulator/push: `ros2 topic pub --once`
+ends after the first matched subscription, which has to be the one that is meant. The accepted
+goals are in active_goal, map and areas to keep out of in floor, the pushes in pushed."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]
@@ -93,6 +93,8 @@ ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
                      "empty: with clock:=simulated"),
     "initial_state": ("", None, "Start of the sphere: X,Y,YAW [m, rad], or X,Y,QW,QX,QY,QZ; "
                       "empty: as in params_file"),
+    "map": ("", None, "Map file of simulator and controller, YAML of map_server; empty: as in "
+            "params_file"),
     "world_frame": (WORLD_FRAME, None, "Frame of poses, goals and plans, in place of that in "
                     "params_file, and fixed frame of RViz"),
     "namespace": ("", None, "Namespace of the robot's topics and clock, and prefix of its frames"),
@@ -140,6 +142,11 @@ def actions(context: LaunchContext) -> list:
             simulator["initial_state"] = initial_state(start)
     following = {**clock, **frame}
     controller = dict(following)
+    if given := value["map"]:
+        file = Path(given).expanduser().absolute()
+        if not file.is_file():
+            raise RuntimeError(f"map: given {given}, expected a file that exists")
+        simulator["map_file"] = controller["map_file"] = str(file)
     if strategy := value["strategy"]:
         controller["strategy"] = strategy
     record, viewer, shown, navigator, respawn = (

@@ -118,6 +118,15 @@ def test_world_frame_is_that_of_all_nodes_and_of_rviz() -> None:
     assert "world" not in re.findall(r"Frame: (\w+)", yaml.safe_dump(view))
 
 
+def test_map_is_that_of_simulator_and_controller(tmp_path, monkeypatch) -> None:
+    file = tmp_path / "hall.yaml"
+    file.touch()
+    monkeypatch.chdir(tmp_path)
+    found = nodes(started("map:=hall.yaml", "viewer:=true"))
+    given = {name: parameters(node).get("map_file") for name, node in found.items()}
+    assert given == {"simulator": str(file), "controller": str(file), "viewer": None}
+
+
 def test_nodes_are_restarted_if_wanted_and_then_none_ends_the_launch() -> None:
     actions = started("respawn:=true")
     assert [action["respawn"] for action in actions] == [True, True]
@@ -214,6 +223,7 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
         ("world_frame:=/map", "world_frame: given '/map', expected a name"),
         ("namespace:=a//b", "namespace: given a//b, expected letters"),
         ("params_file:=none.yaml", "params_file: given none.yaml, expected a file"),
+        ("map:=none.yaml", "map: given none.yaml, expected a file"),
         ("rvis:=true", "rvis: not an argument; known are strategy, plant"),
     ],
 )
@@ -293,6 +303,6 @@ def test_recording_has_every_documented_topic_except_requested_goals() -> None:
     recorded = set(record["cmd"][record["cmd"].index("--topics") + 1:])
     documented = {topic for _, topic, _, verb, _ in table() if verb not in ("service", "action")}
     # `ros2 topic pub --once` ends after the first matched subscription.
-    requested = {"/goal_pose", "/goal_point", "/goals", "/simulator/push"}
+    requested = {"/goal_pose", "/goal_point", "/goals", "/map", "/keepout", "/simulator/push"}
     assert "--use-sim-time" in record["cmd"]
     assert documented - requested <= recorded and not requested & recorded

@@ -60,7 +60,8 @@ def tree(tmp_path_factory) -> Path:
 def shared_files(tree: Path) -> set[str]:
     """Return the files that belong under share/sphere_nmpc, relative to it."""
     return {"package.xml"} | {
-        path.relative_to(tree).as_posix() for name in SHARED for path in tree.glob(f"{name}/*.*")
+        path.relative_to(tree).as_posix()
+        for name in SHARED for path in tree.glob(f"{name}/**/*.*")
     }
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from sphere_nmpc.control.navigation import NavigatorSettings
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
@@ -33,6 +34,7 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     "simulator": (
         ("", "Scheduling of the process.", SchedulingSettings()),
         ("", "Frame of the world, the same for all nodes.", FrameSettings()),
+        ("", "Walls, in both plants.", OccupancySettings()),
         ("", "Push by the service `~/push`.", PushSettings()),
         ("", "Slope, centre of mass and friction, in both plants.", DisturbanceSettings()),
         ("rigid_body", "The plant `rigid_body`.", RigidBodySettings()),
@@ -40,6 +42,7 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
     "controller": (
         ("", "Scheduling of the process.", SchedulingSettings()),
         ("", "Frame of the world, the same for all nodes.", FrameSettings()),
+        ("", "Edges of the floor and obstacles on it.", FloorSettings()),
     ),
     "navigator": (("", "Frame of the world, the same for all nodes.", FrameSettings()),),
 }
@@ -67,7 +70,8 @@ simulator's `/clock`, and leave it unset for the simulator, which publishes that
 
 `sphere_nmpc study --set` has one prefix for each kind of setting: `controller.NAME`,
 `simulator.NAME`, and as in the nodes `robot.NAME` and `rigid_body.NAME`; slope, centre of mass and
-friction are `disturbances.NAME`. The prefix may be left out, and the order does not matter.
+friction are `disturbances.NAME`, edges and obstacles `floor.NAME`, for walls and controller alike.
+The prefix may be left out, and the order does not matter.
 Settings without effect on a study are refused: {_OF_NODES}, and those of the nodes alone, such as
 `lockstep`.
 """

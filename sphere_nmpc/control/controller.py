@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from sphere_nmpc.control.monitors import (
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Itinerary
@@ -34,6 +36,7 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.clearance import Margin, clearance_of
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
@@ -80,6 +83,8 @@ class Controller:
         self._estimator = Estimator(
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
+        self.floor: Floor | None = None
+        """What the sphere has to stay clear of; None where there is nothing."""
         self._itinerary: Itinerary | None = None
         self._motion = GoalMotion()
         self._arrival = ArrivalDetector()
@@ -418,19 +423,37 @@ class Controller:
             situation = Situation(
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
                 estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
-                plant.slippery, aim.orientation, aim.rate,
+                plant.slippery, aim.orientation, aim.rate, self.floor,
+                estimate.place_deviation,
             )
             plan = self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
                 raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
+            plan = self._certified(situation, plan)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)
+
+    def _certified(self, situation: Situation, plan: Plan) -> Plan:
+        """Return a plan that keeps clear of what is on the floor; a stop in place of another."""
+        is_motion = plan.status in (PlanStatus.SOLVED, PlanStatus.BEST_SO_FAR)
+        if situation.floor is None or not is_motion or not math.isnan(plan.clearance):
+            return plan
+        hold = plan.hold.delayed(-situation.time)
+        clearance = clearance_of(situation, hold, Margin.KEPT)
+        if not math.isnan(clearance):
+            return replace(plan, clearance=clearance)
+        stop = self._hold_or_rest(self._commands.stop, situation.time)
+        return Plan(
+            PlanStatus.RAMP_TO_REST, stop, _states(situation.state), message="not clear",
+            given_up=f"the goal: plans of the strategy {self._settings.strategy} do not lead "
+            "around what is occupied, those of time_optimal do",
+        )
 
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         """Return the rest of the hold in force."""

@@ -62,6 +62,13 @@ class Estimate:
     disturbance: Disturbance = UNDISTURBED
 
     @property
+    def place_deviation(self) -> float:
+        """Standard deviation of the error of the position, whatever its direction [m]."""
+        if self.covariance is None:
+            return 0.0
+        return float(np.sqrt(max(self.covariance[0, 0], self.covariance[1, 1])))
+
+    @property
     def uncertainty(self) -> float:
         """Standard deviation of the error of the state in R^6 [mixed units]; 0 if trusted."""
         if self.covariance is None:

@@ -60,9 +60,8 @@ class Orientation(Enum):
         if self is Orientation.ANY_HEADING:
             turns[1:3] = 0.0
         turns /= np.linalg.norm(turns, axis=0)
-        members = [rotation.product(turn, pose[QUATERNION]) for turn in turns.T]
         places = np.broadcast_to(pose[POSITION, None], (2, count))
-        return np.concatenate((places, np.array(members).T))
+        return np.concatenate((places, rotation.products(turns, pose[QUATERNION])))
 
     def nearest(self, pose: Vector, state: Vector) -> Vector:
         """Return the member nearest to `state`, (6,) or (9,), of the set with `pose`, (6,)."""

@@ -35,6 +35,15 @@ def product(a: Vector, b: Vector) -> Vector:
     ))
 
 
+def products(a: Vector, b: Vector) -> Vector:
+    """Return the products of quaternions, shape (4, K), with one, (4,), as `product` does."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b.tolist()
+    return np.stack((
+        aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,
+    ))
+
+
 def conjugate(q: Vector) -> Vector:
     """Return the quaternion of the inverse rotation, shape (..., 4)."""
     return q * _CONJUGATE

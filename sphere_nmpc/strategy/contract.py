@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Protocol, runtime_checkable
 
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.goal import STANDING, Orientation, moved
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
@@ -47,6 +48,10 @@ class Situation:
         What the goal demands of the orientation.
     goal_rate : ndarray, shape (5,)
         Rate of change of the goal, an error of a pose by time [m/s, rad/s]; 0 where it stands.
+    floor : Floor or None
+        What the sphere has to stay clear of; None where there is nothing.
+    place_deviation : float
+        Standard deviation of the error of the position [m].
     """
 
     time: float
@@ -62,6 +67,8 @@ class Situation:
     slippery: bool = False
     orientation: Orientation = Orientation.FULL
     goal_rate: Vector = field(default_factory=lambda: STANDING)
+    floor: Floor | None = None
+    place_deviation: float = 0.0
 
     @property
     def momentum(self) -> Vector:

@@ -55,6 +55,11 @@ class Plan:
         What is given up of the goal and why; empty where nothing is.
     motion : int
         Number of the motion that it is the rest of; 0 where none was planned.
+    clearance : float
+        Clearance that it is certified to keep from what is on the floor [m]; nan where nothing is,
+        or no motion is planned.
+    beyond : float
+        Length of the way from its end to the goal [m], where it ends on the way there.
     """
 
     status: PlanStatus
@@ -68,9 +73,14 @@ class Plan:
     message: str = ""
     given_up: str = ""
     motion: int = 0
+    clearance: float = float("nan")
+    beyond: float = 0.0
 
     def distance_left(self, now: float) -> float:
-        """Return the length of the way from `now` [s] on, straight between knots [m]; or nan."""
+        """Return the length of the way to the goal from `now` [s] on [m]; nan without a plan.
+
+        It is straight between knots.
+        """
         times, places = self.hold.times, self.states[:, POSITION]
         if len(places) < 2:
             return 0.0 if self.status is PlanStatus.HOLDING else float("nan")
@@ -78,4 +88,4 @@ class Plan:
         now = min(max(now, float(times[0])), float(times[-1]))
         here = [[np.interp(now, times, places[:, axis]) for axis in (0, 1)]]
         ahead = np.concatenate((here, places[times > now]))
-        return float(np.sum(np.linalg.norm(np.diff(ahead, axis=0), axis=1)))
+        return self.beyond + float(np.sum(np.linalg.norm(np.diff(ahead, axis=0), axis=1)))

@@ -47,18 +47,20 @@ def _run(arguments: argparse.Namespace) -> int:
     from sphere_sim.scenario.scenarios import draw_scenarios
     from sphere_sim.study.best_known import best_known_times
     from sphere_sim.study.progress import StudyProgress
+    from sphere_sim.study.single_run import floor_of
     from sphere_sim.study.study import Study
     from sphere_sim.study.tables import headline
     from sphere_sim.study.workers import Workers, cores
 
+    strategies = tuple(dict.fromkeys(arguments.strategy or ()))
+    conditions = _conditions(arguments, strategies)
+    floor, _ = floor_of(conditions.floor, conditions.robot.shell_radius)
     if arguments.scenarios is not None:
         scenarios = read_scenarios(arguments.scenarios)
     else:
-        scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind)
+        scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind, floor)
     draws = _draws(arguments)
     scenarios = [draws.applied_to(scenario) for scenario in scenarios]
-    strategies = tuple(dict.fromkeys(arguments.strategy or ()))
-    conditions = _conditions(arguments, strategies)
     study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
 
     def search(motions: "Sequence[Motion]") -> Sequence[float]:
@@ -101,6 +103,8 @@ def _conditions(
     named = {
         "controller.strategy": strategies[0] if strategies else None,
         "controller.learning": "false" if arguments.no_learning else None,
+        # As workers of a cluster may have other working directories.
+        "floor.map_file": arguments.map and arguments.map.absolute(),
         "simulator.plant": arguments.plant,
         "simulator.process_noise": arguments.process_noise,
         "simulator.position_noise": position_noise,
@@ -179,6 +183,11 @@ def _parser() -> argparse.ArgumentParser:
         help="distance of the centre of mass from the centre, in a random direction for each run",
     )
     parser.add_argument(
+        "--map", type=Path, metavar="FILE.yaml",
+        help="map whose occupied cells are walls, as map_server saves it; random starts and goals "
+        "are anywhere on it where the sphere has its clearance",
+    )
+    parser.add_argument(
         "--duration", type=positive, default=30.0, metavar="SECONDS",
         help="length of a run (30)",
     )
@@ -205,7 +214,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
         help="one or several other settings, in any order, each once: controller.NAME, "
-        "simulator.NAME, robot.NAME, rigid_body.NAME or disturbances.NAME, such as "
+        "simulator.NAME, robot.NAME, rigid_body.NAME, disturbances.NAME or floor.NAME, such as "
         "controller.horizon=8; the prefix may be left out. msg_docs/parameters.md lists the "
         "names; one that no study reads is refused with those that it reads",
     )

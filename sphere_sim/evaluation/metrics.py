@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run: errors over time, when it has settled, peaks."""
+"""Metrics of a run: errors over time, when it has settled, peaks, touches."""
 
 import math
 from dataclasses import dataclass
@@ -164,3 +164,12 @@ def _peak(values: NDArray[np.float64]) -> float:
 def _percentile(solve_times: Vector, percent: float) -> float:
     finite = solve_times[np.isfinite(solve_times)]
     return 1e3 * float(np.percentile(finite, percent)) if finite.size else math.nan
+
+
+def touches(clearances: Vector) -> NDArray[np.intp]:
+    """Return the indices at which touches begin, of the clearances at all poses [m], shape (n,).
+
+    A sphere touches where its clearance is 0 or less; nan is no touch.
+    """
+    touching = clearances <= 0.0
+    return np.flatnonzero(touching & ~np.concatenate(([False], touching[:-1])))

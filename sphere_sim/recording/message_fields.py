@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.floor.occupancy import Grid, grid_of_values
 from sphere_nmpc.model.disturbance import Disturbance, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -18,6 +19,10 @@ LARGEST = 1e30
 """Largest magnitude of a number that is believed [SI units]: its square is one, too."""
 _MOST_GOALS = 1e6
 """Largest number of goals that is believed."""
+CLEARANCE = "clearance_m"
+"""Key of the least distance between the sphere on its planned path and what is occupied [m]."""
+CONTACTS = ": commands", "wall touched"
+"""End of the name of a simulator's status in diagnostics, and key of its contacts so far."""
 HOLDING = "holding"
 """Status of a plan that has reached the goal and holds the sphere there."""
 
@@ -40,6 +45,24 @@ def state_of(message: Any) -> list[float]:
             position.x, position.y, orientation.w, orientation.x, orientation.y, orientation.z
         )
     ]
+
+
+def floor_of(message: Any) -> Grid | None:
+    """Return the floor in a nav_msgs/OccupancyGrid; None where it has no cells, so is free.
+
+    `InvalidMapError` is raised where the message is not valid.
+    """
+    info, origin = message.info, message.info.origin
+    if info.width == info.height == 0:
+        return None
+    position, orientation = origin.position, origin.orientation
+    place = (
+        position.x, position.y, position.z,
+        orientation.x, orientation.y, orientation.z, orientation.w,
+    )
+    values = np.asarray(message.data, dtype=np.int8)
+    # The controller has decided already what counts as occupied.
+    return grid_of_values(values, info.width, info.height, info.resolution, place, 0.5, False)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@
 ``goal_pose``, ``goal_point`` and ``goals`` are not recorded by default: ``ros2 topic pub --once``
 publishes to its first matched subscription and ends, so that with a recorder among the subscribers
 the goal may never reach the controller. Accepted goals are on ``controller/active_goal``, refused
-ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``.
+ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``, ``map`` and
+``keepout`` as they are put together on ``controller/floor``.
 """
 
 from collections.abc import Sequence

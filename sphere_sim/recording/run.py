@@ -4,16 +4,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, nearer_sign
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign
 from sphere_sim.evaluation.metrics import Metrics, measure, state_errors
+from sphere_sim.world.walls import Walls
 
 ErrorMeasure = Callable[[Vector, Vector], Vector]
 _SAME_INSTANT = 1e-9
@@ -89,6 +92,55 @@ class Momentum:
 
 
 @dataclass(frozen=True, eq=False)
+class Floors:
+    """Floors and clearances of plans that the controller reported, and contacts with walls.
+
+    Attributes
+    ----------
+    times, grids : ndarray, shape (k,), and tuple of Grid or None, length k
+        Times from which on floors were in force [s], and the floors; None where it was free.
+    report_times, clearances : ndarray, shape (m,)
+        Times of the reports [s], and least distances between the sphere on its planned path and
+        what is occupied [m].
+    contact_times : ndarray, shape (c,)
+        Times by which the simulator had counted each contact with a wall [s].
+    """
+
+    times: Vector = field(default_factory=lambda: np.empty(0))
+    grids: tuple[Grid | None, ...] = ()
+    report_times: Vector = field(default_factory=lambda: np.empty(0))
+    clearances: Vector = field(default_factory=lambda: np.empty(0))
+    contact_times: Vector = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing was occupied at any time."""
+        return all(grid is None for grid in self.grids)
+
+    def at(self, time: float) -> Grid | None:
+        """Return the floor in force at a time [s]; None where it is free."""
+        index = newest(self.times, time)
+        return self.grids[index] if index >= 0 else None
+
+    def clearance_at(self, time: float) -> float:
+        """Return the newest reported clearance at a time [m]; nan before the first one."""
+        index = newest(self.report_times, time)
+        return float(self.clearances[index]) if index >= 0 else float("nan")
+
+    def between(self, start: float, end: float) -> "Floors":
+        """Return what was in force or reported from `start` until before `end` [s], likewise."""
+        first = max(0, newest(self.times, start))
+        last = int(np.searchsorted(self.times, end))
+        kept = _between(self.report_times, start, end)
+        contacts = _between(self.contact_times, start, end)
+        return Floors(
+            self.times[first:last] - start, self.grids[first:last],
+            self.report_times[kept] - start, self.clearances[kept],
+            self.contact_times[contacts] - start,
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """One run of one robot, to one goal or to several in turn.
 
@@ -108,8 +160,8 @@ class Run:
         follows each before the next.
     plans : tuple of FirstOrderHold
         Rotor trajectories that the controller sent, knot times in the run's time.
-    solves, momentum : Solves and Momentum
-        Solves and momentum that it reported, and pushes.
+    solves, momentum, floors : Solves, Momentum and Floors
+        Solves and momentum that it reported, and pushes; floors, clearances and contacts.
     robot : RobotParameters
         Robot parameters of the controller, or the defaults where the bag does not have them.
     notes : tuple of str
@@ -128,6 +180,7 @@ class Run:
     plans: tuple[FirstOrderHold, ...]
     solves: Solves
     momentum: Momentum = field(default_factory=Momentum)
+    floors: Floors = field(default_factory=Floors)
     robot: RobotParameters = field(default_factory=RobotParameters)
     notes: tuple[str, ...] = ()
 
@@ -153,6 +206,21 @@ class Run:
         known = np.all(np.isfinite(goals), axis=1)
         return self.times[known], measure(self.states[known], goals[known])
 
+    @cached_property
+    def clearances(self) -> Vector:
+        """Distance between the sphere and what is occupied at each pose [m], shape (n,).
+
+        It is nan where the floor was free.
+        """
+        found = np.full(self.times.size, np.nan)
+        which = np.searchsorted(self.floors.times, self.times, side="right") - 1
+        for i, grid in enumerate(self.floors.grids):
+            here = which == i
+            if grid is not None and here.any():
+                places = self.states[here][:, POSITION]
+                found[here] = Walls(grid).distances(places) - self.robot.shell_radius
+        return found
+
     def to_goal(self, number: int) -> "Run":
         """Return the run while the goal of a number, from 1 on, was in force."""
         i = number - 1
@@ -173,6 +241,7 @@ class Run:
             plans=tuple(p.delayed(-start) for p in self.plans if start <= p.start < end),
             solves=self.solves.between(start, end),
             momentum=self.momentum.between(start, end),
+            floors=self.floors.between(start, end),
         )
 
     def metrics(self) -> Metrics | None:

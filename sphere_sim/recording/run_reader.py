@@ -10,12 +10,14 @@ import dataclasses
 import json
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -24,7 +26,10 @@ from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock, longest_run
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
 from sphere_sim.recording.message_fields import (
+    CLEARANCE,
+    CONTACTS,
     NANOSECONDS,
+    floor_of,
     known,
     number,
     reported_disturbance,
@@ -34,12 +39,14 @@ from sphere_sim.recording.message_fields import (
     state_of,
 )
 from sphere_sim.recording.messages import Messages, read_messages
-from sphere_sim.recording.run import Momentum, Run, Solves, without_sign_jumps
+from sphere_sim.recording.run import Floors, Momentum, Run, Solves, without_sign_jumps
 
 ROTORS = ("rotor_1_joint", "rotor_2_joint")
 """Joint names of the rotors."""
 _LONGEST_SOLVE = 1e5
 """Duration that no solve has [s]."""
+_MOST_CONTACTS = 1000.0
+"""Contacts that are believed between two messages."""
 _POSE = "geometry_msgs/msg/PoseStamped"
 _TYPES = {
     "pose": _POSE,
@@ -49,6 +56,8 @@ _TYPES = {
     "active_goal": _POSE,
     "status": "diagnostic_msgs/msg/DiagnosticStatus",
     "pushed": "geometry_msgs/msg/Vector3Stamped",
+    "floor": "nav_msgs/msg/OccupancyGrid",
+    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 """Message types of the topics that a run consists of."""
 
@@ -80,10 +89,11 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     goal_times, goals = reader.goals(times)
     parameters = _recorded_robot(messages.custom_data, f"{robot}/controller")
     solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
+    floors = reader.floors()
     return Run(
         printable(name or Path(storage_name(path)).stem), path, times, without_sign_jumps(states),
-        joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, parameters,
-        tuple(messages.notes),
+        joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, floors,
+        parameters, tuple(messages.notes),
     )
 
 
@@ -150,12 +160,12 @@ def _read_poses(messages: Messages, robot: str) -> tuple[BagClock, Vector, Vecto
 
 
 def _remove_other_runs(messages: Messages, first: int, following: int | None) -> None:
-    """Remove messages logged in other runs, except earlier goals, which may be in force still."""
+    """Remove messages of other runs, except earlier goals and floors, which may be in force."""
     for topic, entries in messages.decoded.items():
-        is_goal = topic.endswith(("/goal_pose", "/active_goal"))
+        stays = topic.endswith(("/goal_pose", "/active_goal", "/floor"))
         messages.decoded[topic] = [
             (log, message) for log, message in entries
-            if (is_goal or log >= first) and (following is None or log < following)
+            if (stays or log >= first) and (following is None or log < following)
         ]
 
 
@@ -337,6 +347,44 @@ class _TopicReader:
             pushed[:, 0],
             pushed[:, 1:],
         )
+
+    def floors(self) -> Floors:
+        """Return the floors that the controller reported, clearances of plans, and contacts."""
+        found: list[tuple[float, Grid | None]] = []
+        for topic in self._topics("/floor"):
+            given = self._messages.decoded[topic]
+            before = len(found)
+            for received, message in given:
+                time = self._clock.time_of_message(stamp_of(message), received, latched=True)
+                with suppress(InvalidMapError):
+                    found.append((time, floor_of(message)))
+            if invalid := len(given) - len(found) + before:
+                self._notes.append(f"{topic}: {invalid} invalid floors were ignored")
+        found.sort(key=lambda entry: entry[0])
+        reports = [(time, number(values, CLEARANCE)) for time, values in self._statuses()
+                   if CLEARANCE in values]
+        times, clearances = np.array(reports, dtype=float).reshape(-1, 2).T
+        return Floors(
+            np.array([time for time, _ in found]), tuple(grid for _, grid in found),
+            times, clearances, self._contacts(),
+        )
+
+    def _contacts(self) -> Vector:
+        """Return the times by which the robot's simulator had counted each contact [s]."""
+        ending, key = CONTACTS
+        place, times, before = f"{self._robot}/".lstrip("/"), [], 0.0
+        for received, message in self._messages.decoded.get("/diagnostics", ()):
+            for status in message.status:
+                node = status.name.removeprefix(place).removesuffix(ending)
+                if status.name != f"{place}{node}{ending}" or "/" in node:
+                    continue
+                values = {pair.key: pair.value for pair in status.values}
+                count = number(values, key) if key in values else 0.0
+                time = self._clock.time_of_message(stamp_of(message), received)
+                # A simulator that is started again counts from 0.
+                times += [time] * round(np.clip(count - before, 0.0, _MOST_CONTACTS))
+                before = count
+        return np.array(times)
 
     def _topics(self, ending: str) -> list[str]:
         """Return the topics of the robot with an ending, whatever the name of the node is."""

@@ -14,7 +14,7 @@ from sphere_nmpc import __version__
 from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
-from sphere_sim.report.reported import Reported
+from sphere_sim.report.reported import Reported, floor_metrics
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
@@ -28,6 +28,7 @@ figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
 .wide td { white-space: nowrap; }
 figcaption, .note { color: #555; font-size: .9rem; }
 """
+_ALARM = "font-weight: 600; color: #b3261e"
 
 
 def write_page(
@@ -39,7 +40,7 @@ def write_page(
     """
     title = "Run report: " + ", ".join(one.recording.name for one in reported)
     runs = [run for one in reported for run in one.runs.values()]
-    parts = [f"<h1>{escape(title)}</h1>", _table(runs), *_notes(reported)]
+    parts = [f"<h1>{escape(title)}</h1>", *_alarms(reported), _table(runs), *_notes(reported)]
     parts += [_goals(one) for one in reported if len(one.recording.goals)]
     heading = ""
     for figure_heading, caption, file in figures:
@@ -59,8 +60,8 @@ def write_page(
 
 
 def results(run: Run) -> list[tuple[str, str]]:
-    """Return name and value of each result as text; without a goal at most those of momentum."""
-    return [*_motion_results(run), *_momentum_results(run)]
+    """Return name and value of each result as text; those of the goal only with one."""
+    return [*_motion_results(run), *_momentum_results(run), *_floor_results(run)]
 
 
 def _motion_results(run: Run) -> list[tuple[str, str]]:
@@ -95,6 +96,34 @@ def _momentum_results(run: Run) -> list[tuple[str, str]]:
         final = np.linalg.norm(momentum.values[-1])
         rows.append(("momentum at the end, estimated", _number(float(final), "N m s")))
     return rows
+
+
+def _floor_results(run: Run) -> list[tuple[str, str]]:
+    """Return the results of a run on a floor that is not free; empty for others."""
+    found = floor_metrics(run)
+    if not found:
+        return []
+    return [
+        ("least clearance", _number(1e3 * found["least_clearance_m"], "mm")),
+        ("touches of what is occupied", _contacts(found)),
+    ]
+
+
+def _contacts(floor: dict[str, float]) -> str:
+    """Return the number of touches, and when the first one was."""
+    count = f"{floor['contacts']:.0f}"
+    first = _number(floor["first_contact_s"], "s")
+    return f"{count}, the first at {first}" if floor["contacts"] else count
+
+
+def _alarms(reported: Sequence[Reported]) -> list[str]:
+    """Return a paragraph for each recording in which the sphere touched what is occupied."""
+    return [
+        f'<p style="{_ALARM}">{escape(one.recording.name)}: the sphere touched what is occupied '
+        f"on the floor: {_contacts(floor)}</p>"
+        for one in reported
+        if (floor := floor_metrics(one.recording)) and floor["contacts"]
+    ]
 
 
 def _table(runs: Sequence[Run]) -> str:

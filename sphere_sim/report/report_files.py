@@ -19,6 +19,7 @@ from sphere_sim.report.figures.style import save
 from sphere_sim.report.page import write_page
 from sphere_sim.report.reported import (
     Reported,
+    floor_metrics,
     goal_table,
     metrics_of,
     motion_table,
@@ -45,6 +46,10 @@ _OF_MOMENTUM = (
     analysis.momentum_over_time,
     "Estimated angular momentum about the contact point; dotted: what a rotor can hold. "
     "Vertical lines: pushes.",
+)
+_OF_FLOOR = (
+    analysis.clearance_over_time,
+    "Distance between the sphere and what is occupied on the floor; at 0 it touches.",
 )
 
 
@@ -76,6 +81,7 @@ def write_report(
         figures.append(("Comparison", caption, save(drawn, out, "comparison")[1]))
     for prefix, run in runs.items():
         own = {} if run.momentum.is_zero else {"momentum": _OF_MOMENTUM}
+        own |= {} if run.floors.is_free else {"clearance": _OF_FLOOR}
         for name, (draw, caption) in {**FIGURES, **own}.items():
             files = save(draw(run), out, f"{prefix}{name}")
             figures.append((run.name, caption, files[1]))
@@ -97,6 +103,8 @@ def _summary(one: Reported) -> dict[str, object]:
     }
     if not run.momentum.is_zero:
         entry["momentum"] = _momentum(run.momentum)
+    if found := floor_metrics(one.recording):
+        entry["floor"] = _known(found)
     goals = [_known(columns) for columns, _ in one.rows()]
     return {**entry, "goals": goals, "notes": list(run.notes)}
 

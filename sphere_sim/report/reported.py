@@ -11,7 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.model.state import POSE_NAMES, Vector
-from sphere_sim.evaluation.metrics import Metrics, angle_errors, position_errors, state_errors
+from sphere_sim.evaluation.metrics import (
+    Metrics,
+    angle_errors,
+    position_errors,
+    state_errors,
+    touches,
+)
 from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run import Run
@@ -91,11 +97,29 @@ def metrics_of(run: Run) -> dict[str, float]:
     return {} if metrics is None else dataclasses.asdict(metrics)
 
 
+def floor_metrics(run: Run) -> dict[str, float]:
+    """Return the least clearance of a run, how often it touched what is occupied, and when first.
+
+    It is empty for a run on a free floor; the time [s] is nan without a touch. Touches are those
+    that the simulator counted, as walls may stop the sphere before it reaches them, or those by
+    the poses if there are more.
+    """
+    known = run.clearances[np.isfinite(run.clearances)]
+    counted, begun = run.floors.contact_times, run.times[touches(run.clearances)]
+    if not (known.size or counted.size):
+        return {}
+    return {
+        "least_clearance_m": float(known.min()) if known.size else float("nan"),
+        "contacts": max(counted.size, begun.size),
+        "first_contact_s": float(min((*counted[:1], *begun[:1]), default=float("nan"))),
+    }
+
+
 def motion_table(run: Run) -> dict[str, Vector]:
     """Return the columns of a table with one row for each pose.
 
-    They are times [s], states [m, -], errors, and rotor speeds [rad/s] and torques [N m]
-    interpolated at the poses; nan where not recorded.
+    They are times [s], states [m, -], errors, the clearance [m] where the floor is not free, and
+    rotor speeds [rad/s] and torques [N m] interpolated at the poses; nan where not recorded.
     """
     table = {"time_s": run.times}
     table.update({name: run.states[:, i] for i, name in enumerate(POSE_NAMES)})
@@ -103,6 +127,8 @@ def motion_table(run: Run) -> dict[str, Vector]:
     table["error"] = state_errors(run.states, goals)
     table["position_error_m"] = position_errors(run.states, goals)
     table["angle_error_rad"] = angle_errors(run.states, goals)
+    if not run.floors.is_free:
+        table["clearance_m"] = run.clearances
     for name, unit, values in (
         ("rotor_speed", "rad_s", run.rotor_speeds),
         ("rotor_torque", "nm", run.rotor_torques),

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import Vector, as_state, make_state
+from sphere_nmpc.model.state import POSITION, Vector, as_state, make_state
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 if TYPE_CHECKING:
@@ -87,6 +89,8 @@ _NEAREST, _FARTHEST = 10.0, 60.0
 """Limits of the distance of a far goal [m]."""
 _HALF_SIDE = 3.0
 """Half the side of the square of the positions, centred at the origin [m]."""
+_ATTEMPTS = 10_000
+"""Largest number of attempts to draw a place on a floor."""
 
 
 def anywhere(rng: np.random.Generator) -> Ends:
@@ -181,14 +185,41 @@ def _quaternion(rotation: "Rotation") -> Vector:
     return np.array([w, x, y, z])
 
 
-def draw_scenarios(number: int, seed: int, kind: str = "anywhere") -> list[Scenario]:
+def draw_scenarios(
+    number: int, seed: int, kind: str = "anywhere", floor: Floor | None = None
+) -> list[Scenario]:
     """Return random scenarios of one of the kinds in `DRAWS`.
 
-    Scenario i depends on the seed alone, not on `number`.
+    On a floor the positions are uniform over all of it that has the needed clearance; a goal at
+    its start stays there. Scenario i depends on the seed alone, not on `number`.
+    `InvalidParameterError` is raised for a floor without room for the sphere.
     """
     scenarios = []
     for i in range(number):
         rng = np.random.default_rng([seed, i])
         start, goal = DRAWS[kind](rng)
-        scenarios.append(Scenario(start, goal, seed=int(rng.integers(2**31))))
+        of_run = int(rng.integers(2**31))
+        if floor is not None:
+            in_place = np.array_equal(start[POSITION], goal[POSITION])
+            start[POSITION] = _clear_place(rng, floor)
+            goal[POSITION] = start[POSITION] if in_place else _clear_place(rng, floor)
+        scenarios.append(Scenario(start, goal, seed=of_run))
     return scenarios
+
+
+def _clear_place(rng: np.random.Generator, floor: Floor) -> Vector:
+    """Return a place [m] where the sphere has its clearance."""
+    corners = floor.corner_distances
+    # A place is no farther from its nearest corner than half the diagonal of a cell.
+    least = floor.needed - np.sqrt(0.5) * floor.fine.resolution
+    rows, columns = np.nonzero(corners >= least)
+    for _ in range(_ATTEMPTS if rows.size else 0):
+        nearest = rng.integers(rows.size)
+        local = np.array([columns[nearest], rows[nearest]]) + rng.uniform(-0.5, 0.5, size=2)
+        place = floor.fine.world(local)
+        if floor.distances(place[None])[0] >= floor.needed:
+            return place
+    raise InvalidParameterError(
+        "map", f"no place that is {floor.needed:g} m away from what is occupied",
+        "room for the sphere",
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
@@ -41,6 +42,7 @@ class StudyConditions:
     robot: RobotParameters = field(default_factory=RobotParameters)
     rigid_body: RigidBodySettings = field(default_factory=RigidBodySettings)
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
+    floor: FloorSettings = field(default_factory=FloorSettings)
 
     def __post_init__(self) -> None:
         validate(self)
@@ -56,7 +58,7 @@ class StudyConditions:
         """Return the conditions with other values of some settings.
 
         Names and values are text, in any order. A name that occurs in only one of controller,
-        simulator, robot, rigid_body and disturbances needs no prefix such as in
+        simulator, robot, rigid_body, disturbances and floor needs no prefix such as in
         ``controller.horizon``.
 
         `InvalidParameterError` is raised if there is no such setting or no study reads it, one is
@@ -86,6 +88,7 @@ _GROUPS: dict[str, Any] = {
     "robot": RobotParameters,
     "rigid_body": RigidBodySettings,
     "disturbances": DisturbanceSettings,
+    "floor": FloorSettings,
 }
 
 

@@ -20,6 +20,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import sphere_nmpc
 import sphere_sim
 from sphere_nmpc.errors import SphereNmpcError
@@ -27,11 +29,17 @@ from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import RunRecord
+from sphere_sim.study.single_run import floor_of
 
 NAME = "journal.jsonl"
 _OF_RUNS = ("evaluation", "scenario", "study", "world")
 """Packages of `sphere_sim` that a run may execute."""
 _SOURCES = (".py", ".c", ".h")
+_DIGESTS = {
+    "scenarios": "other scenarios", "code": "another state of the code",
+    "map": "another map",
+}
+"""What is said of the parts of a fingerprint that are digests where they differ."""
 _RESULTS = ("runs.csv", "inputs.npz", "summary.json")
 _LISTED = 5
 """Largest number of damaged lines whose numbers a warning lists."""
@@ -57,6 +65,10 @@ def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> d
         "scenarios": _digest(_scenario_bytes(scenarios)),
         "code": code_digest(),
     }
+    floor, _ = floor_of(conditions.floor, conditions.robot.shell_radius)
+    if floor is not None:
+        about = json.dumps([floor.grid.resolution, floor.grid.origin, floor.grid.occupied.shape])
+        content["map"] = _digest([about.encode(), np.packbits(floor.grid.occupied).tobytes()])
     # Through JSON and back, so that it equals what is read from a file.
     plain: dict[str, Any] = json.loads(json.dumps(content))
     return plain
@@ -219,7 +231,7 @@ def _differences(recorded: Any, given: Any, name: str = "") -> Iterator[str]:
             place = f"{name}.{key}".removeprefix(".conditions").removeprefix(".")
             yield from _differences(recorded.get(key), given.get(key), place)
     elif recorded != given:
-        if name in ("scenarios", "code"):
-            yield f"another state of the {name}" if name == "code" else "other scenarios"
+        if name in _DIGESTS:
+            yield _DIGESTS[name]
         else:
             yield f"{name}: given {given}, recorded {recorded}"

@@ -24,7 +24,9 @@ RESULT_COLUMNS = (
 )
 """Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
 PUSH_RESULT_COLUMNS = ("recover_s",)
-"""Further ones of a study with pushes."""
+"""Further ones of a study with pushes ..."""
+FLOOR_RESULT_COLUMNS = ("contacts", "least_clearance_m", "reason")
+"""... and of one on a floor with walls; ``reason`` is why a goal was given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,8 @@ def _is_valid(name: str, value: Any) -> bool:
         return isinstance(value, bool)
     if name in ("strategy", "crash"):
         return isinstance(value, str)
+    if name == "reason":
+        return value is None or isinstance(value, str)
     return value is None or (type(value) in (int, float) and math.isfinite(value))
 
 

@@ -6,14 +6,18 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, replace
+from functools import lru_cache
 
 import numpy as np
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
+from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, measure, state_errors, stay_below
 from sphere_sim.scenario.perturbation import perturbed
@@ -22,8 +26,19 @@ from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import RunRecord, Value, finite
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
+from sphere_sim.world.walls import Contact, Walls, walls_of
 
 _ROUNDING = 1e-9
+
+
+@lru_cache(maxsize=1)
+def floor_of(settings: FloorSettings, radius: float) -> tuple[Floor, Walls] | tuple[None, None]:
+    """Return the floor of a sphere of a radius [m] and its walls, the same ones for all runs.
+
+    `InvalidMapError` is raised if the map file cannot be used.
+    """
+    floor = settings.whole(radius)
+    return (None, None) if floor is None else (floor, walls_of(floor.grid))
 
 
 def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
@@ -40,8 +55,11 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
     disturbances = replace(conditions.disturbances, **scenario.disturbances)
     # The limits of the drives are those of the nominal robot.
     body = conditions.rigid_body.for_robot(conditions.robot)
-    plant = make_plant(simulation.plant, robot, scenario.start, body, disturbances)
-    return Simulator(simulation, robot, plant), Controller(conditions.controller, conditions.robot)
+    floor, walls = floor_of(conditions.floor, conditions.robot.shell_radius)
+    plant = make_plant(simulation.plant, robot, scenario.start, body, disturbances, walls)
+    controller = Controller(conditions.controller, conditions.robot)
+    controller.floor = floor
+    return Simulator(simulation, robot, plant), controller
 
 
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
@@ -62,6 +80,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         settling = results["settle_time_s"]
         if scenario.push is not None and trajectory.at_push.size and settling is not None:
             results["recover_s"] = max(0.0, float(settling) - scenario.push.time)
+        results |= _contacts(simulator.plant.contact, trajectory)
     except (MemoryError, OSError):
         raise
     except Exception as error:
@@ -95,6 +114,21 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     if planned:
         results["solve_ms_max"] = 1e3 * max(planned)
     return results
+
+
+def _contacts(contact: Contact, trajectory: Trajectory) -> dict[str, Value]:
+    """Return the results of a run on a floor with walls; none without walls."""
+    if contact.walls is None:
+        return {}
+    reasons = (
+        d.plan.given_up for d in reversed(trajectory.decisions)
+        if d.plan.status is PlanStatus.RAMP_TO_REST and d.plan.given_up
+    )
+    return {
+        "contacts": contact.touches,
+        "least_clearance_m": contact.least_clearance(trajectory.states[:, POSITION]),
+        "reason": next(reasons, None),
+    }
 
 
 def _largest_slope(times: Vector, speeds: Vector) -> float:
@@ -164,7 +198,7 @@ def _value_decrease(
     settings = conditions.controller
     judged = broken = 0
     for k, decision in enumerate(decisions):
-        if decision.state is None or not decision.solved:
+        if decision.state is None or not decision.solved or math.isnan(decision.plan.cost):
             continue
         report = monitor.update(
             Sample(

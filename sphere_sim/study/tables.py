@@ -17,6 +17,7 @@ from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
 from sphere_sim.study.journal import NotWrittenError
 from sphere_sim.study.record import (
+    FLOOR_RESULT_COLUMNS,
     PUSH_RESULT_COLUMNS,
     RESULT_COLUMNS,
     RunRecord,
@@ -90,11 +91,28 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
             for i, (scenario, found) in enumerate(zip(scenarios, results, strict=True))
             if not found["settled"]
         ],
+        **_contacts(results),
         "timing": {
             "solve_ms_p50": _distribution(column(results, "solve_ms_p50"))["median"],
             "solve_ms_p99": _largest(column(results, "solve_ms_p99")),
             "solve_ms_max": _largest(column(results, "solve_ms_max")),
         },
+    }
+
+
+def _has_walls(results: Results) -> bool:
+    """Return whether the runs were on a floor with walls."""
+    return any("contacts" in found for found in results)
+
+
+def _contacts(results: Results) -> dict[str, Any]:
+    """Return what a summary has of contacts with walls; nothing where there are no walls."""
+    if not _has_walls(results):
+        return {}
+    clearances = column(results, "least_clearance_m")
+    return {
+        "contacts": int(np.sum(column(results, "contacts"))),
+        "least_clearance_m": float(np.min(clearances)) if clearances.size else None,
     }
 
 
@@ -126,6 +144,10 @@ def headline(summary: dict[str, Any]) -> str:
         parts.append(f"{ratio['median']:.2f} x best known (p99 {ratio['p99']:.2f})")
     if summary["final_error"]["count"]:
         parts.append(f"final error {summary['final_error']['median']:.1e}")
+    if "contacts" in summary:
+        parts.append(f"{summary['contacts']} contacts")
+        if summary["least_clearance_m"] is not None:
+            parts.append(f"least clearance {1e3 * summary['least_clearance_m']:.1f} mm")
     if summary["crashed"]:
         parts.append(f"{summary['crashed']} CRASHED")
     return ", ".join(parts)
@@ -163,8 +185,11 @@ def write_runs(
     # A table of results may be the scenario file; its previous results are replaced.
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
     pushed = any(scenario.push is not None for scenario in scenarios)
+    results = list(results)
+    walled = any(map(_has_walls, results))
     result_names = RESULT_COLUMNS + (PUSH_RESULT_COLUMNS if pushed else ())
-    extras = [n for n in names if n not in RESULT_COLUMNS + PUSH_RESULT_COLUMNS]
+    result_names += FLOOR_RESULT_COLUMNS if walled else ()
+    extras = [n for n in names if n not in (*result_names, *PUSH_RESULT_COLUMNS)]
     present = {name for scenario in scenarios for name in scenario.optional}
     optional = [name for name in PUSH_COLUMNS + DISTURBANCE_COLUMNS if name in present]
     table = io.StringIO()

@@ -19,6 +19,7 @@ PLAN = SKY
 GOAL = PURPLE
 GAMMA = VERMILION
 TRACE = INK
+WALL: Colour = (92, 104, 118)
 
 
 def linear(colour: Colour) -> Colour:

@@ -37,7 +37,7 @@ _LEGEND = """
 - **black line** on the shell: past contact points
 - **blue line**: path; **light blue**: predicted plan with its knots
 - **pink sphere**: the goal
-- **floor**: a line every {cell:g} m
+- **floor**: a line every {cell:g} m{walls}
 """
 _NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
 _STATUS = "padding:6px 10px;margin:6px 0;border-radius:4px;color:white;font-weight:600"
@@ -185,7 +185,7 @@ class ControlPanel:
         """Show the newest frame and the spacing of the grid [m]; for a few times a second."""
         _set(self._status, "content", _status_bar(frame, self._live))
         _set(self._numbers, "content", _number_lines(frame))
-        _set(self._legend, "content", _LEGEND.format(cell=cell))
+        _set(self._legend, "content", _legend(frame, cell))
         self._offer_impulses(frame)
         capabilities = frame.capabilities
         if capabilities != self._capabilities:
@@ -260,6 +260,11 @@ def _set(handle: Any, name: str, value: object) -> None:
         setattr(handle, name, value)
 
 
+def _legend(frame: Frame, cell: float) -> str:
+    walls = "; **grey walls**: not to be touched" if frame.floor is not None else ""
+    return _LEGEND.format(cell=cell, walls=walls)
+
+
 def _status_bar(frame: Frame, live: bool) -> str:
     """Return the status bar as HTML: the alerts, or whether time is running."""
     if frame.alerts:
@@ -276,7 +281,8 @@ def _status_bar(frame: Frame, live: bool) -> str:
 def _number_lines(frame: Frame) -> str:
     """Return time, mode, distance to the goal and what is left of the way as HTML.
 
-    There are always four lines: the widgets below must not move under the mouse pointer.
+    There are always four lines, and one more on a floor that is not free everywhere: the widgets
+    below must not move under the mouse pointer.
     """
     distance = left = "–"
     if frame.state is not None and frame.goal is not None:
@@ -291,5 +297,8 @@ def _number_lines(frame: Frame) -> str:
             left += f", <b>{progress.distance_left:.2f} m</b> of path"
     if progress.count > 1:
         left += f"; goal <b>{progress.index + 1} of {progress.count}</b>"
-    lines = f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance, left
+    lines = [f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance, left]
+    if frame.floor is not None:
+        clear = f"<b>{frame.clearance:.3f} m</b>" if math.isfinite(frame.clearance) else "–"
+        lines.append(f"clearance of the plan {clear}")
     return f'<div style="{_NUMBERS}">{"<br>".join(lines)}</div>'

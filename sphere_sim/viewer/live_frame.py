@@ -10,8 +10,10 @@ import numpy as np
 
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_sim.recording.message_fields import (
+    CLEARANCE,
     HOLDING,
     known,
+    number,
     reported_momentum,
     reported_progress,
     reported_solve,
@@ -42,8 +44,10 @@ class LiveFrame:
         """Time at which the newest message of the controller arrived [s]."""
         self.refused = ""
         """Why the newest pose cannot be shown; empty otherwise."""
+        self.floor_refused = ""
+        """Why the newest floor cannot be shown; empty otherwise."""
         self._reported: tuple[str, ...] = ()
-        self._has_goal = True
+        self._has_goal = self._has_floor = True
 
     @property
     def paused(self) -> bool:
@@ -60,7 +64,10 @@ class LiveFrame:
         alerts = (self._pose_alert(now), self._controller_alert(now, controllers))
         # One that has been cancelled is kept: a status may be older than a new goal.
         goal = frame.goal if self._has_goal else None
-        return replace(frame, goal=goal, alerts=(*filter(None, alerts), *self._reported))
+        floor = frame.floor if self._has_floor else None
+        refused = f"floor refused: {self.floor_refused}" if self.floor_refused else ""
+        reported = *filter(None, (*alerts, refused)), *self._reported
+        return replace(frame, goal=goal, floor=floor, alerts=reported)
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         """Update the state, shape (6,), by a pose that arrived now [s].
@@ -84,7 +91,7 @@ class LiveFrame:
         )
 
     def update(self, **values: Any) -> None:
-        """Update the goal in force, shape (6,), or the plan, shape (n, 6)."""
+        """Update the goal in force, shape (6,), the plan, shape (n, 6), or the floor."""
         self.frame = replace(self.frame, **values)
 
     def add_status(self, values: Mapping[str, str]) -> None:
@@ -93,6 +100,8 @@ class LiveFrame:
         missing = f"no progress: {missing}" if missing else ""
         self._reported = tuple(filter(None, (given_up, missing)))
         self._has_goal = values.get("goal_stamp") != ""
+        # One that is restarted without a floor publishes none.
+        self._has_floor = CLEARANCE in values
         solve = reported_solve(values)
         to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
         self.frame = replace(
@@ -102,6 +111,7 @@ class LiveFrame:
             to_go=to_go,
             solve_time=solve.duration if solve.duration > 0.0 else float("nan"),
             progress=reported_progress(values),
+            clearance=number(values, CLEARANCE),
             momentum=reported_momentum(values),
             strategy=values.get("strategy", ""),
             mode=values.get("mode", ""),

@@ -96,6 +96,8 @@ class Replay:
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
             goal=goal if np.all(np.isfinite(goal)) else None,
+            floor=run.floors.at(moment),
+            clearance=run.floors.clearance_at(moment),
             plan=self._plan_at(moment) if last else np.empty((0, 6)),
             solve_time=float(run.solves.durations[solve]) if solve >= 0 else float("nan"),
             cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,

@@ -14,6 +14,7 @@ from sphere_sim.viewer.ball import Ball
 from sphere_sim.viewer.geometry import arc
 from sphere_sim.viewer.ground import Ground, Trail
 from sphere_sim.viewer.source import DEFAULT_RADIUS, Frame
+from sphere_sim.viewer.walls import Walls
 
 CAMERA = (4.0, -4.4, 2.7)
 LOOK_AT = (0.9, -1.2, 0.0)
@@ -27,7 +28,7 @@ view."""
 
 
 class Scene:
-    """Scene with the sphere, its lines, its plan and the floor."""
+    """Scene with the sphere, its lines, its plan and the floor with its walls."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -42,6 +43,7 @@ class Scene:
         self.radius = DEFAULT_RADIUS
         """Radius of the sphere [m]; the default one before the first frame with a state."""
         self._ground = Ground(self._scene, self.radius)
+        self._walls = Walls(self._scene)
         self._look_from_the_start()
 
     @property
@@ -71,6 +73,7 @@ class Scene:
 
     def show(self, frame: Frame) -> None:
         """Show a frame, after `extend_lines` with it."""
+        self._walls.show(frame.floor, self.radius)
         if frame.state is not None and self._ball is not None and self._trace is not None:
             self._ground.show(frame.state[POSITION], frame.plan)
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
@@ -63,6 +64,10 @@ class Frame:
         Rotor speeds [rad/s] and torques [N m].
     plan : ndarray, shape (n, 6)
         Predicted states.
+    floor : Grid or None
+        Floor with what is occupied there; None where it is free.
+    clearance : float
+        Least distance between the sphere on its planned path and what is occupied [m].
     solve_time, to_go, cost : float
         Duration of the newest solve, and time until its plan reaches the goal [s]; value of the
         optimal control problem, unless that is a time.
@@ -86,6 +91,8 @@ class Frame:
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Vector | None = None
     plan: Vector = field(default_factory=lambda: np.empty((0, POSE_SIZE)))
+    floor: Grid | None = None
+    clearance: float = float("nan")
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")

@@ -49,6 +49,11 @@ class Simulator:
         return self.now / NANOSECONDS
 
     @property
+    def touches(self) -> int:
+        """How many separate contacts with walls there have been."""
+        return self.plant.contact.touches
+
+    @property
     def settings(self) -> SimulatorSettings:
         """The present settings."""
         return self._settings

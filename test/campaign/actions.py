@@ -19,18 +19,26 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 from geometry_msgs.msg import PoseStamped, Vector3
-from hostile import RADIUS, goal_message, random_goal
+from hostile import RADIUS, bad_map, goal_message, map_message, random_goal
+from nav_msgs.msg import OccupancyGrid
 from node_session import Session, SessionError
 from relay import Disturbance, stamp_of
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.state import POSITION
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
 
 Action = Iterator[Any]
+_OBSTACLE_AHEAD = 1.5
+"""Least distance from the sphere to the middle of a new obstacle [m]."""
+_BAD_MAP_EVERY = 0.5
+"""Wall time between two bad maps [s]."""
 _SLICE = 0.1
 """Period of the throttling [s], that of Linux's processor quotas."""
 _HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
@@ -292,6 +300,34 @@ def bad_live(session: Session) -> Action:
             raise SessionError(f"{node} did not refuse {name} = {value!r} with a reason")
         session.reports.messages.append(f"refused live: {result.reason}")
     yield
+
+
+def new_obstacle(session: Session) -> Action:
+    """Put an obstacle across the way to the goal by a map, then send bad maps; in the end no map.
+
+    It may cover the goal, which can be reached again when the map has gone.
+    """
+    judge = session.judge
+    if judge.state is None or judge.run is None:
+        raise SessionError("there is no pose of the sphere, or no goal")
+    place = judge.state[POSITION]
+    way = judge.run.goal[POSITION] - place
+    length = float(np.linalg.norm(way))
+    ahead = way / length if length > 0.0 else np.array([1.0, 0.0])
+    obstacle = place + max(_OBSTACLE_AHEAD, 0.5 * length) * ahead
+    rng = random.Random(int(session.rng.integers(2**32)))
+    due = time.monotonic() + _BAD_MAP_EVERY
+
+    def send() -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + _BAD_MAP_EVERY
+            publisher.publish(bad_map(rng))
+
+    with session.publisher(OccupancyGrid, "map", LATCHED) as publisher:
+        publisher.publish(map_message(obstacle))
+        yield send
+    session.without_map()
 
 
 def push(session: Session, impulse: float) -> Action:

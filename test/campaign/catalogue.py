@@ -160,6 +160,8 @@ _ALL = (
           named_by=("expected",), goal_again=True, continuous=False),
     Fault("parameters_live", "parameters", actions.bad_live, duration=1.0,
           named_by=("refused live",), quick=True),
+    Fault("map_obstacle", "map", actions.new_obstacle, duration=6.0, named_by=("map refused",),
+          quick=True),
     Fault("push", "disturbance", actions.push, {"impulse": 0.5}, 0.0, upright=True, quick=True),
     Fault("tilt", "disturbance", actions.tilt, {"slope": math.radians(0.2)}, upright=True),
 )
@@ -179,9 +181,14 @@ _EXCLUSIVE = (
     {"controller_killed", "controller_stopped", "worker_killed", "worker_stopped", "cpu_starved",
      "parameters_at_start", "parameters_live"},
     {"simulator_killed", "simulator_stopped", "push", "tilt", "parameters_live"},
+    *({"map_obstacle", name} for name in (
+        "simulator_killed", "push", "tilt", "two_controllers", "two_poses_near", "two_poses_far",
+        "two_poses_other_sphere",
+    )),
     {"recorder_killed", "disk_full"},
 )
-"""Faults of one process, of which one would undo or hide the other."""
+"""Faults of one process, of which one would undo or hide the other, and such as may put or drive
+the sphere into an obstacle."""
 
 
 def chosen(names: Iterable[str] = (), quick: bool = False) -> list[Fault]:

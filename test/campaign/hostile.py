@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values that faults send: goals, malformed messages, and ones with extreme values."""
 
+import array
 import math
 import random
 import re
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
 from rcl_interfaces.msg import ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
@@ -36,6 +38,10 @@ _BITS = {"int8": 8, "int16": 16, "int32": 32, "int64": 64}
 _SEQUENCE = re.compile(r"sequence<(.+?)(?:, \d+)?>$")
 _ARRAY = re.compile(r"(.+)\[\d+\]$")
 RADIUS = RobotParameters().shell_radius
+_CELL, _CELLS = 0.1, 100
+"""Side of a cell of a map [m], and how many of them a map has in each direction."""
+_HALF_OBSTACLE = 0.3
+"""Half the side of an obstacle [m]."""
 _SHARE_UNKNOWN = 0.01
 """Share of parameter values of an unknown type."""
 
@@ -119,6 +125,40 @@ def goal_message(rng: random.Random, kind: str) -> PoseStamped:
         turn.w = rng.choice((0.0, 2.0, 1e200))
     elif kind == "frame":
         message.header.frame_id = rng.choice(TEXTS)
+    return message
+
+
+def map_message(obstacle: Vector | None = None) -> OccupancyGrid:
+    """Return a map that is free but for a square of 0.6 m around a place, shape (2,) [m]."""
+    centres = _CELL * (np.arange(_CELLS) + 0.5 - 0.5 * _CELLS)
+    cells = np.zeros((_CELLS, _CELLS), dtype=np.int8)
+    if obstacle is not None:
+        columns, rows = (np.abs(centres - place) < _HALF_OBSTACLE for place in obstacle)
+        cells[np.ix_(rows, columns)] = 100
+    message = OccupancyGrid(data=array.array("b", cells.tobytes()))
+    message.info.width = message.info.height = _CELLS
+    message.info.resolution = _CELL
+    message.info.origin.position.x = message.info.origin.position.y = -0.5 * _CELL * _CELLS
+    message.info.origin.orientation.w = 1.0
+    return message
+
+
+def bad_map(rng: random.Random) -> OccupancyGrid:
+    """Return a map with a wrong number of cells, side, value, place, tilt or frame."""
+    message = map_message()
+    info, how = message.info, rng.randrange(6)
+    if how == 0:
+        info.width = rng.choice((0, 1, _CELLS - 1, 2**32 - 1))
+    elif how == 1:
+        info.resolution = rng.choice((0.0, -0.05, float("nan"), float("inf")))
+    elif how == 2:
+        message.data[rng.randrange(_CELLS**2)] = rng.choice((101, -2, 127, -128))
+    elif how == 3:
+        info.origin.position.x = rng.choice((float("nan"), float("inf")))
+    elif how == 4:
+        info.origin.orientation.x = 1.0
+    else:
+        message.header.frame_id = rng.choice([text for text in TEXTS if text not in ("", "world")])
     return message
 
 

@@ -338,9 +338,15 @@ class Session:
                 results = self.call(f"{node}/set_parameters", request).results
                 if refused := [result.reason for result in results if not result.successful]:
                     raise SessionError(f"parameters of {node} not restored: {refused}")
+            self.without_map()
             self.call("simulator/pause", SetBool.Request(data=False))
             self.call("controller/enable", SetBool.Request(data=True))
             self.reset()
+
+    def without_map(self) -> None:
+        """Take away a map that simulator and controller have received."""
+        for node in ("simulator", "controller"):
+            self.require_parameters(node, map_file="")
 
     def reset(self) -> None:
         """Put the sphere at rest at its start."""

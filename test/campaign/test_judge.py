@@ -2,18 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The judges find each kind of wrong command, and nothing wrong with right ones."""
 
+import random
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
-from hostile import FORGED
+from hostile import FORGED, bad_map, map_message
 from judge import TOO_EARLY, Judge, LimitCheck
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
-from trial import faults_of_line
+from trial import Trial, faults_of_line
 
+from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.ros.floor_messages import map_of_message
 from sphere_nmpc.ros.messages import clock_message, trajectory_message
 
 SECOND = 10**9
@@ -101,3 +106,31 @@ def test_each_bad_command_has_one_complaint(given, complaint) -> None:
 )
 def test_each_fault_of_a_log_has_one_complaint(line, complaint) -> None:
     assert list(faults_of_line(line)) == complaint
+
+
+@pytest.mark.parametrize(
+    ("line", "complaints"),
+    [
+        ("simulator: wall touched: by the sphere at [0.700, 0.000] m, t = 3.200 s; 1 contacts so "
+         "far", ["the sphere touched an obstacle"]),
+        ("simulator: map refused: map: given 'a value of 101'", []),
+    ],
+)
+def test_sphere_that_touched_an_obstacle_has_a_complaint(line, complaints) -> None:
+    reports = SimpleNamespace(name=lambda words: any(word in line for word in words))
+    trial = Trial(SimpleNamespace(judge=Judge(), reports=reports, processes=[]), ())
+    trial._judge_reports({})
+    assert trial._complaints == complaints
+
+
+def test_maps_of_faults_are_an_obstacle_at_its_place_or_refused() -> None:
+    message = serialize_message(map_message(np.array([1.0, -2.0])))
+    grid = map_of_message(message, "world")(0.65, False)
+    rows, columns = np.nonzero(grid.occupied)
+    places = grid.world(np.column_stack((columns, rows)) + 0.5)
+    np.testing.assert_allclose(places.mean(axis=0), [1.0, -2.0])
+    assert np.all(np.abs(places - [1.0, -2.0]) < 0.3) and len(places) == 36
+    for seed in range(60):
+        bad = serialize_message(bad_map(random.Random(seed)))
+        with pytest.raises(InvalidMapError):
+            map_of_message(bad, "world")(0.65, False)

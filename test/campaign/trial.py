@@ -33,6 +33,8 @@ instant detects that, the ramp follows. On a busy machine this takes longer.
 """
 _LONGEST_LINE = 500
 """Characters of a line of a log."""
+_TOUCHED = "wall touched"
+"""Kind of fault that the simulator reports at a contact."""
 _CATCH_UP = 0.5
 """Wall time between two trials [s]."""
 
@@ -161,6 +163,8 @@ class Trial:
         if harmful and not any(session.reports.name(fault.named_by) for fault in harmful):
             words = "' or '".join(word for fault in harmful for word in fault.named_by)
             self._complaints.append(f"no message named {name_of(harmful)}: no '{words}'")
+        if session.reports.name((_TOUCHED,)):
+            self._complaints.append("the sphere touched an obstacle")
         self._complaints += [p.ending for p in session.processes if p.code is not None]
         for process in session.processes:
             for line in process.output[logged.get(process.name, 0):].split("\n"):

@@ -34,6 +34,7 @@ FLOORS = {
         ("ros",),
         ("control",),
         ("strategy", "estimation"),
+        ("floor",),
         ("solver", "settings"),
         ("model",),
         ("quantity", "fault_log", "worker"),

@@ -17,6 +17,7 @@ from sphere_sim.recording.bag_writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POSE, STATUS = "geometry_msgs/msg/PoseStamped", "diagnostic_msgs/msg/DiagnosticStatus"
+FLOOR = "nav_msgs/msg/OccupancyGrid"
 START, STEP, COUNT = 5_000_000_000, 10_000_000, 301
 """Stamp of the first pose of `run_messages`, their period [ns], and their number."""
 Entry = tuple[str, str, int, Any]
@@ -97,6 +98,14 @@ def run_messages(namespace: str = "") -> Iterator[Entry]:
             yield f"{namespace}/controller/status", STATUS, now, solve
 
 
+def diagnostics(stamp: int, name: str, **values: object) -> Entry:
+    """Return a message with one status at a stamp [ns]; underscores in keys stand for spaces."""
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    one = status(**{key.replace("_", " "): value for key, value in values.items()})
+    one.name = name
+    return "/diagnostics", kind, stamp, make(kind, header=header(stamp), status=[one])
+
+
 def momentum_messages() -> Iterator[Entry]:
     """Yield a run that is pushed after 1 s, and whose controller finds the momentum at 1.5 s.
 
@@ -118,6 +127,45 @@ def momentum_messages() -> Iterator[Entry]:
             slope_deg=0.5 * found, slope_direction_deg=90.0 * found,
             **{f"mass_offset_{axis}_mm": found for axis in "xyz"},
         )
+
+
+def floor(stamp: int, occupied: Any, resolution: float, origin: Sequence[float]) -> Any:
+    """Return a floor of cells, shape (H, W), whose first corner is at x, y [m] and yaw [rad].
+
+    One of no cells is a free floor.
+    """
+    height, width = np.shape(occupied)
+    x, y, yaw = origin
+    place = make(
+        "geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", x=x, y=y, z=0.0),
+        orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(0.5 * yaw),
+                         w=np.cos(0.5 * yaw)),
+    )
+    return make(
+        FLOOR, header=header(stamp), info=make(
+            "nav_msgs/msg/MapMetaData", map_load_time=header(stamp).stamp, resolution=resolution,
+            width=width, height=height, origin=place,
+        ),
+        data=100 * np.ravel(occupied).astype(np.int8),
+    )
+
+
+def walled_messages(least: float) -> Iterator[Entry]:
+    """Yield the run of `rolling_messages`, from x = 0 to 0.8 m in 4 s, on a floor with a wall.
+
+    Its controller reports the floor before the run, and 0.25 m as the clearance of its plan after
+    1 s. The floor is 4 m wide, in cells of 0.1 m, turned by a quarter about (2, -2); the wall
+    stands across the way with `least` [m] between it and the sphere in its last place.
+    """
+    occupied = np.zeros((40, 40), dtype=bool)
+    # Rows go towards -x from 2 m on, and the front of the sphere comes to 1.1 m.
+    occupied[round(10.0 * (2.0 - 1.1 - least)) - 1] = True
+    yield "/controller/floor", FLOOR, 10**9, floor(10**9, occupied, 0.1, (2.0, -2.0, np.pi / 2))
+    for entry in rolling_messages():
+        yield entry
+        if entry[2] == 2 * 10**9:
+            found = status(time_s=2, clearance_m=0.25)
+            yield "/controller/status", STATUS, entry[2], found
 
 
 def rolling_messages(length: float = 4.0, plan: str = "") -> Iterator[Entry]:

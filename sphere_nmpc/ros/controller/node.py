@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller node: rolls the sphere to a goal position and orientation.
 
-subscribes  pose, goal_pose, goal_point, goals, joint_states while commands are late or lost
+subscribes  pose, goal_pose, goal_point, goals, map, keepout, joint_states while commands are
+            late or lost
 publishes   rotor_trajectory, rotor_commands, control_period, ~/active_goal, ~/at_goal, ~/eta,
-            ~/predicted_path, ~/status, /diagnostics
+            ~/floor, ~/predicted_path, ~/status, /diagnostics
 services    ~/enable, ~/cancel
 """
 
@@ -12,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -33,6 +35,8 @@ from sphere_nmpc.control.schedule import (
     TimedPose,
 )
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.goal import Itinerary
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -43,6 +47,7 @@ from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.diagnostics import Diagnostics
+from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
@@ -79,6 +84,9 @@ class ControllerNode(RunnableNode):
         ).settings
         self._scheduling = declare(SchedulingSettings())
         self._frame = declare(FrameSettings()).settings.world_frame
+        floor = declare(
+            FloorSettings(), on_change=lambda changed: self._floor_receiver.change(changed)
+        ).settings
         self.parameters.warn_of_unknown()
         self.add_on_set_parameters_callback(self._refuse)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
@@ -86,10 +94,17 @@ class ControllerNode(RunnableNode):
             LockstepSchedule(settings) if settings.lockstep
             else ClockedSchedule(settings, self._control_clock.watch)
         )
+        # Before anything is planned, and before there is a process that would have to be ended.
+        self._floor_receiver = FloorReceiver(
+            self, floor, robot.shell_radius, self._frame,
+            partial(floor_with_distances, robot.shell_radius), self._use_floor, self._fault_log,
+            self._event_log,
+        )
         self._worker: WorkerProcess | None = None
         if self._schedule.is_real_time:
             self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
         self.controller = Controller(settings, robot, worker=self._worker)
+        self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._goal_told = -math.inf
         self._stored_goal = StoredGoal(
@@ -154,6 +169,7 @@ class ControllerNode(RunnableNode):
 
     def destroy_node(self) -> None:
         """Destroy the node, and end the worker process."""
+        self._floor_receiver.close()
         if self._worker is not None:
             self._worker.close()
         super().destroy_node()
@@ -272,6 +288,9 @@ class ControllerNode(RunnableNode):
         self._carry_out(actions)
         if actions.observe is not None:
             self._start()
+
+    def _use_floor(self, floor: Floor | None) -> None:
+        self.controller.floor = floor
 
     def _set_goals(self, goals: Itinerary) -> None:
         """Visit goals; those that are in force already are only confirmed."""

@@ -111,6 +111,7 @@ class ControllerStatus:
             "smallest_singular_value": self._controllability.smallest_singular_value,
             "pose_delay_s": controller.rotor_feedback.poses.delay,
             "pose_loss": controller.rotor_feedback.poses.loss,
+            **({} if controller.floor is None else {"clearance_m": plan.clearance}),
         }
 
     def _goal_values(self, decision: Decision, time: float) -> dict[str, Any]:

@@ -70,6 +70,11 @@ def _loaded() -> ctypes.CDLL:
         ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 6]),
         ("hold_workspace", count, [count]),
         ("hold_meet", count, [*[count] * 4, *[number] * 4, *[address] * 10]),
+        ("hold_way", None, [*[count] * 3, *[address] * 5]),
+        (
+            "hold_clearance", number,
+            [count, *[address] * 6, count, count, address, number, number, address, count],
+        ),
     ):
         function = getattr(solver, name)
         function.argtypes, function.restype = arguments, result

@@ -39,6 +39,8 @@ static double now(void)
 #include "minimum_time.h"
 #include "half_motions.h"
 #include "propagation.h"
+#include "way.h"
+#include "clearance.h"
 
 /* Suffix of the library that is the fastest on this processor, see LEVELS in setup.py. */
 const char *hold_level(void)

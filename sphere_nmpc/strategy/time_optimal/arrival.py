@@ -31,6 +31,8 @@ from sphere_nmpc.model.state import (
     POSITION,
     QUATERNION,
     Vector,
+    nearer_sign,
+    state_error,
     without_momentum,
 )
 from sphere_nmpc.solver.hold_solver import HoldSolver
@@ -90,6 +92,12 @@ class Arrival:
         Whole turns of steady rolling that were left out of the problem.
     goal_rate : ndarray, shape (5,)
         Rate of change of the goal.
+    orientation : Orientation
+        What was demanded of the orientation at the end.
+    to_go : float
+        Time from there to the final goal [s], where the one of the plan is on the way to it.
+    clearance : float
+        Clearance that the motion is certified to keep [m]; nan where nothing is on the floor.
     """
 
     hold: FirstOrderHold
@@ -102,6 +110,9 @@ class Arrival:
     disturbance: Disturbance
     turns: int = 0
     goal_rate: Vector = field(default_factory=lambda: STANDING)
+    orientation: Orientation = Orientation.FULL
+    to_go: float = 0.0
+    clearance: float = math.nan
 
     @property
     def duration(self) -> float:
@@ -111,6 +122,19 @@ class Arrival:
     def goal_after(self, elapsed: float) -> Vector:
         """Return where the goal is after a time [s] from time 0 on, shape (6,)."""
         return moved(self.goal, self.goal_rate, elapsed)
+
+    def followed(self, situation: Situation, hold: FirstOrderHold) -> "Arrival":
+        """Return what follows from what remains of the hold, as it is, in a situation."""
+        states = roll_out(
+            situation.state, hold.speeds, np.diff(hold.times), situation.constants.as_array(),
+            disturbance=situation.disturbance,
+        )
+        goal = self.orientation.nearest(situation.goal, states[-1])
+        error = state_error(states[-1], nearer_sign(goal, states[-1]))
+        return replace(
+            self, hold=hold, states=states, goal=goal, error=error,
+            disturbance=situation.disturbance,
+        )
 
     @property
     def momentum(self) -> Vector:
@@ -327,5 +351,5 @@ def _arrival(
     return Arrival(
         FirstOrderHold(times, solution.inputs), solution.states, goal, error,
         solution.iterations, solution.kkt_residual, work, situation.disturbance, turns,
-        situation.goal_rate,
+        situation.goal_rate, situation.orientation,
     )

@@ -21,6 +21,7 @@ from sphere_nmpc.solver.half_motions import (
     knots_of,
     meet,
 )
+from sphere_nmpc.strategy.clearance import without_collisions
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
@@ -50,6 +51,7 @@ class Guess(NamedTuple):
 def meeting_guesses(
     rng: np.random.Generator, situation: Situation, drives: Drives,
     durations: tuple[float, float], share: float, settings: TimeOptimalSettings,
+    left_out: Vector,
 ) -> tuple[list[Guess], int]:
     """Draw half motions and return pairs that nearly meet, the most promising first.
 
@@ -69,6 +71,8 @@ def meeting_guesses(
         Numbers of half motions and of guesses; distribution of the switches; weight of the
         orientation and delay for each metre by which half motions miss each other: the best
         guesses are those of the least sum of duration and delay.
+    left_out : ndarray, shape (2,)
+        Displacement by steady rolling that is left out of the motions [m].
 
     Returns
     -------
@@ -93,6 +97,8 @@ def meeting_guesses(
     mean = 0.5 * sum(durations)
     ends = situation.orientation.draw(rng, situation.goal_after(mean), count)
     back = half_motions(ends, _AT_REST, signals, levels, drives, constants)
+    forth = without_collisions(situation, forth)
+    back = without_collisions(situation, back, left_out)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
         1.0 / speed, settings.turn_weight * radius**2,

@@ -22,6 +22,7 @@ import numpy as np
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
+from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
@@ -49,6 +50,10 @@ _TIME_OF_ERROR = 2.5
 """Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
 _PROMISING = 1.1
 """Sum of duration and delay [of the best arrival] up to which a trial is polished."""
+_FLOOR_ROUNDS = 4
+"""Rounds on a floor in which an earlier arrival is searched for."""
+_CHECK_WORK = 200
+"""Work of the certificate that a motion keeps clear of what is on the floor."""
 _REACHED, _REACHED_SHARE = 0.05, 0.1
 """Terminal error [-], and share of that at the start, below which a polished arrival is solved to
 the end."""
@@ -67,10 +72,13 @@ class ArrivalSearch:
         Seed of the initial guesses.
     known : Arrival, optional
         An arrival from this situation, before which another is searched for.
+    detour : float, optional
+        Length by which the way to the goal is longer than the straight line [m].
     """
 
     def __init__(
-        self, solver: ArrivalSolver, situation: Situation, seed: int, known: Arrival | None = None
+        self, solver: ArrivalSolver, situation: Situation, seed: int,
+        known: Arrival | None = None, detour: float = 0.0,
     ) -> None:
         settings, grid, robot = solver.settings, solver.grid, solver.robot
         self._solver, self._settings, self._grid = solver, settings, grid
@@ -82,9 +90,10 @@ class ArrivalSearch:
         self._turn: Vector = np.zeros(2)
         """Displacement of a turn [m]."""
         self._near = situation
-        if settings.is_small(situation):
+        if settings.is_small(situation) and (not detour or (known is not None and known.turns)):
             self._aim_near(known)
-        self._least = self._rolling_time(self._near) + robot.ramp_time
+        self._least = self._rolling_time(self._near) + detour / self._rolling.speed
+        self._least += robot.ramp_time
         self._reached = _REACHED
         if settings.is_small(situation):  # otherwise the sphere leaves the goal by itself
             error = state_error(situation.state, situation.goal)
@@ -118,13 +127,20 @@ class ArrivalSearch:
         return self.best
 
     def improve_once(self, deadline: float = np.inf) -> Arrival | None:
-        """Search for one round, or until the deadline; see `improve`."""
+        """Search for one round, or until the deadline; see `improve`.
+
+        On a floor, where many guesses collide, it is a few rounds, or until one finds something.
+        """
         self._deadline = deadline
         if self.best is not None:
             for _ in self._finished(self.best, added=self._turns):
                 pass
-        for _ in self._round(1.0):
-            if time.perf_counter() > deadline:
+        known = self.best
+        for _ in range(1 if self._situation.floor is None else _FLOOR_ROUNDS):
+            for _ in self._round(1.0):
+                if time.perf_counter() > deadline:
+                    return self.best
+            if self.best is not known:
                 break
         return self.best
 
@@ -141,7 +157,8 @@ class ArrivalSearch:
             hold = guess.hold
             trials.append(self._counted(self._solver.trial(self._near, guess.goal, hold)))
             yield
-        survivors = islice(_different(trials, self._promise), settings.polished)
+        clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
+        survivors = islice(_different(clear, self._promise), settings.polished)
         longest, polished = np.inf, list[Arrival]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
@@ -194,9 +211,25 @@ class ArrivalSearch:
         arrival = replace(arrival, hold=self._grid.refined(arrival.hold))
         for found in self._solver.solves(self._situation, arrival, self._deadline):
             earlier = self.best is None or found.duration < self.best.duration
-            if self._counted(found).error <= self._settings.arrival_error and earlier:
+            is_there = self._counted(found).error <= self._settings.arrival_error
+            if is_there and earlier and self._is_clear(found):
                 self.best = found
             yield
+
+    def _is_clear(self, arrival: Arrival) -> bool:
+        """Return whether a motion to the goal keeps clear of what is on the floor."""
+        if self._situation.floor is None:
+            return True
+        self.work += _CHECK_WORK
+        return is_clear(self._situation, arrival.hold, Margin.FOUND)
+
+    def _is_trial_clear(self, arrival: Arrival) -> bool:
+        """Return whether a motion to the near goal keeps clear with the turns that it lacks."""
+        if self._turns and self._situation.floor is not None:
+            longer = self._turns * self._rolling.turn_time
+            hold = with_turns(arrival.hold, longer, self._drives.limit)
+            arrival = replace(arrival, hold=hold)
+        return self._is_clear(arrival)
 
     def _counted(self, arrival: Arrival) -> Arrival:
         self.work += arrival.work
@@ -211,7 +244,8 @@ class ArrivalSearch:
             self._later = 0.0
         shortest = self._least + self._later
         found, work = meeting_guesses(
-            self._rng, self._near, self._drives, (shortest, longest), share, settings
+            self._rng, self._near, self._drives, (shortest, longest), share, settings,
+            self._turns * self._turn,
         )
         self.work += work
         if not found and best is None:

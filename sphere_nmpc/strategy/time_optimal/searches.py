@@ -13,13 +13,23 @@ from functools import lru_cache
 
 import numpy as np
 
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.way import Way
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.approach import approach_to, is_narrow, with_approach
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.knots import Grid
+from sphere_nmpc.strategy.time_optimal.on_the_way import (
+    aimed,
+    detour_to_goal,
+    rolled_straight,
+    time_to_go,
+)
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.worker.contract import Reply, Store, Worker
@@ -36,6 +46,13 @@ _LEAST_TICK = 0.02
 def solver_for(robot: RobotParameters, tuning: TimeOptimalSettings) -> ArrivalSolver:
     """Return the solver for a robot, whose limits may be less than those of its drives."""
     return ArrivalSolver(robot, Grid.of(robot, tuning.spacing), tuning)
+
+
+@dataclass(frozen=True)
+class NoWay:
+    """Result of a search for a goal to which no way leads."""
+
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +78,9 @@ class SearchTask:
     known : FirstOrderHold or None
         Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
         arrival is searched for. None for a new plan.
+    fruitless : int
+        Searches before it that have found nothing; a goal on the way around obstacles is then
+        nearer.
     """
 
     robot: RobotParameters
@@ -71,10 +91,14 @@ class SearchTask:
     longest: float
     from_rest: bool = False
     known: FirstOrderHold | None = None
+    fruitless: int = 0
 
-    def __call__(self, store: Store | None = None) -> Arrival | None:
+    def __call__(self, store: Store | None = None) -> Arrival | NoWay | None:
         """Return the earliest arrival that is found, but for the one that is known."""
         solver, end = solver_for(self.robot, self.tuning), time.perf_counter() + self.longest
+        floor = self.situation.floor
+        if floor is not None and self.known is None:
+            return self._on_the_way(solver, floor, end)
         start: Arrival | None = None
         if self.known is not None:
             start = solver.solve(
@@ -82,19 +106,69 @@ class SearchTask:
             )
             if start.error > self.tuning.arrival_error:
                 return None
-        search = ArrivalSearch(solver, self.situation, self.seed, start)
+        detour = 0.0 if floor is None else detour_to_goal(self.situation, floor)
+        search = ArrivalSearch(solver, self.situation, self.seed, start, detour)
         if start is None:
             return search.improve(self.effort, end)
         found = search.improve_once(end)
         return None if found is start else found
 
+    def _on_the_way(
+        self, solver: ArrivalSolver, floor: Floor, end: float
+    ) -> Arrival | NoWay | None:
+        """Return the earliest arrival at the goal, or at a place on the way around obstacles."""
+        situation, limit = self.situation, self.robot.max_rotor_speed
+        aim = aimed(situation, floor, self.fruitless)
+        if aim.reason:
+            return NoWay(aim.reason)
+        narrow = is_narrow(situation, floor)
+        found: Arrival | None = None
+        if aim.is_goal and not narrow:
+            found = ArrivalSearch(solver, situation, self.seed).improve(self.effort, end)
+        elif not aim.is_goal:
+            found = self._bent(solver, aim.way, end)
+        if found is None and aim.is_goal and (narrow or self.fruitless):
+            found = self._approached(solver, aim.way, end)
+        if found is not None:
+            return found
+        if not aim.is_goal:
+            search = ArrivalSearch(solver, aim.situation, self.seed, detour=aim.detour)
+            found = search.improve(self.effort, end)
+        if found is None and self.from_rest:
+            found = rolled_straight(situation, aim.way, solver)
+        if found is None:
+            return None
+        there = found.states[-1, POSITION]
+        return replace(found, to_go=time_to_go(aim.way, there, situation, limit))
+
+    def _bent(self, solver: ArrivalSolver, way: Way, end: float) -> Arrival | None:
+        """Return an arrival at a goal that is near but not in sight: motions are not straight."""
+        if way.length(self.situation.state[POSITION]) > self.tuning.near_distance(self.robot):
+            return None
+        detour = detour_to_goal(self.situation, way.floor)
+        search = ArrivalSearch(solver, self.situation, self.seed, detour=detour)
+        return search.improve(self.effort // 2, end)
+
+    def _approached(self, solver: ArrivalSolver, way: Way, end: float) -> Arrival | None:
+        """Return an arrival at the goal that ends with straight lines to it."""
+        approach = approach_to(self.situation, way, solver)
+        if approach is None:
+            return None
+        aim = replace(self.situation, goal=approach.pose, orientation=Orientation.FULL)
+        found = ArrivalSearch(solver, aim, self.seed).improve(self.effort, end)
+        return None if found is None else with_approach(self.situation, found, approach)
+
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Outcome of a search: its task and the plan, from time 0 on, or None where there is none."""
+    """Outcome of a search: its task and the plan, from time 0 on, or None where there is none.
+
+    `reason` says why there is none wherever one searches; empty where that is not so.
+    """
 
     task: SearchTask
     arrival: Arrival | None
+    reason: str = ""
 
 
 class Searches:
@@ -113,7 +187,7 @@ class Searches:
     def __init__(self, worker: Worker, ahead: float = 0.0, farthest: float = 0.0) -> None:
         self._worker, self._farthest = worker, farthest
         self._task: SearchTask | None = None
-        self._reply: Reply[Arrival | None] = Reply()
+        self._reply: Reply[Arrival | NoWay | None] = Reply()
         self.ahead = ahead
         """Time from the request of a search to the start of its plan [s, control time]."""
 
@@ -159,7 +233,10 @@ class Searches:
         if not task.from_rest and late > max(tick, _LEAST_TICK) + _SAME_TIME:
             self.ahead = min(_GROWTH * self.ahead, self._farthest)
             return None
-        return Outcome(task, self._reply.result)
+        result = self._reply.result
+        if isinstance(result, NoWay):
+            return Outcome(task, None, result.reason)
+        return Outcome(task, result)
 
 
 def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:

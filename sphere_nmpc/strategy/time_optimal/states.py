@@ -5,6 +5,7 @@
 `strategy.py` has the transitions between the states.
 """
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -20,10 +21,18 @@ from sphere_nmpc.model.state import (
     nearer_sign,
     position_error,
 )
+from sphere_nmpc.strategy.clearance import Margin, clearance_of
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_nmpc.strategy.time_optimal.arrival import RAISES, Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.on_the_way import way_of_time
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
+_AGAIN = 1.0
+"""Time [s] after which a way is searched for again where there was none."""
+_LEAST_GAIN = 5e-3
+"""Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
 _ENDED = 1e-3
 """Time left of a plan [s] below which it has ended."""
 
@@ -47,9 +56,19 @@ class Searching:
     ----------
     fruitless : int
         Searches in succession that have ended without an arrival.
+    reason : str
+        Why there can be none; empty where one is searched for.
+    since : float
+        Control time at which that was found [s].
     """
 
     fruitless: int = 0
+    reason: str = ""
+    since: float = 0.0
+
+    def waits(self, now: float) -> bool:
+        """Return whether it is too early to search again where there was no way."""
+        return bool(self.reason) and now < self.since + _AGAIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +89,8 @@ class Following:
         Number of searches for an earlier arrival since the last one that found it.
     motion : int
         Number of the search that has found it.
+    final : ndarray of shape (6,), or None
+        Final goal, where that of the plan is on the way to it.
     """
 
     arrival: Arrival
@@ -78,11 +99,17 @@ class Following:
     reaches: bool = True
     fruitless: int = 0
     motion: int = 0
+    final: Vector | None = None
 
     @property
     def arrives(self) -> float:
-        """Control time of the arrival [s]."""
-        return self.planned_at + self.arrival.duration
+        """Control time of the arrival at the final goal [s], to be expected from now on."""
+        return self.planned_at + self.arrival.duration + self.arrival.to_go
+
+    @property
+    def is_part(self) -> bool:
+        """Whether the goal of the plan is on the way to the final one."""
+        return self.arrival.to_go > 0.0
 
     def leads_to(self, situation: Situation) -> bool:
         """Return whether the goal of a situation is that of the plan, or has changed by little.
@@ -91,11 +118,15 @@ class Following:
         momentum changes the orientation that can be held.
         """
         own = self.arrival.goal_after(self.arrival.duration)
+        if self.final is not None:
+            own = situation.orientation.nearest(self.final, situation.goal)
         goal = situation.goal_after(self.time_left(situation.time))
         return is_near(own, goal, situation.constants, self.solver.settings)
 
     def aimed_at(self, situation: Situation) -> "Following":
         """Return the plan with the goal of a situation, which it is solved for from then on."""
+        if self.is_part:
+            return self
         goal = situation.goal_after(self.planned_at - situation.time)
         arrival = replace(
             self.arrival, goal=nearer_sign(goal, self.arrival.goal),
@@ -150,7 +181,9 @@ class Following:
             return None
         hold = self.rest(now)
         goal = arrival.goal_after(now - self.planned_at)
-        situation = replace(situation, goal_rate=arrival.goal_rate)
+        situation = replace(
+            situation, goal_rate=arrival.goal_rate, orientation=arrival.orientation
+        )
         # With noise an error is left where it would take a manoeuvre to correct it.
         noisy = settings.noisy_share * (dead_band - settings.least_dead_band)
         wanted = max(settings.arrival_error, noisy)
@@ -161,7 +194,41 @@ class Following:
             if arrival.error <= wanted or time.perf_counter() > deadline:
                 break
             hold = arrival.hold
+        arrival = replace(arrival, to_go=self.arrival.to_go)
+        if situation.floor is not None:
+            clearance = clearance_of(situation, arrival.hold, Margin.KEPT)
+            if math.isnan(clearance):
+                # What remains of a plan that kept clear may still do so as it is.
+                arrival = self.arrival.followed(situation, self.rest(now))
+                clearance = clearance_of(situation, arrival.hold, Margin.KEPT)
+                if math.isnan(clearance):
+                    return None
+            arrival = replace(arrival, clearance=clearance)
         return replace(self, arrival=arrival, planned_at=now, reaches=arrival.error <= dead_band)
+
+
+    def as_plan(self, situation: Situation, max_speed: float) -> Plan:
+        """Return the plan for a situation; the rotors turn at `max_speed` [rad/s] at most."""
+        arrival, start = self.arrival, self.planned_at
+        states = arrival.states
+        hold = hold_momentum(
+            arrival.hold.delayed(start), arrival.momentum, arrival.disturbance,
+            arrival.goal[QUATERNION], max_speed,
+        )
+        rests = np.tile(states[-1], (hold.times.size - len(states), 1))
+        return Plan(
+            PlanStatus.SOLVED if self.reaches else PlanStatus.BEST_SO_FAR,
+            hold,
+            np.vstack((states, rests)),
+            arrival=start + arrival.duration + arrival.to_go,
+            cost=arrival.error**2,
+            iterations=arrival.iterations,
+            kkt_residual=arrival.kkt_residual,
+            message=f"arrives in {arrival.duration:.2f} s, {arrival.error:.1e} off",
+            motion=self.motion,
+            clearance=arrival.clearance,
+            beyond=way_of_time(arrival.to_go, situation, max_speed),
+        )
 
 
 @dataclass(frozen=True)
@@ -183,3 +250,17 @@ class Saturated:
 
 
 State = Searching | Following | Holding | Saturated
+
+
+def better(
+    kept: Following | None, found: Following | None, situation: Situation
+) -> Following | None:
+    """Return the plan to follow of the one in force and one that was found; None without any."""
+    if found is None or kept is None:
+        return found if kept is None else kept
+    if not kept.leads_to(situation):
+        return found
+    if not found.leads_to(situation) or not found.reaches:
+        return kept
+    gain = _LEAST_GAIN * kept.solver.grid.unit
+    return found if not kept.reaches or found.arrives < kept.arrives - gain else kept

@@ -19,21 +19,24 @@ import time
 
 import numpy as np
 
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.clearance import stop_before_contact
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import (
     SATURATED,
-    hold_momentum,
     is_saturated,
     speeds_of_rest,
 )
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
+from sphere_nmpc.strategy.time_optimal.on_the_way import refusal
 from sphere_nmpc.strategy.time_optimal.searches import (
     Searches,
     SearchTask,
@@ -47,13 +50,14 @@ from sphere_nmpc.strategy.time_optimal.states import (
     Saturated,
     Searching,
     State,
+    better,
     is_near,
 )
 from sphere_nmpc.worker.contract import Worker
 from sphere_nmpc.worker.in_line import InLine
 
-_LEAST_GAIN = 5e-3
-"""Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
+_MANY = 8
+"""Searches without an arrival from which on that is told."""
 
 
 class TimeOptimalStrategy:
@@ -111,7 +115,9 @@ class TimeOptimalStrategy:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._state: State = Searching()
         self._last: Situation | None = None
+        self._in_force: FirstOrderHold | None = None
         self._improved_at = -np.inf
+        self._no_way = ""
         for searches in (self._in_line, self._beside):
             if searches is not None:
                 searches.cancel()
@@ -148,11 +154,14 @@ class TimeOptimalStrategy:
         situation = self._with_member(situation)
         if self._is_other_goal(situation):
             self._forget_goal()
+        if isinstance(self._state, Searching) and self._is_elsewhere(situation):
+            self._state = Searching()
         self._last = situation
         self._use_attained(situation)
         situation = self._aimed(situation)
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)
+        self._in_force = plan.hold
         if not plan.given_up and self._held_goal.given_up:
             plan = dataclasses.replace(plan, given_up=self._held_goal.given_up)
         if isinstance(self._state, Holding):
@@ -163,14 +172,32 @@ class TimeOptimalStrategy:
         if isinstance(state, Holding):
             return self._rest_at_goal.plan(situation)
         if isinstance(state, Following):
-            return self._as_plan(state)
+            return state.as_plan(situation, self._robot.max_rotor_speed)
         robot = self._robot
         if isinstance(state, Saturated):
             status = PlanStatus.SATURATED
             plan = come_to_rest(situation, robot, "saturated", status)
             return dataclasses.replace(plan, given_up=SATURATED)
-        status = PlanStatus.RAMP_TO_REST
-        return come_to_rest(situation, robot, "no arrival found yet", status)
+        plan = self._stop(situation)
+        if state.reason:
+            return dataclasses.replace(plan, given_up=state.reason, message="no way to the goal")
+        if situation.floor is not None:
+            hold = plan.hold.delayed(-situation.time)
+            given_up = stop_before_contact(situation, hold)
+            if not given_up and state.fruitless >= _MANY:
+                given_up = "the goal for now: no motion was found from here that keeps clear"
+            return dataclasses.replace(plan, given_up=given_up)
+        return plan
+
+    def _stop(self, situation: Situation) -> Plan:
+        """Return a plan to rest, where anything is on the floor on the path in force."""
+        message, status = "no arrival found yet", PlanStatus.RAMP_TO_REST
+        moving = bool(np.any(situation.input_in_force)) and self._tuning.is_small(situation)
+        if situation.floor is None or self._in_force is None or not moving:
+            return come_to_rest(situation, self._robot, message, status)
+        in_force = self._in_force.starting_at(situation.time, situation.input_in_force)
+        hold = stop_on_path(in_force, self._solver.robot.max_rotor_acceleration)
+        return Plan(status, hold, situation.state[None, :], message=message)
 
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows from `state` and the present situation.
@@ -178,6 +205,7 @@ class TimeOptimalStrategy:
         ========= ======================================================= ==========
         state     condition                                               next state
         ========= ======================================================= ==========
+        any       the goal is occupied, outside or without the clearance  Searching
         Following a search has found an earlier plan, or another goal's   Following
         Following the plan has not ended                                  Following
         other     the rotors cannot hold the momentum at the goal         Saturated
@@ -190,13 +218,17 @@ class TimeOptimalStrategy:
         tuning, goal = self._tuning, situation.goal
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
         error = state_error(situation.state, goal)
+        reason = refusal(situation)
+        if reason:
+            self._searches.cancel()
+            return Searching(reason=reason, since=situation.time)
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if isinstance(state, Following):
             plan = state.aimed_at(situation) if state.leads_to(situation) else state
             kept = plan.solved_again(situation, dead_band, deadline)
             if kept is not None and is_fruitless:
                 kept = dataclasses.replace(kept, fruitless=kept.fruitless + 1)
-            followed = _better(kept, found, situation)
+            followed = better(kept, found, situation)
             if followed is not None:
                 return self._searched_beyond(followed, situation, dead_band, deadline)
             state = Searching()
@@ -214,12 +246,16 @@ class TimeOptimalStrategy:
         self._rest_at_goal.reset()
         fruitless = state.fruitless if isinstance(state, Searching) else 0
         fruitless = fruitless + 1 if is_fruitless else fruitless
+        if isinstance(state, Searching) and state.waits(situation.time):
+            return state
         if found is None and self._searches.task is None:
             found, is_fruitless = self._searched_anew(
                 situation, fruitless, at_rest, dead_band, deadline
             )
             fruitless = fruitless + 1 if is_fruitless else fruitless
-        return Searching(fruitless) if found is None else found
+        if found is not None:
+            return found
+        return Searching(fruitless, self._no_way, situation.time)
 
     @property
     def _searches(self) -> Searches:
@@ -234,23 +270,26 @@ class TimeOptimalStrategy:
         outcome = self._searches.take(situation.time, self._settings.control_period)
         if outcome is None:
             return None, False
+        self._no_way = outcome.reason
         if outcome.arrival is None:
-            return None, True
+            return None, not outcome.reason
         begins = situation.time if outcome.task.from_rest else outcome.task.situation.time
         task = outcome.task
         plan = Following(
-            outcome.arrival, begins, solver_for(task.robot, self._tuning), motion=task.seed
+            outcome.arrival, begins, solver_for(task.robot, self._tuning), motion=task.seed,
+            final=task.situation.goal if outcome.arrival.to_go > 0.0 else None,
         )
         return plan.solved_again(situation, dead_band, deadline), False
 
     def _search(
         self, start: Situation, solver: ArrivalSolver, effort: int, longest: float,
-        plan: Following | None = None, from_rest: bool = False,
+        plan: Following | None = None, from_rest: bool = False, fruitless: int = 0,
     ) -> None:
         """Begin a search from a situation on, for an earlier arrival if there is a plan."""
         known = None if plan is None else plan.rest(start.time)
         task = SearchTask(
-            solver.robot, self._tuning, start, next(self._seeds), effort, longest, from_rest, known
+            solver.robot, self._tuning, start, next(self._seeds), effort, longest, from_rest,
+            known, fruitless,
         )
         self._searches.begin(task)
 
@@ -262,7 +301,7 @@ class TimeOptimalStrategy:
         tuning, searches = self._tuning, self._searches
         start = situation
         if not at_rest and searches.ahead:
-            ramp = come_to_rest(situation, self._robot, "").hold
+            ramp = self._stop(situation).hold
             start = later(situation, ramp, situation.time + searches.ahead, self._solver.grid.fine)
         # In motion the next search has another problem, which may be easier.
         growth = tuning.growth(fruitless) if at_rest else 1.0
@@ -271,7 +310,9 @@ class TimeOptimalStrategy:
             solver = self._solver_with(tuning.slip_acceleration)
         longest = self._longest(growth, deadline)
         effort = round(growth * self._settings.planning_effort)
-        self._search(start, solver, effort, longest, from_rest=at_rest)
+        self._search(
+            start, solver, effort, longest, from_rest=at_rest, fruitless=fruitless
+        )
         return self._found(situation, dead_band, deadline)
 
     def _longest(self, growth: float, deadline: float) -> float:
@@ -288,28 +329,32 @@ class TimeOptimalStrategy:
         searches = self._searches
         begins = now + (max(searches.ahead, settings.control_period) if searches.ahead else 0.0)
         suits = plan.reaches and plan.leads_to(situation)
-        over = suits and (
+        over = suits and not plan.is_part and (
             plan.fruitless >= self._tuning.fruitless_searches
             or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
         )
         idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
+        idle = idle or plan.is_part
         if searches.task is not None or over or not (idle or not suits):
             return plan
         self._improved_at = now
         start = later(
             situation, plan.arrival.hold.delayed(plan.planned_at), begins, plan.solver.grid.fine
         )
-        if suits:
+        if suits and not plan.is_part:
             start = dataclasses.replace(start, goal=nearer_sign(start.goal, plan.arrival.goal))
-        known = plan if suits else None
+        known = plan if suits and not plan.is_part else None
         longest = self._longest(1.0, deadline)
-        self._search(start, plan.solver, settings.planning_effort, longest, known)
+        self._search(
+            start, plan.solver, settings.planning_effort, longest, known,
+            fruitless=plan.fruitless if plan.is_part else 0,
+        )
         if searches.ahead:
             return plan
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if is_fruitless:
             return dataclasses.replace(plan, fruitless=plan.fruitless + 1)
-        return _better(plan, found, situation) or plan
+        return better(plan, found, situation) or plan
 
     def _is_at_rest(self, situation: Situation) -> bool:
         """Return whether the rotors turn at the speeds at which the sphere rests."""
@@ -326,6 +371,12 @@ class TimeOptimalStrategy:
         moved = last.goal_after(situation.time - last.time)
         moved = orientation.nearest(moved, situation.goal)
         return not is_near(moved, situation.goal, situation.constants, self._tuning)
+
+    def _is_elsewhere(self, situation: Situation) -> bool:
+        """Return whether goal or floor are others than the last."""
+        last = self._last
+        same = last is not None and last.floor is situation.floor
+        return not same or self._is_other_goal(situation)
 
     def _with_member(self, situation: Situation) -> Situation:
         """Return the situation with the member of the goals that is nearest to the plan's end.
@@ -347,38 +398,6 @@ class TimeOptimalStrategy:
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
         if goal is not situation.goal:
             situation = dataclasses.replace(situation, goal=goal)
+        if situation.floor is not None:
+            return situation  # a search finds the way to it
         return self._goals.aim(situation, left, found_none)
-
-    def _as_plan(self, state: Following) -> Plan:
-        arrival, start = state.arrival, state.planned_at
-        states = arrival.states
-        hold = hold_momentum(
-            arrival.hold.delayed(start), arrival.momentum, arrival.disturbance,
-            arrival.goal[QUATERNION], self._robot.max_rotor_speed,
-        )
-        rests = np.tile(states[-1], (hold.times.size - len(states), 1))
-        return Plan(
-            PlanStatus.SOLVED if state.reaches else PlanStatus.BEST_SO_FAR,
-            hold,
-            np.vstack((states, rests)),
-            arrival=start + arrival.duration,
-            cost=arrival.error**2,
-            iterations=arrival.iterations,
-            kkt_residual=arrival.kkt_residual,
-            message=f"arrives in {arrival.duration:.2f} s, {arrival.error:.1e} off",
-            motion=state.motion,
-        )
-
-
-def _better(
-    kept: Following | None, found: Following | None, situation: Situation
-) -> Following | None:
-    """Return the plan to follow of the one in force and one that was found."""
-    if found is None or kept is None:
-        return found if kept is None else kept
-    if not kept.leads_to(situation):
-        return found
-    if not found.leads_to(situation) or not found.reaches:
-        return kept
-    gain = _LEAST_GAIN * kept.solver.grid.unit
-    return found if not kept.reaches or found.arrives < kept.arrives - gain else kept

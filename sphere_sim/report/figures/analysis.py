@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of quantities over time: errors, torques, solve times, value function, momentum."""
+"""Figures of quantities over time: errors, torques, solves, value, momentum, clearance."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -144,6 +144,24 @@ def momentum_over_time(run: Run) -> Figure:
         axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
         axes.legend(loc="lower right", ncols=3)
         _label(axes, "momentum [N m s; world]")
+    return figure
+
+
+def clearance_over_time(run: Run) -> Figure:
+    """Draw the distance between the sphere and what is occupied, and that of its plans."""
+    floors = run.floors
+    with styled():
+        figure, axes = _single("Clearance: distance between the sphere and what is occupied")
+        if floors.report_times.size:
+            axes.step(floors.report_times, floors.clearances, linestyle=DASHES[1], where="post",
+                      color=COLOURS[5], label="of the plan, reported")
+        axes.plot(run.times, run.clearances, color=COLOURS[0], label="of the sphere, by its poses")
+        axes.axhline(0.0, color=VERMILION, linewidth=1.0)
+        axes.annotate("touch", (0.005, 0.0), color=VERMILION, fontsize=8,
+                      xycoords=("axes fraction", "data"), ha="left", va="bottom")
+        axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
+        axes.legend()
+        _label(axes, "clearance [m]")
     return figure
 
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, contact_points
+from sphere_sim.output.floor_shapes import bordered, cropped, outlines
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import (
     BLACK,
@@ -18,6 +20,7 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     VERMILION,
+    WALL,
     mark_missing,
     styled,
 )
@@ -58,7 +61,7 @@ def _draw_euler_parameters(axes: Axes, run: Run) -> None:
 
 
 def _draw_path(axes: Axes, run: Run) -> None:
-    """Draw the path of the centre on the plane with start and goal."""
+    """Draw the path of the centre on the plane with start and goal, and what is occupied there."""
     x, y = run.states[:, 0], run.states[:, 1]
     axes.plot(x, y, color=BLUE)
     axes.plot(x[0], y[0], "o", color=BLACK, markersize=6, label="start")
@@ -69,12 +72,32 @@ def _draw_path(axes: Axes, run: Run) -> None:
     middle = 0.5 * np.array((x.min() + x.max(), y.min() + y.max()))
     half = 0.5 * run.robot.shell_radius
     axes.update_datalim((middle - half, middle + half))
+    _draw_floor(axes, run)
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("c: path on the plane")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.legend(loc="best")
+
+
+def _draw_floor(axes: Axes, run: Run) -> None:
+    """Draw what is occupied around a path at its end, and extend the panel to what it was near."""
+    grid = run.floors.at(float(run.times[-1]))
+    if grid is None:
+        return
+    places, reach = run.states[:, POSITION], 2.0 * run.robot.shell_radius
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    axes.update_datalim((low, high))
+    # Panels are wider or higher than the path.
+    more = np.max(high - low)
+    part = cropped(bordered(grid), low - more, high + more)
+    if part is not None:
+        axes.add_collection(
+            PolyCollection(list(outlines(part)), facecolor=WALL, linewidth=0.0, antialiased=False,
+                           zorder=0.5),
+            autolim=False,
+        )
 
 
 def draw_rotor_speeds(axes: Axes, run: Run) -> None:

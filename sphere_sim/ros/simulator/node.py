@@ -4,7 +4,7 @@
 
 publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
             ~/pushed
-subscribes  rotor_trajectory, rotor_commands, control_period, ~/push, in lockstep the
+subscribes  rotor_trajectory, rotor_commands, control_period, map, ~/push, in lockstep the
             controller's status
 services    ~/reset, ~/pause, ~/step, ~/push
 """
@@ -21,10 +21,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import as_state
+from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
+from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphFault, GraphMonitor
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
@@ -40,6 +42,7 @@ from sphere_sim.world.drives import beyond
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.simulator import Simulator
+from sphere_sim.world.walls import Walls, walls_of
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
@@ -80,9 +83,17 @@ class SimulatorNode(RunnableNode):
         pushes = declare(PushSettings())
         self._scheduling = declare(SchedulingSettings())
         frame = declare(FrameSettings()).settings.world_frame
+        occupancy = declare(
+            OccupancySettings(), on_change=lambda changed: self._floor_receiver.change(changed)
+        ).settings
         self.parameters.warn_of_unknown()
+        self._floor_receiver = FloorReceiver(
+            self, occupancy, robot.shell_radius, frame, walls_of, self._surround,
+            self._fault_log, self._event_log, is_planner=False,
+        )
         start = as_state(settings.initial_state)
-        plant = make_plant(settings.plant, robot, start, body, disturbances)
+        walls = self._floor_receiver.floor
+        plant = make_plant(settings.plant, robot, start, body, disturbances, walls)
         self.simulator = Simulator(settings, robot, plant)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
@@ -125,6 +136,11 @@ class SimulatorNode(RunnableNode):
         self._state_publisher.publish(self.simulator)
         if not self._simulated_clock.paused:
             self._simulated_clock.resume(0, wall)
+
+    def destroy_node(self) -> None:
+        """Destroy the node."""
+        self._floor_receiver.close()
+        super().destroy_node()
 
     @property
     def thread_priority(self) -> int:
@@ -169,6 +185,7 @@ class SimulatorNode(RunnableNode):
     def _advance(self) -> None:
         instant = self._simulated_clock.due(self.simulator.now, time.monotonic())
         self.simulator.advance_to(instant)
+        self._report_touch()
         self._follow_system_clock()
         self._simulated_clock.advanced(instant, time.monotonic())
         self._state_publisher.publish(self.simulator)
@@ -217,6 +234,18 @@ class SimulatorNode(RunnableNode):
             f"{timeout:g} s; time continues without it; "
             f"{self._controllers.why_silent(timeout)}",
         )
+
+    def _report_touch(self) -> None:
+        touches = self.simulator.touches
+        if self._fault_log.has_risen("wall touched", touches):
+            x, y = self.simulator.plant.state[POSITION]
+            self._fault_log.report(
+                "wall touched", f"by the sphere at [{x:.3f}, {y:.3f}] m, t = "
+                f"{self.simulator.time:.3f} s; {touches} contacts so far",
+            )
+
+    def _surround(self, walls: Walls | None) -> None:
+        self.simulator.plant.surround(walls)
 
     def _change(self, settings: SimulatorNodeSettings) -> None:
         if settings.real_time_factor != self._settings.real_time_factor:

@@ -3,7 +3,7 @@
 """Viewer node: shows the topics of a robot in the browser, and sends the requests of users.
 
 subscribes  pose, joint_states, controller/active_goal, controller/predicted_path,
-            controller/status, /diagnostics
+            controller/floor, controller/status, /diagnostics
 publishes   goal_pose, goal_point, simulator/push
 calls       controller/enable, controller/cancel, simulator/pause, simulator/reset and parameters,
             where available

@@ -9,12 +9,13 @@ from contextlib import suppress
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.ros.messages import (
     framed_pose_from_ros,
     joint_states_from_ros,
@@ -22,6 +23,7 @@ from sphere_nmpc.ros.messages import (
     seconds,
     stamp_from_ros,
 )
+from sphere_sim.recording.message_fields import floor_of
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import Frame
 
@@ -36,8 +38,8 @@ class RobotSubscriptions:
     They are best effort with a depth of 1: messages that arrive between two frames cost nothing,
     and no publisher waits for the viewer.
 
-    With `scene_only` pose, goal and plan are enough: no rotor speeds and nothing about the
-    controller. `on_pose` is called after each pose that was accepted in the given frame.
+    With `scene_only` pose, goal and plan are enough: no floor, no rotor speeds and nothing about
+    the controller. `on_pose` is called after each pose that was accepted in the given frame.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class RobotSubscriptions:
         node.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
         if scene_only:
             return
+        node.create_subscription(OccupancyGrid, "controller/floor", self._take_floor, latched)
         node.create_subscription(JointState, "joint_states", self._take_joint_states, newest)
         node.create_subscription(DiagnosticStatus, _STATUS, self._take_status, newest)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
@@ -98,6 +101,14 @@ class RobotSubscriptions:
         with suppress(InvalidStateError):
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
             self._live.update(plan=np.array(states).reshape(-1, 6))
+
+    def _take_floor(self, message: OccupancyGrid) -> None:
+        self._arrival()
+        self._live.floor_refused = ""
+        try:
+            self._live.update(floor=floor_of(message))
+        except InvalidMapError as error:
+            self._live.floor_refused = str(error)
 
     def _take_status(self, message: DiagnosticStatus) -> None:
         self._live.controller_at = self._arrival()

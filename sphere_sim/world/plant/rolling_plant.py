@@ -15,6 +15,9 @@ Written independently of the controller's model on purpose, quaternion algebra i
 compares the two. The inertia about the contact point is the sum of the bodies' inertias (Eqs. 8
 to 11), the balance is solved as a 3 x 3 system, and the integrator is the classical Runge-Kutta
 method with short steps.
+
+Walls stop the motion and have no forces: a step that would lead into one is not made, so that pose
+and momentum stay as before it while the rotors turn on.
 """
 
 import math
@@ -27,6 +30,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.walls import Contact, Walls
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
@@ -47,7 +51,7 @@ class RollingPlant:
 
     def __init__(
         self, robot: RobotParameters, state: Vector,
-        disturbances: DisturbanceSettings | None = None,
+        disturbances: DisturbanceSettings | None = None, walls: Walls | None = None,
     ) -> None:
         self._max_step = MAX_STEP * step_scale(robot)
         self._radius = robot.shell_radius
@@ -56,6 +60,7 @@ class RollingPlant:
         self._inertia = _inertia_about_centre(robot)
         self._stopped_in_a_step = self._max_step / min(self._inertia)
         self._disturb(DisturbanceSettings() if disturbances is None else disturbances)
+        self.contact = Contact(walls, self._radius)
         self.reset(state)
 
     def reset(self, state: Vector) -> None:
@@ -65,10 +70,17 @@ class RollingPlant:
         self._speeds = (0.0, 0.0)
         self._acceleration = (0.0, 0.0)
         self._angles = (0.0, 0.0)
+        self._stop_at_walls(self._y)
 
     def displace(self, state: Vector) -> None:
         """Put the sphere at `state`, shape (6,), keeping its rotors and its momentum."""
         self._y = (*(float(value) for value in state), *self._y[6:])
+        self._stop_at_walls(self._y)
+
+    def surround(self, walls: Walls | None) -> None:
+        """Replace the walls; None where there are none."""
+        self.contact.surround(walls)
+        self._stop_at_walls(self._y)
 
     def push(self, impulse: ArrayLike) -> None:
         """Apply a horizontal impulse [N s; world frame], shape (2,), at the centre."""
@@ -95,6 +107,8 @@ class RollingPlant:
     @property
     def body_rate(self) -> Vector:
         """Angular velocity of the shell [rad/s; body frame], shape (3,)."""
+        if self._is_stopped:
+            return np.zeros(3)
         rate = np.array(self._world_rate(self._y, *self._speeds))
         found: Vector = matrix(self.state[2:]).T @ rate
         return found
@@ -102,6 +116,8 @@ class RollingPlant:
     @property
     def velocity(self) -> Vector:
         """Velocity of the centre [m/s; world frame], shape (3,)."""
+        if self._is_stopped:
+            return np.zeros(3)
         return np.array([*self.rate(self._y, *self._speeds)[:2], 0.0])
 
     @property
@@ -165,10 +181,12 @@ class RollingPlant:
         h = duration / steps
         for i in range(steps):
             here, there = i / steps, (i + 1) / steps
+            before = self._y
             self._step(
                 a1 + (b1 - a1) * here, a2 + (b2 - a2) * here,
                 a1 + (b1 - a1) * there, a2 + (b2 - a2) * there, h,
             )
+            self._stop_at_walls(before)
 
     def _step(self, a1: float, a2: float, b1: float, b2: float, h: float) -> None:
         """Make a Runge-Kutta step of h [s] in which the rotor speeds ramp from a to b."""
@@ -185,6 +203,12 @@ class RollingPlant:
         ]
         norm = math.sqrt(w**2 + x**2 + q3**2 + z**2)
         self._y = (east, north, w / norm, x / norm, q3 / norm, z / norm, *momentum)
+
+    def _stop_at_walls(self, before: _Numbers) -> None:
+        """Return to the pose and momentum before a motion that led into a wall."""
+        self._is_stopped = self.contact.is_into_wall(before[:2], self._y[:2])
+        if self._is_stopped:
+            self._y = before
 
     def rate(self, y: _Numbers, u1: float, u2: float) -> _Numbers:
         """Return dy/dt of y = [x, y, qw, qx, qy, qz, Hx, Hy, Hz] at rotor speeds [rad/s]."""

@@ -14,7 +14,18 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from patience import PATIENCE
-from recorded_bags import POSE, Entry, goal_at, momentum_messages, pose, write_own
+from recorded_bags import (
+    POSE,
+    Entry,
+    diagnostics,
+    goal_at,
+    in_order,
+    momentum_messages,
+    pose,
+    walled_messages,
+    without,
+    write_own,
+)
 
 from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import main
@@ -100,6 +111,55 @@ def test_momentum_and_pushes_are_reported(tmp_path, capsys, one_figure) -> None:
     (push,) = summary["momentum"]["pushes"]
     assert summary["momentum"]["end_nms"] == pytest.approx([0.075, 0.15, 0.0])
     assert push["impulse_ns"] == [0.5, -0.25] and push["time_s"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("least", "contacts", "told"),
+    [(0.1, 0, "touches of what is occupied 0\n"),
+     # The front of the sphere is at the wall, 1 m, after 3.5 s.
+     (-0.1, 1, "touches of what is occupied 1, the first at 3.5 s\n")],
+)
+def test_clearance_is_reported_and_touches_are_told_first(
+    tmp_path, capsys, one_figure, least, contacts, told
+) -> None:
+    bag, out = write_own(tmp_path / "run", walled_messages(least)), tmp_path / "out"
+    assert main([str(bag), "--out", str(out), "--csv"]) == 0
+    printed = capsys.readouterr().out
+    assert f"run: least clearance {1e3 * least:g} mm" in printed and told in printed
+    floor = json.loads((out / "summary.json").read_text())["run"]["floor"]
+    assert floor["least_clearance_m"] == pytest.approx(least, abs=1e-6)
+    assert floor["contacts"] == contacts
+    assert floor["first_contact_s"] == (pytest.approx(3.5, abs=0.021) if contacts else None)
+    table = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
+    assert np.min(table["clearance_m"]) == pytest.approx(least, abs=1e-6)
+    assert (out / "clearance.svg").exists()
+    alarm = "run: the sphere touched what is occupied on the floor: 1, the first at 3.5 s"
+    assert (alarm in (out / "report.html").read_text()) is bool(contacts)
+
+
+def test_contacts_that_the_simulator_counts_are_touches_although_walls_stop_the_sphere_before(
+    tmp_path, capsys, one_figure
+) -> None:
+    counts = [
+        diagnostics(10**9 * i, name, wall_touched=count) for i, name, count in (
+            (2, "simulator: commands", 1), (3, "second/simulator: commands", 9),
+            (4, "simulator: commands", 3), (4, "simulator: clock", 7),
+        )
+    ]
+    bag = write_own(tmp_path / "run", in_order(*walled_messages(0.1), *counts))
+    assert main([str(bag), "--out", str(tmp_path / "out")]) == 0
+    assert "run: touches of what is occupied 3, the first at 1 s\n" in capsys.readouterr().out
+    floor = json.loads((tmp_path / "out" / "summary.json").read_text())["run"]["floor"]
+    assert floor["contacts"] == 3 and floor["least_clearance_m"] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_report_without_a_floor_has_nothing_of_one(tmp_path, capsys, one_figure) -> None:
+    bag = write_own(tmp_path / "run", without(walled_messages(0.1), "/floor", "/status"))
+    assert main([str(bag), "--out", str(tmp_path / "out"), "--csv"]) == 0
+    texts = [capsys.readouterr().out] + [
+        file.read_text() for file in (tmp_path / "out").iterdir() if file.suffix != ".png"
+    ]
+    assert not any(word in text for word in ("clearance", "occupied") for text in texts)
 
 
 SETTLED_AFTER = (0.47, 0.53, 0.58)

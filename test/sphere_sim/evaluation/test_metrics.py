@@ -15,6 +15,7 @@ from sphere_sim.evaluation.metrics import (
     settling_index,
     state_errors,
     stay_below,
+    touches,
 )
 
 GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -67,3 +68,9 @@ def test_measure_of_a_straight_run() -> None:
     assert metrics.max_rotor_speed == 90.0
     assert math.isnan(metrics.max_rotor_torque_nm)
     assert metrics.solve_ms_p50 == pytest.approx(2.0)
+
+
+def test_touches_are_counted_as_they_begin() -> None:
+    clearances = np.array([0.0, -0.1, 0.1, np.nan, -0.1, -0.1, np.nan, 0.0, 0.2])
+    assert touches(clearances).tolist() == [0, 4, 7]
+    assert touches(np.array([0.1, np.nan])).size == 0

@@ -7,12 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 from recorded_bags import (
+    Entry,
     changed,
     goal_at,
     in_order,
     momentum_messages,
     on_the_system_clock,
     run_messages,
+    walled_messages,
     without,
     write_own,
     write_rosbag2,
@@ -246,3 +248,35 @@ def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) 
     np.testing.assert_allclose(run.goals[:, 0], kept)
     assert run.goal_times[0] == pytest.approx(goals[0][1], abs=1e-9)
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
+
+
+def test_floor_is_in_force_from_its_time_until_it_is_free(tmp_path) -> None:
+    entries = [*walled_messages(0.1)]
+
+    def another(seconds: int, **info) -> Entry:
+        edit = lambda message: vars(message.info).update(info)  # noqa: E731
+        return changed(entries[0], log=seconds * 10**9, stamp=seconds * 10**9, edit=edit)
+
+    free, invalid = another(4, width=0, height=0), another(3, resolution=-1.0)
+    run = read_run(write_own(tmp_path / "bag", in_order(*entries, invalid, free)))
+    assert "/controller/floor: 1 invalid floors were ignored" in run.notes
+    assert run.floors.at(-0.1) is None and run.floors.at(3.0) is None
+    grid = run.floors.at(2.5)
+    assert grid.occupied.shape == (40, 40) and grid.origin == pytest.approx((2, -2, np.pi / 2))
+    at_the_wall = grid.local(np.array([1.25, 0.05])).astype(int)
+    assert grid.occupied[at_the_wall[1], at_the_wall[0]] and grid.occupied.sum() == 40
+    assert [run.floors.clearance_at(t) for t in (1.0, 3.9)] == [0.25, 0.25]
+    # The front of the sphere is at 0.3 m at the start, at 0.9 m after 3 s, the wall at 1.2 m.
+    np.testing.assert_allclose(run.clearances[:150], 0.9 - 0.2 * run.times[:150], atol=1e-6)
+    assert np.isnan(run.clearances[run.times >= 3.0]).all()
+
+
+def test_floor_of_a_goal_is_the_one_that_was_in_force_then(tmp_path) -> None:
+    goals = [changed(goal_at(x, 0.0), stamp=log, log=log)
+             for x, log in ((1.0, 2 * 10**9), (2.0, 4 * 10**9))]
+    run = read_run(write_own(tmp_path / "bag", in_order(*walled_messages(0.1), *goals)))
+    second = run.to_goal(2)
+    assert second.floors.at(0.0) is run.floors.at(0.0) is not None
+    assert np.nanmin(second.clearances) == pytest.approx(0.1, abs=1e-6)
+    assert second.clearances[0] == pytest.approx(0.9 - 0.2 * 3.0, abs=1e-6)
+    assert second.floors.report_times.size == 0 and run.to_goal(1).floors.clearance_at(0.5) == 0.25

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.floor.settings import FloorSettings
+from sphere_nmpc.floor.way import in_sight
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros
 from sphere_nmpc.settings import ControllerSettings
@@ -25,6 +29,7 @@ from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 CASE = PAPER_CASES[1]
+MAP = Path(__file__).parents[3] / "config" / "maps" / "two_rooms.yaml"
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOISY = {"process_noise": 1e-3, "seed": 5}
 COMPARED_FOR = 2.5
@@ -32,7 +37,7 @@ COMPARED_FOR = 2.5
 
 
 @contextmanager
-def nodes(strategy: str, **simulator: object) -> Iterator[None]:
+def nodes(strategy: str, map_file: str = "''", **simulator: object) -> Iterator[None]:
     """Run simulator and controller, paused at the start; they must end cleanly."""
     follow = {"use_sim_time": True, "lockstep": simulator.get("lockstep", False)}
     with ExitStack() as processes:
@@ -41,6 +46,7 @@ def nodes(strategy: str, **simulator: object) -> Iterator[None]:
             ("controller", {**follow, "strategy": strategy}),
         ):
             options = [f"{key}:={str(value).lower()}" for key, value in given.items()]
+            options.append(f"map_file:={map_file}")
             arguments = (part for item in options for part in ("-p", item))
             processes.enter_context(started(name, *arguments))
         yield
@@ -69,3 +75,23 @@ def test_lockstep_gives_the_run_without_ros_at_any_pace(graph, strategy, pace) -
     seen = {stamp_from_ros(pose.header.stamp): pose_from_ros(pose) for pose in poses}
     for time, state in zip(alone.times, alone.states, strict=True):
         np.testing.assert_allclose(seen[round(time * 1e9)], state, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_around_a_wall_with_searches_in_the_worker_process(graph) -> None:
+    """The floor reaches the worker as files, and the ways to the goal are found there."""
+    arrived = graph.collect(Bool, "controller/at_goal", LATCHED)
+    poses = graph.collect(PoseStamped, "pose")
+    with nodes("time_optimal", str(MAP)):
+        sender = graph.publisher(PoseStamped, "goal_pose")
+        graph.until(lambda: poses)
+        start = pose_from_ros(poses[0])
+        graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
+        sender.publish(pose_to_ros(CASE.goal, 0, 0.3))
+        graph.until(lambda: arrived and arrived[-1].data)
+        there = pose_from_ros(poses[-1])
+    way = np.array([pose_from_ros(pose)[:2] for pose in poses])
+    floor = FloorSettings(map_file=str(MAP)).whole(0.3)
+    assert np.linalg.norm(there - CASE.goal) < 0.05
+    assert not in_sight(floor, start[:2], CASE.goal[None, :2], floor.needed)[0]
+    assert floor.distances(way).min() > 0.3

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import make_state
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import DEFAULT_RADIUS
@@ -57,6 +58,21 @@ def test_cancelled_goal_is_not_shown_until_there_is_another() -> None:
     for stamp, shown in (("1.0", True), ("", False), ("2.0", True)):
         live.add_status({"goal_stamp": stamp})
         assert (live.take(0.0, 1).goal is not None) is shown
+
+
+def test_floor_is_shown_while_the_status_reports_a_clearance() -> None:
+    live, grid = LiveFrame(0.0), Grid(np.zeros((2, 2), dtype=bool), 1.0)
+    live.update(floor=grid)
+    assert live.take(0.0, 1).floor is grid, "without a status, too"
+    live.add_status({"clearance_m": "0.125"})
+    frame = live.take(0.0, 1)
+    assert frame.floor is grid and frame.clearance == 0.125
+    live.add_status({"clearance_m": "nan"})
+    assert live.take(0.0, 1).floor is grid and np.isnan(live.take(0.0, 1).clearance)
+    live.add_status({"mode": "no goal"})
+    assert live.take(0.0, 1).floor is None, "of a controller that was restarted without one"
+    live.controller_at, live.floor_refused = 0.0, "map: given a resolution of 0 m"
+    assert live.take(0.0, 1).alerts[-1] == "floor refused: map: given a resolution of 0 m"
 
 
 def test_missing_messages_and_what_the_status_gives_up_are_alerts() -> None:

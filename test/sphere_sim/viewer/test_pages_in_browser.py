@@ -9,14 +9,16 @@ import pytest
 
 pytest.importorskip("viser")
 
-from browser import Browser, page_of, scene_of, wait_for_scene
+from browser import Browser, page_of, pixel, scene_of, wait_for_scene
 from recorded_bags import rolling_messages, write_own
 from test_viewer import Script
 from verb_process import start, stop
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import make_state
 from sphere_sim.cli.report import main
 from sphere_sim.report import report_files
+from sphere_sim.viewer.scene import LOOK_AT
 from sphere_sim.viewer.source import Capabilities, Frame
 from sphere_sim.viewer.viewer import Viewer
 
@@ -69,6 +71,35 @@ def test_recording_plays_to_its_end_seeks_and_continues(page, tmp_path) -> None:
         assert page.console == []
     finally:
         stop([viewer])
+
+
+def test_walls_are_drawn_where_the_floor_is_occupied_and_go_with_it(page, tmp_path) -> None:
+    cells = np.zeros((40, 40), dtype=bool)
+    cells[20, 20] = True
+    # The cell is where a new page looks at; the others are towards the camera and away from it.
+    place, beside = np.array([*LOOK_AT[:2], 0.12]), np.array([0.4, -0.4, -0.12])
+    floor = Grid(cells, 0.2, (LOOK_AT[0] - 4.1, LOOK_AT[1] - 4.1, 0.0))
+    script, state = Script(), make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    script.next = [Frame(state=state, floor=floor, clearance=0.25)]
+    viewer = Viewer(script, 0, live=True)
+
+    def brightness(point: np.ndarray) -> float:
+        left, top, _, _ = map(int, page.box("canvas"))
+        x, y = pixel(page, tuple(point))
+        return float(scene_of(page, tmp_path / "scene.png")[int(y) - top, int(x) - left].mean())
+
+    try:
+        page.open(viewer.url)
+        page.wait(lambda: viewer.tick() or "clearance of the plan 0.250 m" in page.text)
+        wait_for_scene(page, tmp_path / "scene.png")
+        page.wait(lambda: brightness(place) < 200.0, "no wall is drawn")
+        assert all(brightness(place + side * beside) > 225.0 for side in (1.0, -1.0))
+        script.next = [Frame(state=state)]
+        page.wait(lambda: viewer.tick() or "clearance" not in page.text)
+        page.wait(lambda: brightness(place) > 225.0, "the wall is still drawn")
+        assert page.console == []
+    finally:
+        viewer.close()
 
 
 def test_text_of_other_programs_is_shown_as_text(page) -> None:

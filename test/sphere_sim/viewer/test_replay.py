@@ -7,18 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_sim.recording.run import Momentum, Run, Solves
+from sphere_sim.recording.run import Floors, Momentum, Run, Solves
 from sphere_sim.viewer import replay as module
 from sphere_sim.viewer.replay import Replay
 from sphere_sim.viewer.source import Pause, Reset, Seek, SetGoal, SetSpeed
 
 DURATION = 20.0
 MOMENTUM = np.array([0.0, 0.15, 0.0])
+GRID = Grid(np.zeros((2, 2), dtype=bool), 1.0)
 ROBOT = RobotParameters()
 
 
@@ -43,6 +45,7 @@ def replay(wall) -> Replay:
         "run", Path("run"), times, states, times, np.ones((len(times), 2)),
         np.ones((len(times), 2)), np.array([1.0]), goal[None], (hold,), solves,
         Momentum(np.array([4.5]), MOMENTUM[None], (UNDISTURBED,)),
+        Floors(np.array([2.0, 8.0]), (GRID, None), np.array([3.0]), np.array([0.125])),
     )
     return Replay(run)
 
@@ -84,3 +87,11 @@ def test_plan_solve_goal_and_momentum_are_those_at_the_time_of_the_frame(replay)
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
     assert np.isnan(frame.to_go), "this solve reports no arrival"
     assert frame.goal[0] == DURATION and frame.momentum.tolist() == MOMENTUM.tolist()
+
+
+def test_floor_and_clearance_are_those_at_the_time_of_the_frame(replay) -> None:
+    for moment, floor, clearance in ((1.0, None, np.nan), (4.0, GRID, 0.125), (9.0, None, 0.125)):
+        replay.handle(Seek(moment))
+        frame = replay.frames()[-1]
+        assert frame.floor is floor
+        np.testing.assert_equal(frame.clearance, clearance)

@@ -12,6 +12,7 @@ pytest.importorskip("viser")
 
 from robots import GIANT, PALM
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.recording.message_fields import ReportedProgress
 from sphere_sim.viewer.goal import GOAL_PRESETS
@@ -31,6 +32,7 @@ from sphere_sim.viewer.source import (
     SetStrategy,
 )
 from sphere_sim.viewer.viewer import Viewer
+from sphere_sim.viewer.walls import blocks
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
@@ -227,3 +229,46 @@ def test_plans_at_one_point_are_not_drawn(viewer, script) -> None:
         script.next = [at(1.0, 1.0, plan=plan)]
         viewer.tick()
         assert viewer._scene._ground._plan.visible is there
+
+
+def test_walls_are_drawn_once_and_removed_when_the_floor_goes(viewer, script) -> None:
+    occupied = np.zeros((3, 4), dtype=bool)
+    occupied[1, 1:3] = True
+    grid = Grid(occupied, 0.5, (1.0, 2.0, 0.0))
+
+    def shown(floor: Grid | None, **more):
+        script.next = [at(1.2, 2.2, floor=floor, **more)]
+        viewer._panel_updated = 0.0
+        viewer.tick()
+        return viewer._scene._walls._mesh
+
+    lines = viewer._panel._numbers.content.count("<br>") if shown(None) is None else 0
+    first = shown(grid, clearance=0.125)
+    points = first.vertices.reshape(-1, 8, 3)
+    inner = [it for it in points if it[:, 0].min() > 1.0 and it[:, 0].max() < 3.0]
+    # Two cells as one block, and a border of half a metre around the floor.
+    assert len(inner) == 1
+    assert inner[0].min(axis=0).tolist() == [1.5, 2.5, 0.0]
+    assert inner[0].max(axis=0) == pytest.approx([2.5, 3.0, 0.4 * DEFAULT_RADIUS])
+    assert points.min(axis=(0, 1)).tolist() == [0.5, 1.5, 0.0]
+    assert points[..., :2].max(axis=(0, 1)).tolist() == [3.5, 4.0]
+    panel = viewer._panel
+    assert "clearance of the plan <b>0.125 m</b>" in panel._numbers.content
+    assert panel._numbers.content.count("<br>") == lines + 1
+    assert "grey walls" in panel._legend.content
+    assert shown(grid) is first, "it is not sent again"
+    assert "clearance of the plan –" in panel._numbers.content
+    assert shown(Grid(~occupied, 0.5)) is not first
+    assert shown(None) is None and "clearance" not in panel._numbers.content
+    assert "grey walls" not in panel._legend.content
+
+
+def test_faces_of_walls_look_outwards() -> None:
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
+    mesh = blocks(np.array([square + 5.0, square]), 0.5)
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0)
+    normals, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+    centres = np.where(middle[:, :1] > 4.0, (6.0, 5.5, 0.25), (1.0, 0.5, 0.25))
+    assert np.all(np.sum(normals * (middle - centres), axis=1) > 0.0)
+    # Four sides and the top of each.
+    assert np.sum(np.linalg.norm(normals, axis=1)) == pytest.approx(2.0 * 2.0 * (2.0 + 3.0))

@@ -18,9 +18,13 @@ from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_mechanism
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.walls import Walls
 
 _IMPEDANCE_RATIO = 10
 """Ratio of the impedances of friction and normal force [-]."""
+
+_WALL_HEIGHT = 3.0
+"""Half the height of a wall [Rs]."""
 
 _FLOOR_BASE = 0.5
 """Thickness of a rough floor under its lowest point [m]."""
@@ -78,13 +82,14 @@ def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
 
 def make_mjcf(
     robot: RobotParameters, settings: RigidBodySettings, disturbances: DisturbanceSettings,
-    floor: RoughFloor | None = None,
+    floor: RoughFloor | None = None, walls: Walls | None = None,
 ) -> str:
     """Return the model of the robot on its floor.
 
     The settings are those derived by `for_robot`. The caller puts the heights of a rough floor
-    into the compiled model. Actuators and joints are in the order rotor 1, rotor 2. The world
-    frame is that of the floor: a slope tilts gravity, so that x and y are coordinates in it.
+    into the compiled model. Walls are boxes, with the same contact as the floor. Actuators and
+    joints are in the order rotor 1, rotor 2. The world frame is that of the floor: a slope tilts
+    gravity, so that x and y are coordinates in it.
     """
     root = ElementTree.Element("mujoco", model="sphere")
     add_element(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -110,6 +115,8 @@ def make_mjcf(
     add_element(world, "geom", name="plane", type="plane", size="0 0 1")
     if floor is not None:
         add_element(world, "geom", name="floor", type="hfield", hfield="floor")
+    if walls is not None:
+        _add_walls(world, walls, robot.shell_radius)
     _add_robot(world, robot, settings, disturbances)
     actuators = add_element(root, "actuator")
     gain = servo_gain(robot, settings)
@@ -132,6 +139,21 @@ def servo_gain(robot: RobotParameters, settings: RigidBodySettings) -> float:
     """
     bandwidth = min(settings.drive_bandwidth, 1.0 / settings.time_step)
     return robot.rotor_axial_inertia * bandwidth
+
+
+def _add_walls(world: ElementTree.Element, walls: Walls, radius: float) -> None:
+    grid = walls.grid
+    half_heading = 0.5 * grid.origin[2]
+    turn = _text(math.cos(half_heading), 0.0, 0.0, math.sin(half_heading))
+    bounds = walls.rectangles.astype(float)
+    centres = grid.world(0.5 * (bounds[:, :2] + bounds[:, 2:]))
+    halves = 0.5 * grid.resolution * (bounds[:, 2:] - bounds[:, :2])
+    for centre, half in zip(centres, halves, strict=True):
+        # From well below the floor to well above the sphere.
+        add_element(
+            world, "geom", type="box", pos=_text(*centre, radius), quat=turn,
+            size=_text(*half, _WALL_HEIGHT * radius),
+        )
 
 
 def _add_robot(

@@ -14,6 +14,7 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.mjcf import make_floor, make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.walls import Contact, Walls
 
 # Layout of MuJoCo's generalised coordinates and velocities.
 _CENTRE, _TURN, _ANGLES = slice(0, 3), slice(3, 7), slice(7, 9)
@@ -48,7 +49,7 @@ class RigidBodyPlant:
 
     def __init__(
         self, robot: RobotParameters, state: Vector, settings: RigidBodySettings | None = None,
-        disturbances: DisturbanceSettings | None = None,
+        disturbances: DisturbanceSettings | None = None, walls: Walls | None = None,
     ) -> None:
         try:
             import mujoco
@@ -62,20 +63,39 @@ class RigidBodyPlant:
         bandwidth = self._gain / robot.rotor_axial_inertia
         self._lead = 1.0 / bandwidth if self._settings.drive_feedforward else 0.0
         self._floor = make_floor(self._settings)
-        disturbances = DisturbanceSettings() if disturbances is None else disturbances
-        mjcf = make_mjcf(robot, self._settings, disturbances, self._floor)
+        self._robot = robot
+        self._disturbances = DisturbanceSettings() if disturbances is None else disturbances
+        self.contact = Contact(walls, self._radius)
+        self._compile()
+        self.reset(state)
+
+    def _compile(self) -> None:
+        """Make MuJoCo's model of robot, floor and walls, and its data."""
+        mjcf = make_mjcf(
+            self._robot, self._settings, self._disturbances, self._floor, self.contact.walls
+        )
         self._model = self._mj.MjModel.from_xml_string(mjcf)
         if self._floor is not None:
             self._model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
         self._data = self._mj.MjData(self._model)
         self._workspace = self._mj.MjData(self._model)
-        self.reset(state)
 
     def reset(self, state: Vector) -> None:
         """Put the sphere at rest at `state`, shape (6,)."""
         self._mj.mj_resetData(self._model, self._data)
         self._reference: Vector = np.zeros(2)
         self._place(state)
+        self._touch()
+
+    def surround(self, walls: Walls | None) -> None:
+        """Replace the walls; None where there are none."""
+        self.contact.surround(walls)
+        before, gravity = self._data, self._model.opt.gravity.copy()
+        self._compile()
+        self._model.opt.gravity[:] = gravity
+        for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
+            getattr(self._data, name)[:] = getattr(before, name)
+        self._touch()
 
     def displace(self, state: Vector) -> None:
         """Put the sphere at `state`, shape (6,), keeping its rotors.
@@ -95,6 +115,7 @@ class RigidBodyPlant:
         matrix = np.column_stack([column - still for column in columns[1:]])
         velocity[_RATE] = np.linalg.solve(matrix, momentum - still)
         velocity[_VELOCITY] = self._rolling_velocity() + np.append(slip, 0.0)
+        self._touch()
 
     def push(self, impulse: ArrayLike) -> None:
         """Apply a horizontal impulse [N s; world frame], shape (2,), at the centre."""
@@ -163,10 +184,26 @@ class RigidBodyPlant:
         self._data.ctrl[:] = slope
         # Set in each step, so that rounding errors do not accumulate.
         self._data.act[:] = self._reference + self._lead * slope
-        self._mj.mj_step(self._model, self._data, nstep=steps)
+        if self.contact.walls is None:
+            self._mj.mj_step(self._model, self._data, nstep=steps)
+        else:
+            self._step_by_step(steps)
         self._reference = np.array(speeds_end, dtype=float)
         if not np.all(np.isfinite(self._data.qpos)):
             raise PlantDivergedError(self._settings.time_step)
+
+    def _step_by_step(self, steps: int) -> None:
+        """Make integration steps and look for contact with walls after each."""
+        place = self._data.qpos[POSITION].tolist()
+        for _ in range(steps):
+            self._mj.mj_step(self._model, self._data)
+            before, place = place, self._data.qpos[POSITION].tolist()
+            self.contact.is_into_wall(before, place)
+
+    def _touch(self) -> None:
+        """Count a contact with walls where the sphere has been put."""
+        place = self._data.qpos[POSITION].tolist()
+        self.contact.is_into_wall(place, place)
 
     def _place(self, state: Vector) -> None:
         """Set the pose, with the shell in contact with the floor."""

@@ -13,6 +13,8 @@ import pytest
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import (
     Disturbance,
     imbalance_of_offset,
@@ -28,9 +30,10 @@ ROBOT = RobotParameters()
 CONSTANTS = ["learnt_shell_radius_m", "learnt_c1", "learnt_r1", "learnt_r3"]
 
 
-def status_values(**settings: Any) -> dict[str, Any]:
+def status_values(floor: Floor | None = None, **settings: Any) -> dict[str, Any]:
     chosen = ControllerSettings(**settings)
     controller = Controller(chosen, ROBOT)
+    controller.floor = floor
     status = ControllerStatus(controller, ROBOT, chosen)
     return status.values(controller.decide(0.0), 0.0, 0.0, 0)
 
@@ -46,12 +49,25 @@ def test_learnt_constants_have_deviations(noise) -> None:
     assert fixed["learnt_lag_s"] == 0.0123
 
 
+def test_clearance_of_the_plan_is_told_where_there_is_a_floor() -> None:
+    assert "clearance_m" not in status_values()
+    floor = Floor(Grid(np.zeros((40, 40), dtype=bool), 0.1), 0.3, 0.02)
+    assert math.isnan(status_values(floor)["clearance_m"]), "nothing is planned"
+    settings = ControllerSettings()
+    controller = Controller(settings, ROBOT)
+    controller.floor, decided = floor, controller.decide(0.0)
+    decision = replace(decided, plan=replace(decided.plan, clearance=0.125))
+    values = ControllerStatus(controller, ROBOT, settings).values(decision, 0.0, 0.0, 0)
+    assert values["clearance_m"] == 0.125
+
+
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_every_value_is_documented(strategy) -> None:
     table = (ROOT / "msg_docs" / "topics.md").read_text().split("### Status")[1].split("\n### ")[0]
     cells = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
     documented = {key for cell in cells for key in re.findall(r"`(\w+)`", cell)}
-    values = status_values(strategy=strategy)
+    values = status_values(Floor(Grid(np.zeros((9, 9), dtype=bool), 1.0), 0.3, 0.0),
+                           strategy=strategy)
     # The deviations are described with what they belong to.
     assert {key.removesuffix("_deviation") for key in values} <= documented
     assert values["giving_up"] == "" and values["momentum_x"] == 0.0

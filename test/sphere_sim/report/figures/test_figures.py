@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED
-from sphere_sim.recording.run import Momentum, Run, Solves
+from sphere_sim.recording.run import Floors, Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison, side_by_side
@@ -25,6 +26,7 @@ FIGURES = {
     "solve": analysis.solve_times,
     "value": analysis.value_function,
     "momentum": analysis.momentum_over_time,
+    "clearance": analysis.clearance_over_time,
     "comparison": lambda run: comparison((run, make_run())),
     "side_by_side": lambda run: side_by_side(make_run(), run, "both"),
 }
@@ -77,3 +79,21 @@ def test_animation_is_written_until_the_run_ends(tmp_path) -> None:
     write_animation(replace(run, times=0.1 * run.times), tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as picture:
         assert picture.size == (640, 300) and picture.n_frames > 5
+
+
+def test_what_is_occupied_is_drawn_under_the_path_where_it_is() -> None:
+    occupied = np.zeros((80, 80), dtype=bool)
+    occupied[41, 40:44] = True
+    # Turned by a quarter: columns go along y, rows towards -x.
+    grid = Grid(occupied, 0.25, (10.0, -10.0, 0.5 * np.pi))
+    run = replace(make_run(), floors=Floors(np.zeros(1), (grid,)))
+    path = paper_panels(run).axes[2]
+    (drawn,) = path.collections
+    corners = [shape.vertices[:4] for shape in drawn.get_paths()]
+    boxes = [(*np.round(it.min(axis=0), 9), *np.round(it.max(axis=0), 9)) for it in corners]
+    assert boxes == [(-0.5, 0.0, -0.25, 1.0)]
+    assert drawn.get_zorder() < min(line.get_zorder() for line in path.lines)
+    low, high = run.states[:, :2].min(axis=0), run.states[:, :2].max(axis=0)
+    for limits, a, b in zip((path.get_xlim(), path.get_ylim()), low, high, strict=True):
+        assert limits[0] < a - 0.6 and limits[1] > b + 0.6, "what it was near is shown"
+        assert limits[1] - limits[0] < 8.0, "not the whole map"

@@ -7,6 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -17,9 +18,11 @@ pytest.importorskip("viser")
 
 from robots import PALM
 
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.floor_messages import floor_message
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
@@ -144,6 +147,25 @@ def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     poses.publish(pose_to_ros(START, 1, 0.3, "map"))
     graph.until(lambda: "refused" in newest(source).alerts[0])
     assert newest(source).state is None
+
+
+def test_floor_is_shown_until_it_is_free_and_an_invalid_one_leaves_it(graph, source) -> None:
+    floors = graph.probe.create_publisher(OccupancyGrid, "controller/floor", LATCHED)
+    cells = np.random.default_rng(1).random((3, 5)) < 0.5
+    floors.publish(floor_message(Grid(cells, 0.5, (1.0, -2.0, 0.25)), 10**9, "world"))
+    graph.until(lambda: newest(source).floor is not None)
+    floor = newest(source).floor
+    np.testing.assert_array_equal(floor.occupied, cells)
+    assert (floor.resolution, *floor.origin) == pytest.approx((0.5, 1.0, -2.0, 0.25))
+    invalid = OccupancyGrid()
+    invalid.info.width = invalid.info.height = 2
+    floors.publish(invalid)
+    graph.until(lambda: any("floor refused: map: given '0 values'" in it
+                            for it in newest(source).alerts))
+    assert newest(source).floor is floor
+    floors.publish(floor_message(None, 2 * 10**9, "world"))
+    graph.until(lambda: newest(source).floor is None)
+    assert newest(source).alerts == ("no pose yet", "no controller yet")
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -1,0 +1,144 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Maps in files, as map_server of Nav2 saves them: YAML with the name of an image, PGM or PNG."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.floor.occupancy import (
+    MOST_CELLS,
+    Grid,
+    InvalidMapError,
+    check_geometry,
+    grid_of_values,
+)
+from sphere_nmpc.foreign_text import shown
+
+_OCCUPIED_THRESHOLD, _FREE_THRESHOLD = 0.65, 0.25
+"""Thresholds of map_server where a file has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapValues:
+    """Values of a map, as a message of type nav_msgs/OccupancyGrid has them.
+
+    Attributes
+    ----------
+    values : ndarray of int8, shape (H, W)
+        0 to 100 per cent, -1 where unknown; row 0 is at the origin.
+    resolution : float
+        Side of a cell [m].
+    origin : tuple of float
+        Place [m] and heading [rad] of the first cell's corner.
+    """
+
+    values: NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float]
+
+    def grid(self, occupied_threshold: float, unknown_is_free: bool) -> Grid:
+        """Return the occupied cells; see `grid_of_values`."""
+        height, width = self.values.shape
+        x, y, yaw = self.origin
+        pose = (x, y, 0.0, 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
+        return grid_of_values(
+            self.values.ravel(), width, height, self.resolution, pose, occupied_threshold,
+            unknown_is_free,
+        )
+
+
+def read_map(path: Path) -> MapValues:
+    """Read a map file of mode trinary.
+
+    Parameters
+    ----------
+    path : Path
+        YAML file with image (relative to it), resolution [m], origin (x, y [m], yaw [rad]),
+        negate, occupied_thresh and free_thresh.
+
+    Raises
+    ------
+    InvalidMapError
+        If a file cannot be read, or an entry is missing or not what it has to be.
+    """
+    import yaml
+
+    name = f"map file {path}"
+    try:
+        entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InvalidMapError(name, shown(error), "a YAML file of map_server") from None
+    if not isinstance(entries, dict):
+        raise InvalidMapError(name, type(entries).__name__, "a mapping with image, resolution ...")
+    mode = entries.get("mode", "trinary")
+    if mode != "trinary":
+        raise InvalidMapError(name, f"mode {mode!r}", "trinary")
+    resolution = _number(name, entries, "resolution")
+    origin = _origin(name, entries)
+    negate = bool(_number(name, entries, "negate", 0.0))
+    occupied = _number(name, entries, "occupied_thresh", _OCCUPIED_THRESHOLD)
+    free = _number(name, entries, "free_thresh", _FREE_THRESHOLD)
+    if not 0.0 <= free <= occupied <= 1.0:
+        raise InvalidMapError(
+            name, f"free_thresh {free:g} and occupied_thresh {occupied:g}",
+            "0 <= free_thresh <= occupied_thresh <= 1",
+        )
+    check_geometry(resolution, (*origin[:2], 0.0, 0.0, 0.0, 0.0, 1.0))
+    image = entries.get("image")
+    if not isinstance(image, str) or not image:
+        raise InvalidMapError(name, f"image {image!r}", "the name of a PGM or PNG file")
+    levels = _levels(name, Path(path).parent / image)
+    # In images black is 0, and row 0 at the top.
+    shares = levels if negate else 1.0 - levels
+    values = np.full(shares.shape, -1, dtype=np.int8)
+    values[shares < free] = 0
+    values[shares > occupied] = 100
+    return MapValues(np.ascontiguousarray(values[::-1]), resolution, origin)
+
+
+def _levels(name: str, image: Path) -> NDArray[np.float32]:
+    """Return the brightness of an image's pixels, 0 to 1, shape (H, W); unknown where clear."""
+    from PIL import Image
+
+    # Larger images than the limit of Pillow are refused below by their size.
+    Image.MAX_IMAGE_PIXELS, limit = None, Image.MAX_IMAGE_PIXELS
+    try:
+        with Image.open(image) as opened:
+            width, height = opened.size
+            if width * height > MOST_CELLS:
+                raise InvalidMapError(name, f"{width} x {height} cells", f"1 to {MOST_CELLS}")
+            is_deep = opened.mode.startswith("I")
+            pixels = np.asarray(opened if is_deep else opened.convert("L"), dtype=np.float32)
+    except InvalidMapError:
+        raise
+    except Exception as error:  # decoders raise many kinds for a broken file
+        raise InvalidMapError(
+            name, f"image {image}: {shown(error)}", "a PGM or PNG file"
+        ) from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+    found: NDArray[np.float32] = pixels / np.float32(65535.0 if is_deep else 255.0)
+    return found
+
+
+def _number(name: str, entries: dict[str, Any], key: str, default: float | None = None) -> float:
+    given = entries.get(key, default)
+    if isinstance(given, bool):
+        given = float(given)
+    if not isinstance(given, int | float) or not math.isfinite(given):
+        shown = "no " + key if given is None else f"{key} {given!r}"
+        raise InvalidMapError(name, shown, "a finite number")
+    return float(given)
+
+
+def _origin(name: str, entries: dict[str, Any]) -> tuple[float, float, float]:
+    given = entries.get("origin")
+    if not isinstance(given, list) or len(given) != 3:
+        raise InvalidMapError(name, f"origin {given!r}", "[x, y, yaw]")
+    x, y, yaw = (_number(name, {"origin": value}, "origin") for value in given)
+    return x, y, yaw

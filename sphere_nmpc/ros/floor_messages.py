@@ -1,0 +1,71 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of the floor, from and to its cells and polygons, in their serialised form.
+
+What cannot be read or used raises an `InvalidInputError` or an `InvalidMapError`.
+"""
+
+import array
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PolygonInstanceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
+
+from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon, grid_of_values
+from sphere_nmpc.model.state import QUATERNION, Vector, upright_state
+from sphere_nmpc.ros.messages import message_object, stamp_to_ros
+
+CellsOf = Callable[[float, bool], Grid]
+"""Returns the cells of a map, given the share [-] from which on one is occupied, and whether
+unknown ones are free."""
+
+
+def map_of_message(raw: bytes, frame: str) -> CellsOf:
+    """Return the cells of a serialised OccupancyGrid in a frame or without one."""
+    message = message_object(raw, OccupancyGrid)
+    _check_frame("map", message, frame)
+    info = message.info
+    place, turn = info.origin.position, info.origin.orientation
+    origin = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+    values = np.asarray(message.data, dtype=np.int8)
+    return partial(grid_of_values, values, info.width, info.height, info.resolution, origin)
+
+
+def keepout_of_message(raw: bytes, frame: str) -> tuple[int, Vector | None]:
+    """Return the id of a serialised PolygonInstanceStamped, and its corners, shape (K, 2) [m].
+
+    They are None where it has none, which removes the polygon.
+    """
+    message = message_object(raw, PolygonInstanceStamped)
+    _check_frame("keepout", message, frame)
+    number, points = int(message.polygon.id), message.polygon.polygon.points
+    if not points:
+        return number, None
+    return number, check_polygon(f"keepout {number}", [(point.x, point.y) for point in points])
+
+
+def floor_message(grid: Grid | None, stamp: int, frame: str) -> bytes:
+    """Return an OccupancyGrid of values 0 and 100 with a stamp [ns]; one of no cells for None."""
+    message = OccupancyGrid()
+    message.header.frame_id = frame
+    message.header.stamp = message.info.map_load_time = stamp_to_ros(stamp)
+    origin = message.info.origin
+    if grid is not None:
+        message.info.height, message.info.width = grid.occupied.shape
+        message.info.resolution = grid.resolution
+        origin.position.x, origin.position.y, _ = grid.origin
+        turn = origin.orientation
+        turn.w, turn.x, turn.y, turn.z = upright_state(*grid.origin)[QUATERNION].tolist()
+        # An array is taken over as it is; of anything else rclpy checks each number.
+        message.data = array.array("b", (grid.occupied.view(np.int8) * np.int8(100)).tobytes())
+    return bytes(serialize_message(message))
+
+
+def _check_frame(name: str, message: Any, frame: str) -> None:
+    given = message.header.frame_id
+    if given not in ("", frame):
+        raise InvalidMapError(name, f"frame {given}", f"'{frame}' (world_frame) or none")

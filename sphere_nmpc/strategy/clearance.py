@@ -1,0 +1,193 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Clearance of a plan: the certificate between its samples.
+
+Without momentum |v| <= Rs c1 |u|, whatever the orientation, so that the way between two samples of
+a path is no longer than the integral of that bound; the clearance at the samples then bounds that
+between them. With momentum the speed of rolling freely is added, which is an estimate: the
+certificate holds as far as that estimate does.
+"""
+
+import math
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.floor.floor import FALL, Floor, certified_distance
+from sphere_nmpc.model.disturbance import is_zero
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
+from sphere_nmpc.solver.half_motions import Side
+from sphere_nmpc.solver.native.library import library
+from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.contract import Situation
+
+_SAMPLES = 0.06, 0.015, 0.0025
+"""Longest time between two samples of a path [1 / (c1 u_max)]: 18 mm of the way for Table 1, and 5
+and 0.8 mm where that does not certify it."""
+_PADDED = 64
+"""Number of which that of the samples is a multiple, as the memory for each number is kept."""
+_DEVIATIONS = 3.0
+"""Standard deviations of the position that are added."""
+_AT_GOAL = 1e-3
+"""Distance [m] by which a plan may be nearer to what is occupied than the goal is."""
+
+
+class Margin(Enum):
+    """Clearance of a plan beyond the needed one [Rs].
+
+    Each is less than the one before, for what changes in a plan as it is solved again.
+    """
+
+    FOUND = 0.02
+    """Of a plan that a search finds."""
+    STRAIGHT = 0.013
+    """Of one along a straight line."""
+    KEPT = 0.007
+    """Of one that is being followed."""
+
+
+def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float:
+    """Return the distance [m] of the sphere's centre from what is occupied that a plan keeps.
+
+    The margin is for what changes in a plan, for the error of the estimated place, and for a
+    sphere that is found to be larger than it was said to be. A goal may be as near as is allowed:
+    a plan to it is given no margin that the goal lacks.
+    """
+    larger = max(0.0, situation.constants.shell_radius - floor.radius)
+    beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation + larger
+    there = float(floor.distances(situation.goal[None, POSITION])[0]) - _AT_GOAL
+    return min(floor.needed + beyond, max(there, floor.radius))
+
+
+def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> float:
+    """Return the clearance that the motion by a hold is certified to keep, from time 0 (now) on.
+
+    It is that between the sphere and what is occupied [m], infinite where nothing is; nan where it
+    is not certified to be enough. A sphere that is nearer at the start than it has to be keeps at
+    least that distance.
+    """
+    floor = situation.floor
+    if floor is None:
+        return math.inf
+    needed = needed_distance(situation, floor, margin)
+    return certified(situation, hold, floor, needed) - floor.radius
+
+
+def certified(
+    situation: Situation, hold: FirstOrderHold, floor: Floor, needed: float
+) -> float:
+    """Return the distance [m] that a motion is certified to keep, nan if that is not enough."""
+    solver = library()
+    if solver is None:
+        return plain_certified(situation, hold, floor, needed)
+    constants, disturbance = situation.constants, situation.disturbance
+    corners, grid = floor.corner_distances, floor.fine
+    x, y, yaw = grid.origin
+    # Named, so that they live until the call has ended.
+    arrays = (
+        constants.as_array(), disturbance.as_array(), np.diff(hold.times),
+        np.ascontiguousarray(hold.speeds), np.ascontiguousarray(situation.state), corners,
+    )
+    place = np.array((x, y, math.cos(yaw), math.sin(yaw), grid.resolution))
+    spacings = _spacings(situation, hold)
+    found: float = solver.hold_clearance(
+        hold.times.size - 1, *(array.ctypes.data for array in arrays), *corners.shape,
+        place.ctypes.data, needed, FALL, spacings.ctypes.data, spacings.size,
+    )
+    return found
+
+
+def _spacings(situation: Situation, hold: FirstOrderHold) -> Vector:
+    """Return the longest times between samples [s] that are tried one after the other."""
+    largest = max(1.0, float(np.max(np.abs(hold.speeds))))
+    found: Vector = np.array(_SAMPLES) / (situation.constants.input_gain * largest)
+    return found
+
+
+def plain_certified(
+    situation: Situation, hold: FirstOrderHold, floor: Floor, needed: float
+) -> float:
+    """Do what `certified` does, on NumPy."""
+    found = math.nan
+    for longest in _spacings(situation, hold):
+        path, lengths = sampled_path(situation, hold, float(longest))
+        distances = floor.distances(path)
+        found = certified_distance(distances, lengths, needed)
+        is_near = distances[0] >= needed and float(np.min(distances)) < needed
+        if is_near or not math.isnan(found):
+            break  # closer samples would change nothing
+    return found
+
+
+def is_clear(situation: Situation, hold: FirstOrderHold, margin: Margin) -> bool:
+    """Return whether the motion by a hold is certified to keep clear; see `clearance_of`."""
+    return not math.isnan(clearance_of(situation, hold, margin))
+
+
+def sampled_path(
+    situation: Situation, hold: FirstOrderHold, longest: float
+) -> tuple[Vector, Vector]:
+    """Return places along a motion, shape (K, 2) [m], and bounds of the ways between them [m].
+
+    There are samples at all knots, and at most `longest` [s] apart.
+    """
+    constants, times = situation.constants, hold.times - hold.start
+    parts = np.maximum(1, np.ceil(np.diff(times) / longest)).astype(int)
+    shares = [k + np.arange(1, n + 1) / n for k, n in enumerate(parts)]
+    at: Vector = np.concatenate(([0.0], *shares))
+    index = np.arange(times.size, dtype=float)
+    sampled = np.interp(at, index, times)
+    speeds: Vector = np.column_stack([
+        np.interp(sampled, times, hold.speeds[:, rotor]) for rotor in (0, 1)
+    ])
+    missing = -len(at[1:]) % _PADDED
+    durations = np.concatenate((np.diff(sampled), np.zeros(missing)))
+    padded = np.vstack((speeds, np.tile(speeds[-1], (missing, 1))))
+    states = roll_out(
+        situation.state, padded, durations, constants.as_array(), math.inf, situation.disturbance
+    )[: len(at)]
+    norms = np.linalg.norm(speeds, axis=1)
+    if not is_zero(situation.momentum, situation.disturbance):
+        norms = norms + np.linalg.norm(states[:, MOMENTUM], axis=1)
+    rate = constants.shell_radius * constants.input_gain
+    return states[:, POSITION], 0.5 * rate * (norms[1:] + norms[:-1]) * np.diff(sampled)
+
+
+def without_collisions(situation: Situation, side: Side, beyond: Vector | None = None) -> Side:
+    """Return half motions that end, for all that they are compared for, before they collide.
+
+    They take place at a displacement `beyond`, shape (2,) [m], if it is given.
+    """
+    floor = situation.floor
+    if floor is None:
+        return side
+    needed = needed_distance(situation, floor, Margin.FOUND)
+    levels, _, count = side.states.shape
+    places: NDArray[np.floating] = side.states[:, :2].transpose(0, 2, 1)
+    if beyond is not None:
+        places = places + beyond
+    # Half way between two knots as well, which are further apart than a sphere is from a wall.
+    between = 0.5 * (places[1:] + places[:-1])
+    at = floor.about(places.reshape(-1, 2)).reshape(levels, count)
+    np.minimum(at[1:], floor.about(between.reshape(-1, 2)).reshape(levels - 1, count), out=at[1:])
+    # Each corner of a cell is near; those of plans are certified.
+    wanted = min(needed, float(at[0].min())) - floor.fine.resolution
+    collided = np.logical_or.accumulate(at < wanted, axis=0)
+    states = side.states.copy()
+    states[:, :2] = np.where(collided[:, None], np.inf, states[:, :2])
+    return side._replace(states=states)
+
+
+def stop_before_contact(situation: Situation, hold: FirstOrderHold) -> str:
+    """Return how a stop, from time 0 (now) on, ends in a contact; empty if it does not."""
+    floor = situation.floor
+    if floor is None:
+        return ""
+    path, lengths = sampled_path(situation, hold, float(_spacings(situation, hold)[-1]))
+    touched = np.flatnonzero(floor.distances(path) < floor.radius)
+    if not touched.size:
+        return ""
+    whole, free = float(np.sum(lengths)), float(np.sum(lengths[: touched[0]]))
+    return f"a stop without contact: it takes {whole:.2f} m, and {free:.2f} m are free"

@@ -1,0 +1,214 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Distances on a floor, the certificate of a path, and the ways to a goal."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from sphere_nmpc.floor.floor import Floor, certified_distance, exact_distance
+from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.floor.way import find_ways, plain_ways, way_to
+from sphere_nmpc.model.state import Vector
+
+RADIUS = 0.3
+
+
+def random_grid(seed: int, yaw: float = 0.0) -> Grid:
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((40, 50)) < 0.03
+    return Grid(occupied, 0.05, (-1.2, 0.7, yaw))
+
+
+def distances_to_squares(grid: Grid, places: Vector) -> Vector:
+    """Distances of places to all occupied squares and to the edge, without any shortcut [m]."""
+    x, y = (grid.local(places)).T
+    height, width = grid.occupied.shape
+    least = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
+    for i, j in zip(*np.nonzero(grid.occupied), strict=True):
+        dx = np.maximum(0.0, np.maximum(j - x, x - j - 1))
+        dy = np.maximum(0.0, np.maximum(i - y, y - i - 1))
+        least = np.minimum(least, np.hypot(dx, dy))
+    return np.maximum(0.0, least) * grid.resolution
+
+
+def places_on(grid: Grid, rng: np.random.Generator, count: int) -> Vector:
+    height, width = grid.occupied.shape
+    return grid.world(rng.uniform((0, 0), (width, height), (count, 2)))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6])
+def test_distances_are_lower_bounds_that_miss_less_than_a_cell(yaw: float) -> None:
+    for seed in range(3):
+        grid = random_grid(seed, yaw)
+        floor = Floor(grid, RADIUS, 0.02)
+        places = places_on(grid, np.random.default_rng(seed), 2000)
+        exact, bound = distances_to_squares(grid, places), floor.distances(places)
+        # Corners have distances in single precision.
+        assert (bound <= exact + 1e-6).all()
+        # From a place to the nearest corner of its cell it is 0.71 of a side at most.
+        assert (bound >= exact - 2.0 * 0.71 * floor.fine.resolution - 1e-6).all()
+
+
+def test_exact_distance_is_that_to_all_squares() -> None:
+    for seed, yaw in enumerate((0.0, -1.1)):
+        grid = random_grid(seed, yaw)
+        places = places_on(grid, np.random.default_rng(seed), 500)
+        found = [exact_distance(grid, place, 10.0) for place in places]
+        np.testing.assert_allclose(found, distances_to_squares(grid, places), atol=1e-12)
+        near = [exact_distance(grid, place, 0.1) for place in places]
+        np.testing.assert_allclose(near, np.minimum(found, 0.1), atol=1e-12)
+
+
+def test_places_outside_or_not_finite_have_no_distance() -> None:
+    grid = Grid(np.zeros((10, 10), dtype=bool), 0.1)
+    floor = Floor(grid, RADIUS, 0.0)
+    places = np.array([[-0.01, 0.5], [0.5, 1.01], [1e300, 0.0], [math.nan, 0.5]])
+    assert (floor.distances(places) == 0.0).all()
+    assert [floor.distance(place) for place in places] == [0.0] * 4
+    assert floor.distances(np.array([[0.5, 0.5]]))[0] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_certificate_holds_between_samples() -> None:
+    """Paths of random samples, whatever they do between them within their lengths."""
+    rng = np.random.default_rng(4)
+    certified = 0
+    for seed in range(120):
+        grid = random_grid(seed)
+        floor = Floor(grid, RADIUS, 0.0)
+        start = places_on(grid, rng, 1)
+        path = np.vstack((start, start + np.cumsum(rng.normal(0, 0.015, (12, 2)), axis=0)))
+        chords = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        lengths = chords * rng.uniform(1.0, 1.5, chords.size)
+        needed = rng.uniform(0.02, 0.2)
+        found = certified_distance(floor.distances(path), lengths, needed)
+        if math.isnan(found) or floor.distances(start)[0] < needed:
+            continue
+        certified += 1
+        assert found >= needed
+        # The farthest that a path of this length gets from its chord: over the corner of an
+        # isosceles triangle; others lie in the ellipse through it.
+        for a, b, length in zip(path[:-1], path[1:], lengths, strict=True):
+            chord = b - a
+            normal = np.array((-chord[1], chord[0])) / max(np.linalg.norm(chord), 1e-12)
+            angles = np.linspace(0.0, 2.0 * np.pi, 60)
+            half, height = 0.5 * length, 0.5 * math.sqrt(max(0.0, length**2 - chord @ chord))
+            ellipse = (
+                0.5 * (a + b)
+                + half * np.cos(angles)[:, None] * chord / max(np.linalg.norm(chord), 1e-12)
+                + height * np.sin(angles)[:, None] * normal
+            )
+            assert distances_to_squares(grid, ellipse).min() >= found - 1e-9
+    assert certified > 10
+
+
+def test_certificate_of_a_start_without_clearance() -> None:
+    away = np.array([0.24, 0.241, 0.2495, 0.265, 0.27])
+    steps = np.full(4, 0.02)
+    assert certified_distance(away, steps, 0.25) == pytest.approx(0.24)
+    falls = np.array([0.23, 0.24, 0.235, 0.255, 0.27])
+    assert math.isnan(certified_distance(falls, steps, 0.25))
+    # Once it has enough it must keep that.
+    back = np.array([0.24, 0.25, 0.26, 0.248, 0.26])
+    assert math.isnan(certified_distance(back, steps, 0.25))
+    assert certified_distance(np.array([0.1]), np.empty(0), 0.25) == pytest.approx(0.1)
+
+
+def test_a_floor_reaches_another_process_as_files() -> None:
+    floor = Floor(random_grid(2, 0.3), RADIUS, 0.05).prepared()
+    message = pickle.dumps(floor)
+    assert len(message) < 1000
+    copy = pickle.loads(message)
+    places = places_on(floor.grid, np.random.default_rng(0), 200)
+    np.testing.assert_array_equal(copy.distances(places), floor.distances(places))
+    assert (copy.radius, copy.clearance, copy.needed) == (RADIUS, 0.05, floor.needed)
+    np.testing.assert_allclose(
+        [copy.distance(place) for place in places], [floor.distance(place) for place in places],
+        atol=1e-9,
+    )
+    assert pickle.loads(message) is copy  # it is read once
+
+
+def test_ways_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(3)
+    cost = rng.uniform(0.5, 2.0, (60, 45)).astype(np.float32)
+    cost[rng.random(cost.shape) < 0.25] = np.inf
+    goal = 20 * 45 + 30
+    cost.flat[goal] = 1.0
+    found, twin = (np.full(cost.shape, np.inf, np.float32) for _ in range(2))
+    after, after_twin = (np.full(cost.shape, -1, np.int32) for _ in range(2))
+    find_ways(cost, goal, found, after)
+    plain_ways(cost, goal, twin, after_twin)
+    np.testing.assert_allclose(found, twin, rtol=1e-5)
+    assert ((after < 0) == (after_twin < 0)).all()
+    assert 100 < np.isfinite(found).sum() < cost.size
+
+
+def test_a_way_is_found_exactly_where_there_is_one() -> None:
+    """Against the connected parts of the places with enough distance at a hundredth of a metre.
+
+    Where they differ the narrowest place of the way misses what is needed by less than the
+    resolution of the nodes, and that the sphere may not get through is left to the plans.
+    """
+    rng = np.random.default_rng(8)
+    missing = unsure = 0
+    for _ in range(8):
+        occupied = rng.random((60, 60)) < rng.uniform(0.004, 0.02)
+        floor = Floor(Grid(occupied, 0.05), 0.15, 0.02)
+        spacing = 0.01
+        at = np.arange(0.0, 3.0, spacing)
+        places = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
+        free = (distances_to_squares(floor.grid, places) >= floor.needed).reshape(at.size, -1)
+        parts, _ = ndimage.label(free, np.ones((3, 3)))
+        inside = places[free.ravel()]
+        for goal, start in inside[rng.integers(len(inside), size=(8, 2))]:
+            same = len({int(parts[round(y / spacing), round(x / spacing)])
+                        for x, y in (goal, start)}) == 1
+            path = way_to(floor, goal).path(start)
+            if same:
+                missing += int(len(path) == 0)
+                np.testing.assert_array_equal(path[-1], goal)
+            elif len(path):
+                unsure += 1
+                # Between its nodes it may have less, by half of their distance.
+                assert floor.distances(path).min() < floor.needed + 0.028
+    assert missing == 0
+    assert unsure < 20
+
+
+def test_a_way_around_a_wall_is_about_as_long_as_the_shortest() -> None:
+    occupied = np.zeros((80, 80), dtype=bool)
+    occupied[:50, 40] = True
+    floor = Floor(Grid(occupied, 0.05), RADIUS, 0.02)
+    way = way_to(floor, np.array([3.0, 1.0]))
+    # Around the circle of the needed distance about the end of the wall, twice a tangent.
+    shortest = 0.0
+    for place, corner in (((1.0, 1.0), (2.0, 2.5)), ((3.0, 1.0), (2.05, 2.5))):
+        away = math.dist(place, corner)
+        tangent = math.sqrt(away**2 - floor.needed**2)
+        turn = math.pi / 2 + math.atan2(corner[1] - place[1], abs(corner[0] - place[0]))
+        turn -= math.acos(floor.needed / away)
+        shortest += tangent + floor.needed * max(0.0, turn)
+    shortest += 0.05
+    path = way.path(np.array([1.0, 1.0]))
+    length = np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1))
+    # Sixteen directions are 2.7 per cent longer at the worst, and it keeps away from the wall.
+    assert shortest - 0.03 < length < 1.15 * shortest
+    assert floor.distances(path).min() > floor.needed
+    assert way.length(np.array([1.0, 1.0])) >= length - 0.03
+    # It is not dearer to begin in another place on it.
+    assert way.length(path[len(path) // 2]) < 0.7 * way.length(np.array([1.0, 1.0]))
+
+
+def test_no_way_out_of_a_closed_room() -> None:
+    occupied = np.zeros((80, 80), dtype=bool)
+    occupied[:, 40] = True
+    floor = Floor(Grid(occupied, 0.05), RADIUS, 0.02)
+    way = way_to(floor, np.array([3.0, 1.0]))
+    assert len(way.path(np.array([1.0, 1.0]))) == 0
+    assert way.length(np.array([1.0, 1.0])) == math.inf
+    assert len(way_to(floor, np.array([2.0, 1.0])).path(np.array([3.0, 1.0]))) == 0
+    assert len(way_to(floor, np.array([9.0, 1.0])).path(np.array([3.0, 1.0]))) == 0

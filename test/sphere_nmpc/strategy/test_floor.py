@@ -1,0 +1,339 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Plans among obstacles: their certificate, straight lines, and the closed loop on floors."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.floor.floor import Floor, exact_distance
+from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, Vector, state_error, without_momentum
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.clearance import (
+    Margin,
+    certified,
+    clearance_of,
+    plain_certified,
+    sampled_path,
+)
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import PlanStatus
+from sphere_nmpc.strategy.time_optimal.searches import solver_for
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.straight import straight_hold
+from sphere_sim.world.plant.factory import make_plant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+ROBOT = RobotParameters()
+RADIUS = ROBOT.shell_radius
+SOLVER = solver_for(ROBOT, TimeOptimalSettings())
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+SIDEWAYS = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+SETTINGS = ControllerSettings(planning_effort=20_000)
+
+
+def pose(x: float, y: float, turn: tuple[float, ...] = LEVEL) -> Vector:
+    return np.array([x, y, *turn])
+
+
+def floor_of(walls: list[tuple[float, float, float, float]], clearance: float = 0.02) -> Floor:
+    """Floor of 6 m by 4 m with walls (x0, y0, x1, y1) on the lines of its cells of 5 cm."""
+    occupied = np.zeros((80, 120), dtype=bool)
+    for wall in walls:
+        x0, y0, x1, y1 = (round(value / 0.05) for value in wall)
+        occupied[y0:y1, x0:x1] = True
+    return Floor(Grid(occupied, 0.05), RADIUS, clearance)
+
+
+DOORWAY = [(3.0, 0.0, 3.1, 1.6), (3.0, 2.3, 3.1, 4.0)]
+"""A wall with a doorway of twice the radius and 0.1 m."""
+
+
+class Loop:
+    """Closed loop of an ideal sphere from rest, whose states are kept every millisecond."""
+
+    def __init__(
+        self, floor: Floor | None, start: Vector, goal: Vector,
+        settings: ControllerSettings = SETTINGS,
+    ) -> None:
+        self.controller = Controller(settings, ROBOT)
+        self.controller.floor = floor
+        self.controller.set_goal(goal)
+        self.period = settings.control_period
+        world = SimulatorSettings(initial_state=tuple(start))
+        self.simulator = Simulator(world, ROBOT, make_plant("rolling", ROBOT, start))
+        self.states: list[Vector] = [start]
+
+    def run(self, duration: float) -> None:
+        for _ in range(round(duration / self.period)):
+            now = self.simulator.time
+            self.controller.observe(now, self.simulator.measured_state())
+            self.decision = self.controller.decide(now)
+            hold = self.controller.commit(self.decision, now)
+            if hold is not None:
+                self.simulator.follower.follow_trajectory(hold)
+            for _ in range(round(1e3 * self.period)):
+                self.simulator.advance_to(self.simulator.now + 1_000_000)
+                self.states.append(self.simulator.plant.state[:6].copy())
+        assert not self.controller.failures, self.controller.last_failure
+
+    @property
+    def places(self) -> Vector:
+        return np.array(self.states)[:, POSITION]
+
+    @property
+    def given_up(self) -> str:
+        return self.decision.plan.given_up
+
+
+def clearance(floor: Floor, places: Vector) -> float:
+    return min(exact_distance(floor.grid, place, 1.0) for place in places) - RADIUS
+
+
+def test_straight_lines_from_any_orientation() -> None:
+    """The path leaves the line by 1 mm or so, and by no more than half a per cent of its length.
+
+    Its speeds are linear between knots; where the body's z axis is nearly horizontal it leads
+    along the line on which the sphere then rolls without a spin.
+    """
+    rng = np.random.default_rng(0)
+    slow, across = 0, []
+    for _ in range(40):
+        state = without_momentum(pose(0.0, 0.0, tuple(rotation.random_quaternion(rng))))
+        target = rng.uniform(-1.5, 1.5, 2)
+        hold = straight_hold(state, target, ROBOT.lumped, SOLVER)
+        if hold is None:
+            slow += 1
+            continue
+        assert np.abs(hold.speeds).max() <= ROBOT.max_rotor_speed
+        slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+        assert np.abs(slopes).max() <= ROBOT.max_rotor_acceleration
+        assert not hold.speeds[0].any()
+        assert not hold.speeds[-1].any()
+        times = np.linspace(0.0, hold.end, 500)
+        path = roll_out(
+            state, hold.resampled(times).speeds, np.diff(times), ROBOT.lumped.as_array()
+        )[:, POSITION]
+        along = target / np.linalg.norm(target)
+        across.append(np.abs(path @ np.array((-along[1], along[0]))).max())
+        assert across[-1] < 1e-3 + 6e-3 * np.linalg.norm(target)
+        assert np.linalg.norm(path[-1] - target) < 1e-3 + 6e-3 * np.linalg.norm(target)
+    assert slow < 4
+    assert np.median(across) < 1.5e-3
+
+
+def test_the_certificate_bounds_the_clearance_of_the_motion() -> None:
+    rng = np.random.default_rng(1)
+    floor = floor_of([(2.0, 2.0, 2.5, 2.3), (4.0, 0.5, 4.1, 3.0)])
+    count = 0
+    for _ in range(120):
+        place = rng.uniform((0.5, 0.5), (5.5, 3.5))
+        state = without_momentum(pose(*place, tuple(rotation.random_quaternion(rng))))
+        times = np.cumsum(rng.uniform(0.05, 0.5, 5)) - 0.05
+        times[0] = 0.0
+        speeds = rng.uniform(-100.0, 100.0, (5, 2))
+        hold = FirstOrderHold(times, speeds)
+        situation = Situation(
+            0.0, state, pose(1.0, 1.0), np.zeros(2), ROBOT.lumped, floor=floor
+        )
+        found = clearance_of(situation, hold, Margin.FOUND)
+        fine = np.linspace(0.0, hold.end, 400)
+        path = roll_out(
+            state, hold.resampled(fine).speeds, np.diff(fine), ROBOT.lumped.as_array()
+        )[:, POSITION]
+        exact = clearance(floor, path)
+        if math.isnan(found):
+            # Short by no more than the steps of the map and of the samples can explain.
+            allowed = floor.clearance + Margin.FOUND.value * RADIUS
+            start = floor.distances(place[None, :])[0] - RADIUS
+            assert exact < allowed + 0.03 or start < allowed
+            continue
+        count += 1
+        if floor.distance(place) > floor.needed + 0.02:
+            assert exact >= min(found, 0.69) - 1e-6
+            assert found >= floor.clearance
+    assert count > 20
+
+
+def test_samples_are_no_farther_apart_than_their_bound() -> None:
+    rng = np.random.default_rng(2)
+    state = without_momentum(pose(0.0, 0.0))
+    hold = FirstOrderHold(np.array([0.0, 0.4, 0.5, 1.1]), rng.uniform(-100, 100, (4, 2)))
+    situation = Situation(0.0, state, pose(1.0, 1.0), np.zeros(2), ROBOT.lumped)
+    path, lengths = sampled_path(situation, hold, 0.005)
+    assert (np.linalg.norm(np.diff(path, axis=0), axis=1) <= lengths + 1e-12).all()
+    assert len(path) == lengths.size + 1
+    # To the end of the hold, whatever the sampling.
+    coarse, _ = sampled_path(situation, hold, 0.04)
+    np.testing.assert_allclose(coarse[-1], path[-1], atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", [LEVEL, SIDEWAYS])
+def test_through_a_doorway(turn: tuple[float, ...]) -> None:
+    floor = floor_of(DOORWAY)
+    goal = pose(4.5, 1.0, turn)
+    loop = Loop(floor, pose(1.0, 3.0), goal)
+    loop.run(15.0)
+    assert state_error(loop.states[-1], goal) < 1e-2
+    assert clearance(floor, loop.places) >= floor.clearance
+    assert loop.decision.plan.status is PlanStatus.HOLDING
+
+
+def test_a_goal_near_a_wall_is_reached() -> None:
+    """Nearer to it than the margin of a plan."""
+    floor = floor_of([])
+    goal = pose(floor.needed + 1e-3, 2.0, SIDEWAYS)
+    loop = Loop(floor, pose(3.0, 2.0), goal)
+    loop.run(12.0)
+    assert state_error(loop.states[-1], goal) < 1e-2
+    assert clearance(floor, loop.places) >= floor.clearance - 1e-3
+
+
+@pytest.mark.parametrize(("x", "y", "reason"), [
+    (3.05, 0.5, "it is occupied"),
+    (-1.0, 0.5, "outside of the floor"),
+    (0.31, 2.0, "0.31 m from what is occupied, less than radius and clearance, 0.32 m"),
+])
+def test_goals_that_cannot_be_are_refused(x: float, y: float, reason: str) -> None:
+    loop = Loop(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y))
+    loop.run(1.0)
+    assert reason in loop.given_up
+    assert (loop.places == loop.places[0]).all()
+
+
+def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
+    closed = floor_of([(3.0, 0.0, 3.1, 4.0)])
+    goal = pose(4.5, 1.0)
+    loop = Loop(closed, pose(1.0, 3.0), goal)
+    loop.run(3.0)
+    assert "no way" in loop.given_up
+    assert (loop.places == loop.places[0]).all()
+    loop.controller.floor = floor_of(DOORWAY)
+    loop.run(12.0)
+    assert not loop.given_up
+    assert state_error(loop.states[-1], goal) < 1e-2
+
+
+def test_a_refused_goal_while_rolling_stops_on_the_path() -> None:
+    floor = floor_of(DOORWAY)
+    loop = Loop(floor, pose(1.0, 3.0), pose(4.5, 1.0))
+    loop.run(2.0)
+    moving = len(loop.states)
+    loop.controller.set_goal(pose(3.05, 0.5))
+    loop.run(2.0)
+    assert "occupied" in loop.given_up
+    rest = loop.places[moving + 750 :]
+    assert (rest == rest[-1]).all()
+    assert clearance(floor, loop.places) >= floor.clearance
+    loop.controller.set_goal(pose(1.0, 3.0))
+    loop.run(8.0)
+    assert state_error(loop.states[-1], pose(1.0, 3.0)) < 1e-2
+
+
+def test_it_stops_before_a_new_obstacle_and_goes_around() -> None:
+    free = floor_of([])
+    goal = pose(5.0, 2.0)
+    loop = Loop(free, pose(1.0, 2.0), goal)
+    loop.run(2.0)
+    ahead = math.ceil(20.0 * (loop.places[-1, 0] + RADIUS + 0.4)) / 20.0
+    blocked = floor_of([(ahead, 1.5, ahead + 0.1, 2.5)])
+    loop.controller.floor = blocked
+    seen = len(loop.states)
+    loop.run(14.0)
+    assert clearance(blocked, loop.places[seen:]) >= 0.0
+    assert state_error(loop.states[-1], goal) < 1e-2
+
+
+def test_a_stop_that_comes_too_late_is_told_with_both_distances() -> None:
+    loop = Loop(floor_of([]), pose(1.0, 2.0), pose(5.0, 2.0))
+    loop.run(2.0)
+    ahead = math.ceil(20.0 * (loop.places[-1, 0] + RADIUS)) / 20.0 + 0.05
+    loop.controller.floor = floor_of([(ahead, 1.0, ahead + 0.1, 3.0)])
+    loop.run(SETTINGS.control_period)
+    assert "a stop without contact: it takes 0." in loop.given_up
+    assert "m are free" in loop.given_up
+
+
+def test_a_start_without_clearance_leaves_without_coming_nearer() -> None:
+    floor = floor_of(DOORWAY)
+    goal = pose(1.0, 1.0)
+    loop = Loop(floor, pose(RADIUS + 0.005, 3.0), goal)
+    loop.run(12.0)
+    assert state_error(loop.states[-1], goal) < 1e-2
+    distances = np.array([floor.distance(place) for place in loop.places])
+    short = distances < floor.needed
+    first = int(np.argmin(short))
+    assert first > 0
+    # The certificate knows distances to within a millimetre there.
+    assert np.maximum.accumulate(distances[:first]).max() - distances[:first].min() < floor.needed
+    assert (np.diff(np.maximum.accumulate(distances[:first])) >= 0.0).all()
+    assert (distances[:first] >= np.maximum.accumulate(distances[:first]) - 2e-3).all()
+    assert not short[first:].any()
+
+
+def test_a_plan_tells_its_clearance() -> None:
+    floor = floor_of(DOORWAY)
+    loop = Loop(floor, pose(1.0, 3.0), pose(4.5, 1.0))
+    loop.run(SETTINGS.control_period)
+    plan = loop.decision.plan
+    assert floor.clearance <= plan.clearance < 1.0
+    assert math.isnan(replace(plan, clearance=math.nan).clearance)
+
+
+@pytest.mark.parametrize("strategy", ["paper", "plan_keeping"])
+def test_strategies_that_know_no_floor_stop_before_it(strategy: str) -> None:
+    floor = floor_of([(3.0, 0.0, 3.1, 4.0)])
+    settings = ControllerSettings(strategy=strategy)
+    loop = Loop(floor, pose(2.0, 2.0), pose(4.0, 2.0), settings)
+    loop.run(6.0)
+    assert strategy in loop.given_up
+    assert clearance(floor, loop.places) >= 0.0
+    loop.controller.set_goal(pose(1.5, 1.5))
+    loop.run(6.0)
+    assert not loop.given_up
+    assert np.linalg.norm(loop.places[-1] - (1.5, 1.5)) < 0.1
+
+
+def test_a_floor_far_away_changes_no_refusal_and_no_floor_changes_nothing() -> None:
+    """Two loops, one of which is given a floor and loses it again before it has a goal."""
+    found = []
+    for floor in (None, floor_of([])):
+        loop = Loop(floor, pose(1.0, 1.0), pose(1.0, 1.0))
+        loop.controller.cancel()
+        loop.run(0.5)
+        loop.controller.floor = None
+        loop.controller.set_goal(pose(2.0, 2.0, SIDEWAYS))
+        loop.run(3.0)
+        found.append(np.array(loop.states))
+    for first, second in itertools.pairwise(found):
+        np.testing.assert_array_equal(first, second)
+
+
+def test_the_compiled_certificate_is_the_plain_one() -> None:
+    rng = np.random.default_rng(3)
+    walls = floor_of([(2.0, 2.0, 2.5, 2.3), (4.0, 0.5, 4.1, 3.0)])
+    turned = Floor(Grid(walls.grid.occupied, 0.05, (0.3, -0.2, 0.4)), RADIUS, 0.02)
+    found = []
+    for k in range(200):
+        floor = (walls, turned)[k % 2]
+        place = floor.grid.world(rng.uniform((4, 4), (116, 76)))
+        state = without_momentum(pose(*place, tuple(rotation.random_quaternion(rng))))
+        state[6:] = (0.0, rng.normal())[k % 3 == 0] * rng.normal(size=3)
+        times = np.cumsum(rng.uniform(0.05, 0.5, 5)) - 0.05
+        hold = FirstOrderHold(times - times[0], rng.uniform(-60.0, 60.0, (5, 2)))
+        situation = Situation(0.0, state, state[:6], np.zeros(2), ROBOT.lumped, floor=floor)
+        compiled = certified(situation, hold, floor, floor.needed)
+        plain = plain_certified(situation, hold, floor, floor.needed)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-9)
+        found.append(compiled)
+    assert 40 < np.isnan(found).sum() < 160

@@ -1,0 +1,180 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A study on a map: contacts with its walls, what is drawn and written, and what is refused."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model.state import POSITION, as_state
+from sphere_nmpc.strategy.plan import PlanStatus
+from sphere_sim.cli.main import main as command
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.output.files import ResultFolderError
+from sphere_sim.scenario.scenarios import Push, Scenario, draw_scenarios
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.record import FLOOR_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
+from sphere_sim.study.single_run import floor_of, run_scenario
+from sphere_sim.study.study import Study
+from sphere_sim.study.workers import Workers
+
+ACROSS = Scenario(as_state([-1.0, 0.0, 1, 0, 0, 0]), as_state([1.0, 0.0, 1, 0, 0, 0]))
+"""From one side of the wall in the middle to the other."""
+PUSHED = Scenario(
+    *2 * (as_state([-0.6, 0.0, 1, 0, 0, 0]),), push=Push(1.0, (2.0, 0.0))
+)
+"""Pushed towards that wall, at rest at the goal."""
+
+
+@pytest.fixture(autouse=True)
+def no_figure(monkeypatch) -> None:
+    monkeypatch.setattr("sphere_sim.study.study.draw", lambda *arguments: None)
+
+
+@pytest.fixture(autouse=True)
+def floors_are_read_again() -> None:
+    """Each test has a map of its own, which a process keeps."""
+    floor_of.cache_clear()
+
+
+@pytest.fixture
+def map_file(tmp_path) -> Path:
+    """A room of 4 m x 4 m about the origin with a wall in the middle, as map_server saves it."""
+    levels = np.full((80, 80), 254, dtype=np.uint8)
+    levels[:, 39:41] = 0
+    (tmp_path / "room.pgm").write_bytes(b"P5\n80 80\n255\n" + levels.tobytes())
+    path = tmp_path / "room.yaml"
+    path.write_text("image: room.pgm\nresolution: 0.05\norigin: [-2, -2, 0]\nnegate: 0\n")
+    return path
+
+
+def conditions_with(map_file: Path, **settings: str) -> StudyConditions:
+    """Return those of runs of the strategy ``paper`` unless another one is given."""
+    given = {"strategy": "paper", "floor.map_file": str(map_file), **settings}
+    return StudyConditions(duration=6.0).with_settings(given.items())
+
+
+@pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
+def test_run_into_a_wall_is_counted(map_file, plant) -> None:
+    if plant == "rigid_body":
+        pytest.importorskip("mujoco")
+    conditions = conditions_with(map_file, plant=plant)
+    results = run_scenario(conditions, PUSHED).results
+    assert results["contacts"] >= 1 and not results["settled"]
+    assert -2e-3 < results["least_clearance_m"] < 5e-3
+    free = run_scenario(replace(conditions, floor=StudyConditions().floor), PUSHED).results
+    assert results["final_position_error_m"] < 0.3 < free["final_position_error_m"]
+    assert not set(FLOOR_RESULT_COLUMNS) & set(free)
+
+
+def test_goal_behind_the_wall_is_a_run_in_which_nothing_moves(map_file) -> None:
+    conditions = conditions_with(map_file, strategy="time_optimal")
+    results = run_scenario(replace(conditions, duration=1.0), ACROSS).results
+    assert results["reason"].startswith("the goal: no way with 0.33 m")
+    assert not results["settled"] and results["contacts"] == 0
+    assert results["least_clearance_m"] == pytest.approx(0.65)
+    assert results["final_position_error_m"] == 2.0
+
+
+def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None:
+    def given_up(*arguments, **options):
+        found = run_closed_loop(*arguments, **options)
+        for decision, status, words in zip(
+            found.decisions,
+            (PlanStatus.RAMP_TO_REST, PlanStatus.RAMP_TO_REST, PlanStatus.SATURATED),
+            ("the goal: no way", "the goal: it is occupied", "saturated"), strict=False,
+        ):
+            plan = replace(decision.plan, status=status, given_up=words)
+            found.decisions.append(replace(decision, plan=plan))
+        return found
+
+    monkeypatch.setattr("sphere_sim.study.single_run.run_closed_loop", given_up)
+    conditions = replace(conditions_with(map_file), duration=1.5)
+    record = run_scenario(conditions, ACROSS)
+    assert record.results["reason"] == "the goal: it is occupied"
+    _, read = RunRecord.from_json(record.as_json(0))
+    assert read.results == record.results
+
+
+def test_map_adds_columns_to_the_table_and_the_summary(map_file, tmp_path, capsys) -> None:
+    arguments = ["study", "--draw", "2", "--duration", "1", "--jobs", "1", "--no-bound"]
+    arguments += ["--strategy", "paper", "--map", str(map_file), "--out", str(tmp_path / "out")]
+    assert command([*arguments, "--set", "floor.clearance=0.4"]) == 0
+    with (tmp_path / "out" / "runs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    names = list(rows[0])
+    assert names[-len(FLOOR_RESULT_COLUMNS):] == list(FLOOR_RESULT_COLUMNS)
+    assert names[13 : -len(FLOOR_RESULT_COLUMNS)] == list(RESULT_COLUMNS)
+    clearances = [float(row["least_clearance_m"]) for row in rows]
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["contacts"] == sum(int(row["contacts"]) for row in rows)
+    assert summary["least_clearance_m"] == min(clearances)
+    line = f"{summary['contacts']} contacts, least clearance {1e3 * min(clearances):.1f} mm"
+    assert line in capsys.readouterr().out
+    for row in rows:
+        for column in ("x", "goal_x"):
+            assert 0.05 + 0.7 <= abs(float(row[column])) <= 2.0 - 0.7
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "No such file"),
+        ("image: room.pgm\norigin: [0, 0, 0]\n", "no resolution"),
+        ("image: none.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n", "none.pgm"),
+    ],
+)
+def test_map_that_cannot_be_used_exits_2_and_leaves_no_folder(
+    tmp_path, capsys, content, words
+) -> None:
+    path, out = tmp_path / "bad.yaml", tmp_path / "out"
+    if content is not None:
+        path.write_text(content)
+    assert command(["study", "--draw", "1", "--map", str(path), "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(path) in line and words in line
+    assert not out.exists()
+
+
+def test_study_continues_only_on_the_same_map(map_file, tmp_path) -> None:
+    conditions = replace(conditions_with(map_file), duration=0.5)
+    for _ in range(2):
+        with Workers() as workers:
+            Study([ACROSS], conditions, tmp_path / "out").run(workers)
+    image = map_file.with_suffix(".pgm")
+    image.write_bytes(image.read_bytes()[:-1] + b"\0")
+    floor_of.cache_clear()
+    with Workers() as workers, pytest.raises(ResultFolderError, match="another map"):
+        Study([ACROSS], conditions, tmp_path / "out").run(workers)
+
+
+def test_drawn_places_are_uniform_over_what_is_clear() -> None:
+    occupied = np.zeros((40, 60), dtype=bool)
+    occupied[:, 30:] = True
+    occupied[18:22, 45:] = False  # too narrow for the sphere
+    floor = Floor(Grid(occupied, 0.1, (5.0, -7.0, 0.5)), 0.3, 0.1)
+    drawn = draw_scenarios(300, 3, "anywhere", floor)
+    places = np.array([[s.start[POSITION], s.goal[POSITION]] for s in drawn]).reshape(-1, 2)
+    assert np.min(floor.distances(places)) >= floor.needed
+    local = 0.1 * floor.grid.local(places)
+    # Clear is 0.4 to 2.6 m and 0.4 to 3.6 m; three standard deviations of 600 uniform numbers.
+    np.testing.assert_allclose(local.mean(axis=0), [1.5, 2.0], atol=0.12)
+    np.testing.assert_allclose(local.std(axis=0), [0.635, 0.924], atol=0.06)
+    again = draw_scenarios(2, 3, "anywhere", floor)
+    np.testing.assert_array_equal(again[1].goal, drawn[1].goal)
+    (turn,) = draw_scenarios(1, 3, "half_turn", floor)
+    np.testing.assert_array_equal(turn.start[POSITION], turn.goal[POSITION])
+    assert turn.seed == draw_scenarios(1, 3, "half_turn")[0].seed
+
+
+def test_floor_without_room_is_refused() -> None:
+    floor = Floor(Grid(np.zeros((4, 4), dtype=bool), 0.1), 0.3, 0.02)
+    with pytest.raises(InvalidParameterError, match="room for the sphere"):
+        draw_scenarios(1, 0, "anywhere", floor)

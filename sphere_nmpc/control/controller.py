@@ -41,6 +41,8 @@ from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
 
+_MOTIONS = PlanStatus.SOLVED, PlanStatus.BEST_SO_FAR, PlanStatus.HOLDING
+"""Plans that move the sphere other than to stop it."""
 _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
@@ -441,14 +443,16 @@ class Controller:
 
     def _certified(self, situation: Situation, plan: Plan) -> Plan:
         """Return a plan that keeps clear of what is on the floor; a stop in place of another."""
-        is_motion = plan.status in (PlanStatus.SOLVED, PlanStatus.BEST_SO_FAR)
-        if situation.floor is None or not is_motion or not math.isnan(plan.clearance):
+        moves = plan.status in _MOTIONS and bool(plan.hold.speeds.any())
+        if situation.floor is None or not moves or not math.isnan(plan.clearance):
             return plan
         hold = plan.hold.delayed(-situation.time)
         clearance = clearance_of(situation, hold, Margin.KEPT)
         if not math.isnan(clearance):
             return replace(plan, clearance=clearance)
         stop = self._hold_or_rest(self._commands.stop, situation.time)
+        if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
+            return replace(plan, hold=stop, states=_states(situation.state))
         return Plan(
             PlanStatus.RAMP_TO_REST, stop, _states(situation.state), message="not clear",
             given_up=f"the goal: plans of the strategy {self._settings.strategy} do not lead "

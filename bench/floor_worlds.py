@@ -144,6 +144,8 @@ def draw_gallery(folder: Path, out: Path) -> None:
         axis.plot(*kept["goal"][:2], "*", color="tab:red", ms=7)
         axis.set(xlim=(0, SIDE), ylim=(0, SIDE), aspect="equal", xticks=[], yticks=[])
         axis.set_title(name.stem.replace("_", " "), fontsize=8)
+    for axis in axes.ravel()[len(names) :]:
+        axis.set_axis_off()
     figure.tight_layout()
     figure.savefig(out, metadata={"Date": None})
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Random worlds with walls, doorways, discs, mazes and traps, and a judge of paths in them.
+"""Random worlds with walls, doorways, discs, mazes, traps and corridors, and a judge of paths.
 
 The judge knows the world's rectangles and discs, not the map that is made of them, and integrates
 the equations of motion by itself: the constraint of rolling and the conserved angular momentum
@@ -19,7 +19,7 @@ from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector
 
-KINDS = ("discs", "rooms", "doors", "maze", "trap")
+KINDS = ("discs", "rooms", "doors", "maze", "trap", "corridor")
 SIDE = 10.0
 """Side of a world [m]."""
 _CELL = 0.05
@@ -86,8 +86,10 @@ def draw_world(kind: str, rng: np.random.Generator, gap: float | None = None) ->
         _draw_rooms(world, rng, (0.5, 1.2) if kind == "rooms" else (0.1, 0.3), gap)
     elif kind == "maze":
         _draw_maze(world, rng, gap)
-    else:
+    elif kind == "trap":
         _draw_trap(world, rng)
+    else:
+        _draw_corridor(world, rng, gap)
     return world
 
 
@@ -147,6 +149,19 @@ def _draw_trap(world: World, rng: np.random.Generator) -> None:
     ]
 
 
+def _draw_corridor(world: World, rng: np.random.Generator, given: float | None) -> None:
+    """A room, a corridor with a right angle in it, and another room."""
+    world.gap = max(_on_grid(rng.uniform(0.1, 0.3)), 2 * _CELL) if given is None else given
+    width, along = 2.0 * _RADIUS + world.gap, _on_grid(rng.uniform(2.0, 4.0))
+    x, y = 6.0, 3.0 + width
+    world.walls += [
+        # Below and beside the corridor, which leads to the right and then up.
+        (3.0, 0.0, SIDE, 3.0), (x + width, 3.0, SIDE, y + along), (3.0, y, x, y + along),
+        # The room of the start is on the left, that of the goal above.
+        (3.0, y + along, 3.1, SIDE),
+    ]
+
+
 def _on_grid(value: float) -> float:
     return _CELL * round(value / _CELL)
 
@@ -157,6 +172,8 @@ def draw_task(
     """Draw a start and a connected goal, states of shape (6,), and the length of the way [m]."""
     while True:
         places = rng.uniform(0.0, SIDE, (2, 2))
+        if world.kind == "corridor":
+            places[:] = (1.0, rng.uniform(1.0, 9.0)), (rng.uniform(4.0, 9.0), 9.2)
         if world.kind == "trap":
             places[0] = (4.3, world.walls[0][1] + 1.0)
             places[1] = (rng.uniform(6.0, 9.0), rng.uniform(2.0, 8.0))

@@ -10,6 +10,7 @@ certificate holds as far as that estimate does.
 
 import math
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +58,13 @@ def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float
     """
     larger = max(0.0, situation.constants.shell_radius - floor.radius)
     beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation + larger
-    there = float(floor.distances(situation.goal[None, POSITION])[0]) - _AT_GOAL
+    there = _distance_at(floor, *situation.goal[POSITION].tolist()) - _AT_GOAL
     return min(floor.needed + beyond, max(there, floor.radius))
+
+
+@lru_cache(maxsize=2)  # of a goal and of one on the way there the same at nearly every sample
+def _distance_at(floor: Floor, x: float, y: float) -> float:
+    return float(floor.distances(np.array([[x, y]]))[0])
 
 
 def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> float:

@@ -52,11 +52,11 @@ class Margin(Enum):
 def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float:
     """Return the distance [m] of the sphere's centre from what is occupied that a plan keeps.
 
-    The margin is for what changes in a plan, for the error of the estimated place, and for a
-    sphere that is found to be larger than it was said to be. A goal may be as near as is allowed:
-    a plan to it is given no margin that the goal lacks.
+    The margin is for what changes in a plan and for the error of the estimated place. A sphere
+    that is found to be larger than it was said to be uses up the clearance first, as there may be
+    no other way. A goal may be as near as is allowed: a plan to it has no margin that it lacks.
     """
-    larger = max(0.0, situation.constants.shell_radius - floor.radius)
+    larger = max(0.0, situation.constants.shell_radius - floor.needed)
     beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation + larger
     there = _distance_at(floor, *situation.goal[POSITION].tolist()) - _AT_GOAL
     return min(floor.needed + beyond, max(there, floor.radius))

@@ -102,7 +102,7 @@ def read_map(path: Path) -> MapValues:
 
 
 def _levels(name: str, image: Path) -> NDArray[np.float32]:
-    """Return the brightness of an image's pixels, 0 to 1, shape (H, W); unknown where clear."""
+    """Return the brightness of an image's pixels, 0 to 1, shape (H, W)."""
     from PIL import Image
 
     # Larger images than the limit of Pillow are refused below by their size.

@@ -20,7 +20,7 @@ MOST_CELLS = 10**8
 """Cells of the largest map that is accepted."""
 _FARTHEST = 1e6
 """Largest coordinate of a polygon [m]."""
-_FREE_THRESHOLD = 1e-3
+_MOST_TILT = 1e-3
 """Largest roll and pitch of a map's origin [rad]."""
 
 Cells = NDArray[np.bool_]
@@ -171,7 +171,7 @@ def check_geometry(resolution: float, origin: Sequence[float]) -> tuple[float, f
     norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
     if norm < 1e-6:  # as of a message that was not filled in
         return x, y, 0.0
-    if 2.0 * math.hypot(qx, qy) > _FREE_THRESHOLD * norm:
+    if 2.0 * math.hypot(qx, qy) > _MOST_TILT * norm:
         raise InvalidMapError("map", "an origin with roll or pitch", "a heading alone")
     return x, y, 2.0 * math.atan2(qz, qw)
 

@@ -178,7 +178,7 @@ def without_collisions(situation: Situation, side: Side, beyond: Vector | None =
     between = 0.5 * (places[1:] + places[:-1])
     at = floor.about(places.reshape(-1, 2)).reshape(levels, count)
     np.minimum(at[1:], floor.about(between.reshape(-1, 2)).reshape(levels - 1, count), out=at[1:])
-    # Each corner of a cell is near; those of plans are certified.
+    # Less by what `about` is inaccurate: a plan is certified afterwards.
     wanted = min(needed, float(at[0].min())) - floor.fine.resolution
     collided = np.logical_or.accumulate(at < wanted, axis=0)
     states = side.states.copy()

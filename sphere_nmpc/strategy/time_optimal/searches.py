@@ -25,6 +25,7 @@ from sphere_nmpc.strategy.time_optimal.approach import approach_to, is_narrow, w
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.on_the_way import (
+    Aim,
     aimed,
     detour_to_goal,
     rolled_straight,
@@ -121,14 +122,7 @@ class SearchTask:
         aim = aimed(situation, floor, self.fruitless)
         if aim.reason:
             return NoWay(aim.reason)
-        narrow = is_narrow(situation, floor)
-        found: Arrival | None = None
-        if aim.is_goal and not narrow:
-            found = ArrivalSearch(solver, situation, self.seed).improve(self.effort, end)
-        elif not aim.is_goal:
-            found = self._bent(solver, aim.way, end)
-        if found is None and aim.is_goal and (narrow or self.fruitless):
-            found = self._approached(solver, aim.way, end)
+        found = self._to_goal(solver, aim, end)
         if found is not None:
             return found
         if not aim.is_goal:
@@ -141,13 +135,22 @@ class SearchTask:
         there = found.states[-1, POSITION]
         return replace(found, to_go=time_to_go(aim.way, there, situation, limit))
 
-    def _bent(self, solver: ArrivalSolver, way: Way, end: float) -> Arrival | None:
-        """Return an arrival at a goal that is near but not in sight: motions are not straight."""
-        if way.length(self.situation.state[POSITION]) > self.tuning.near_distance(self.robot):
-            return None
-        detour = detour_to_goal(self.situation, way.floor)
-        search = ArrivalSearch(solver, self.situation, self.seed, detour=detour)
-        return search.improve(self.effort // 2, end)
+    def _to_goal(self, solver: ArrivalSolver, aim: Aim, end: float) -> Arrival | None:
+        """Return the earliest arrival at the goal, in sight or near; None where none is found."""
+        situation, floor = self.situation, aim.way.floor
+        if not aim.is_goal:  # motions are not straight
+            length = aim.way.length(situation.state[POSITION])
+            if length > self.tuning.near_distance(self.robot):
+                return None
+            detour = detour_to_goal(situation, floor)
+            search = ArrivalSearch(solver, situation, self.seed, detour=detour)
+            return search.improve(self.effort // 2, end)
+        found, narrow = None, is_narrow(situation, floor)
+        if not narrow:
+            found = ArrivalSearch(solver, situation, self.seed).improve(self.effort, end)
+        if found is None and (narrow or self.fruitless):
+            found = self._approached(solver, aim.way, end)
+        return found
 
     def _approached(self, solver: ArrivalSolver, way: Way, end: float) -> Arrival | None:
         """Return an arrival at the goal that ends with straight lines to it."""

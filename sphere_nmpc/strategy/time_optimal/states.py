@@ -29,8 +29,6 @@ from sphere_nmpc.strategy.time_optimal.arrival import RAISES, Arrival, ArrivalSo
 from sphere_nmpc.strategy.time_optimal.on_the_way import way_of_time
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
-_AGAIN = 1.0
-"""Time [s] after which a way is searched for again where there was none."""
 _LEAST_GAIN = 5e-3
 """Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
 _ENDED = 1e-3
@@ -56,19 +54,9 @@ class Searching:
     ----------
     fruitless : int
         Searches in succession that have ended without an arrival.
-    reason : str
-        Why there can be none; empty where one is searched for.
-    since : float
-        Control time at which that was found [s].
     """
 
     fruitless: int = 0
-    reason: str = ""
-    since: float = 0.0
-
-    def waits(self, now: float) -> bool:
-        """Return whether it is too early to search again where there was no way."""
-        return bool(self.reason) and now < self.since + _AGAIN
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,10 +152,15 @@ class TimeOptimalStrategy:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
         situation = self._with_member(situation)
-        if self._is_other_goal(situation):
+        is_other, last = self._is_other_goal(situation), self._last
+        if is_other:
             self._forget_goal()
-        if isinstance(self._state, Searching) and self._is_elsewhere(situation):
-            self._state = Searching()
+        if situation.floor is not None and (
+            is_other or last is None or last.floor is not situation.floor
+        ):
+            self._no_way = ""
+            if isinstance(self._state, Searching):
+                self._state = Searching()
         self._last = situation
         self._use_attained(situation)
         situation = self._aimed(situation)
@@ -179,8 +184,9 @@ class TimeOptimalStrategy:
             plan = come_to_rest(situation, robot, "saturated", status)
             return dataclasses.replace(plan, given_up=SATURATED)
         plan = self._stop(situation)
-        if state.reason:
-            return dataclasses.replace(plan, given_up=state.reason, message="no way to the goal")
+        reason = refusal(situation) or self._no_way
+        if reason:
+            return dataclasses.replace(plan, given_up=reason, message="no way to the goal")
         if situation.floor is not None:
             hold = plan.hold.delayed(-situation.time)
             given_up = stop_before_contact(situation, hold)
@@ -218,10 +224,9 @@ class TimeOptimalStrategy:
         tuning, goal = self._tuning, situation.goal
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
         error = state_error(situation.state, goal)
-        reason = refusal(situation)
-        if reason:
+        if refusal(situation):
             self._searches.cancel()
-            return Searching(reason=reason, since=situation.time)
+            return Searching()
         found, is_fruitless = self._found(situation, dead_band, deadline)
         if isinstance(state, Following):
             plan = state.aimed_at(situation) if state.leads_to(situation) else state
@@ -246,16 +251,26 @@ class TimeOptimalStrategy:
         self._rest_at_goal.reset()
         fruitless = state.fruitless if isinstance(state, Searching) else 0
         fruitless = fruitless + 1 if is_fruitless else fruitless
-        if isinstance(state, Searching) and state.waits(situation.time):
-            return state
-        if found is None and self._searches.task is None:
+        if found is None and self._searches.task is None and self._may_find(situation.time):
             found, is_fruitless = self._searched_anew(
                 situation, fruitless, at_rest, dead_band, deadline
             )
             fruitless = fruitless + 1 if is_fruitless else fruitless
-        if found is not None:
-            return found
-        return Searching(fruitless, self._no_way, situation.time)
+        return Searching(fruitless) if found is None else found
+
+    def _may_find(self, now: float) -> bool:
+        """Return whether to search; where there was no way, once a sample period."""
+        if not self._no_way:
+            return True
+        is_due = self._is_idle(now)
+        if is_due:
+            self._improved_at = now
+        return is_due
+
+    def _is_idle(self, now: float) -> bool:
+        """Return whether the last search of its kind began a sample period ago [s]."""
+        settings = self._settings
+        return now > self._improved_at + settings.period - 0.5 * settings.control_period
 
     @property
     def _searches(self) -> Searches:
@@ -333,8 +348,7 @@ class TimeOptimalStrategy:
             plan.fruitless >= self._tuning.fruitless_searches
             or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
         )
-        idle = now > self._improved_at + settings.period - 0.5 * settings.control_period
-        idle = idle or plan.is_part
+        idle = plan.is_part or self._is_idle(now)
         if searches.task is not None or over or not (idle or not suits):
             return plan
         self._improved_at = now
@@ -371,12 +385,6 @@ class TimeOptimalStrategy:
         moved = last.goal_after(situation.time - last.time)
         moved = orientation.nearest(moved, situation.goal)
         return not is_near(moved, situation.goal, situation.constants, self._tuning)
-
-    def _is_elsewhere(self, situation: Situation) -> bool:
-        """Return whether goal or floor are others than the last."""
-        last = self._last
-        same = last is not None and last.floor is situation.floor
-        return not same or self._is_other_goal(situation)
 
     def _with_member(self, situation: Situation) -> Situation:
         """Return the situation with the member of the goals that is nearest to the plan's end.

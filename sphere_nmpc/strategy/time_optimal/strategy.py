@@ -161,6 +161,7 @@ class TimeOptimalStrategy:
             self._no_way = ""
             if isinstance(self._state, Searching):
                 self._state = Searching()
+                self._searches.cancel()
         self._last = situation
         self._use_attained(situation)
         situation = self._aimed(situation)

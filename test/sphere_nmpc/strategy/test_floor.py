@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from delayed_worker import DelayedWorker
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor, exact_distance
@@ -26,7 +27,7 @@ from sphere_nmpc.strategy.clearance import (
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
+from sphere_nmpc.strategy.time_optimal.searches import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.straight import straight_hold
 from sphere_sim.world.plant.factory import make_plant
@@ -221,6 +222,25 @@ def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
     loop.run(12.0)
     assert not loop.given_up
     assert state_error(loop.states[-1], goal) < 1e-2
+
+
+def test_a_goal_after_one_without_a_way_is_not_held_up_by_searches_beside_the_loop() -> None:
+    closed = floor_of([(3.0, 0.0, 3.1, 4.0)])
+    settings = ControllerSettings(planning_effort=20_000, control_rate=50.0)
+    loop = Loop(closed, pose(1.0, 3.0), pose(4.5, 1.0), settings)
+    worker = DelayedWorker(lambda: loop.simulator.time, 0.05)
+    loop.controller = Controller(settings, ROBOT, worker=worker)
+    loop.controller.floor = closed
+    loop.controller.set_goal(pose(4.5, 1.0))
+    loop.run(1.1)
+    assert "no way" in loop.given_up
+    # Once a sample period, and not at each tick.
+    searches = [task for task in worker.tasks if isinstance(task, SearchTask)]
+    assert 3 <= len(searches) <= 2 + 1.1 / settings.period
+    loop.controller.set_goal(pose(2.0, 1.0))
+    loop.run(0.3)
+    assert not loop.given_up
+    assert not (loop.places[-1] == loop.places[0]).all()
 
 
 def test_a_refused_goal_while_rolling_stops_on_the_path() -> None:

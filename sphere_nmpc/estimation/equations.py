@@ -22,23 +22,26 @@ from sphere_nmpc.estimation.interval import Interval
 from sphere_nmpc.estimation.motion import Motion
 from sphere_nmpc.estimation.unknowns import (
     COMMON,
+    DISTURBANCE,
+    IMBALANCE,
     KNOT,
     LOCAL,
     NORMAL,
     POSE_ERROR,
+    PoseNoise,
     Scaling,
     apply_knot_error,
     knot_error,
 )
 from sphere_nmpc.model.error_state import error_between
-from sphere_nmpc.model.state import POSE, Vector
+from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
 _FIXED = 1e-3
 """Standard deviation of a common unknown that is fixed, in its unit."""
 _EXPECTED = 10.0
 """Number of errors that what was known of the noise's scale before weighs as much as."""
 _BLOCK = 2 * KNOT + COMMON
-_NEXT, _MEASURED = slice(KNOT, 2 * KNOT), np.arange(KNOT, KNOT + 5)
+_NEXT, _MEASURED = slice(KNOT, 2 * KNOT), slice(KNOT, KNOT + 5)
 _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
 """Places in a row of blocks of the knot at the end, its pose, and of the local unknowns."""
 
@@ -71,16 +74,36 @@ class Prior:
         information = np.asarray(np.linalg.inv(covariance), dtype=float)
         return cls(knot, common, information, np.zeros(LOCAL), scale)
 
-    def blurred(self, variances: Vector) -> "Prior":
-        """Return it with more variance, shape (19,), of the local unknowns."""
-        kept = np.flatnonzero(variances)
-        columns = self.information[:, kept]
-        inner = np.diag(1.0 / variances[kept]) + columns[kept]
+    def blurred(self, factor: Vector) -> "Prior":
+        """Return it with a covariance F F^T more; `factor` F has shape (19, K)."""
+        columns = self.information @ factor
+        inner = np.eye(factor.shape[1]) + factor.T @ columns
         gain = np.linalg.solve(inner, columns.T).T
         information = self.information - gain @ columns.T
-        gradient = self.gradient - gain @ self.gradient[kept]
+        gradient = self.gradient - gain @ (factor.T @ self.gradient)
         return replace(
             self, information=0.5 * (information + information.T), gradient=gradient
+        )
+
+    def undisturbed(self, variances: Vector) -> "Prior":
+        """Return it with momentum, slope and imbalance that are zero, with variances, shape (8,).
+
+        What it knew of them is dropped, and with it what depended on them.
+        """
+        kept = np.setdiff1d(np.arange(LOCAL), DISTURBANCE)
+        across = self.information[np.ix_(kept, DISTURBANCE)]
+        gain = np.linalg.solve(self.information[np.ix_(DISTURBANCE, DISTURBANCE)], across.T).T
+        information, gradient = np.zeros((LOCAL, LOCAL)), np.zeros(LOCAL)
+        information[DISTURBANCE, DISTURBANCE] = 1.0 / variances
+        information[np.ix_(kept, kept)] = (
+            self.information[np.ix_(kept, kept)] - gain @ across.T
+        )
+        gradient[kept] = self.gradient[kept] - gain @ self.gradient[DISTURBANCE]
+        knot, common = self.knot.copy(), self.common.copy()
+        knot[MOMENTUM.start :] = common[IMBALANCE] = 0.0
+        return replace(
+            self, knot=knot, common=common, information=0.5 * (information + information.T),
+            gradient=gradient,
         )
 
 
@@ -110,8 +133,9 @@ class Linearisation:
     """What the normal equations of all hypotheses share at a point.
 
     Each interval has a row of blocks for the step at its end, with derivatives by the knots at
-    both of its ends and the common unknowns, (10, 29). `pose_variance`, shape (5,), is that of a
-    measured pose, and `scale` that of the noise's variance for the poses within the intervals.
+    both of its ends and the common unknowns, (10, 29). Measured poses have the deviations
+    `pose_deviations`, shape (5,) [m, rad], and beside them a noise; `scale` is that of the noise's
+    variance for the poses within the intervals.
     """
 
     def __init__(
@@ -120,11 +144,13 @@ class Linearisation:
         prior: Prior,
         intervals: list[Measured],
         scale: float,
-        pose_variance: Vector,
+        noise: PoseNoise,
+        pose_deviations: Vector,
         scaling: Scaling,
     ) -> None:
         count = len(intervals)
         self.scaling, self.motions = scaling, [one.motion for one in intervals]
+        self._pose_deviations = pose_deviations
         self.durations = np.array([one.interval.duration for one in intervals])
         turned = [one.motion.turned for one in intervals]
         self.variances = np.array([noise_variance(one, scaling.numbers) for one in turned])
@@ -137,28 +163,35 @@ class Linearisation:
             self.jacobians[k][:, _OWN] = -moved.by_unknowns
             self.residuals[k] = knot_error(moved.end, end) - moved.by_unknowns @ away
             self.innovations[k] = error_between(end[POSE], one.interval.poses[-1])
-        self._believe(prior, pose_variance)
+        self._believe(prior, noise)
 
-    def believing(self, prior: Prior, pose_variance: Vector) -> "Linearisation":
-        """Return it with another prior and another variance of the poses."""
+    def believing(self, prior: Prior, noise: PoseNoise) -> "Linearisation":
+        """Return it with another prior and another noise of the poses."""
         other = copy(self)
-        other._believe(prior, pose_variance)
+        other._believe(prior, noise)
         return other
 
-    def _believe(self, prior: Prior, pose_variance: Vector) -> None:
+    def _believe(self, prior: Prior, noise: PoseNoise) -> None:
         self.prior, away = prior, away_from(prior, self.point, 0)
         self.by_prior = prior.information @ away + prior.gradient
         self.cost = float(away @ (self.by_prior + prior.gradient))
         self.cost -= float(np.linalg.slogdet(prior.information)[1])
-        self.cost += len(self.motions) * float(np.sum(np.log(pose_variance)))
-        self.pose_weights: Vector = 1.0 / pose_variance
+        covariances = [
+            one.pose_covariances(noise, self._pose_deviations, self.scaling)
+            for one in self.motions
+        ]
+        at_end = np.array([one[-1] for one in covariances])
+        self.cost += float(np.sum(np.linalg.slogdet(at_end)[1]))
+        self.pose_weights: Vector = np.linalg.inv(at_end)
+        """Inverse covariances of the poses at the ends of the intervals, (n, 5, 5)."""
         self.within: dict[int, tuple[Vector, Vector, float]] = {}
         """Information (19, 19), gradient (19,) and cost of the poses within an interval."""
         for k, moved in enumerate(self.motions):
             if len(moved.innovations):
                 shared = len(moved.innovations) * self.scale * self.variances[k]
                 away = away_from(moved, self.point, k)
-                self.within[k] = _poses_within(moved, away, pose_variance + shared)
+                within = covariances[k][1:-1] + shared * np.eye(5)
+                self.within[k] = _poses_within(moved, away, within)
 
 
 def away_from(known: Prior | Motion, point: Point, index: int) -> Vector:
@@ -168,19 +201,25 @@ def away_from(known: Prior | Motion, point: Point, index: int) -> Vector:
 
 
 def _poses_within(
-    motion: Motion, away: Vector, variance: Vector
+    motion: Motion, away: Vector, covariances: Vector
 ) -> tuple[Vector, Vector, float]:
     """Return information, gradient and cost of the poses within an interval.
 
-    They share the error of the prediction: each of M counts as if that were sqrt(M) as large.
+    Their `covariances` have shape (M, 5, 5). They share the error of the prediction: each of M
+    counts as if that were sqrt(M) as large.
     """
     innovations, by = motion.innovations - motion.by_pose @ away, motion.by_pose
-    weighted = by / variance[:, None]
-    weighted, by = weighted.reshape(-1, LOCAL), by.reshape(-1, LOCAL)
+    weights: Vector = np.asarray(np.linalg.inv(covariances), dtype=float)
+    weighted, by = (weights @ by).reshape(-1, LOCAL), by.reshape(-1, LOCAL)
     information: Vector = weighted.T @ by
     gradient: Vector = -(weighted.T @ innovations.ravel())
-    spread = len(innovations) * float(np.sum(np.log(variance)))
-    return information, gradient, float(np.sum(innovations**2 / variance)) + spread
+    cost = float(np.sum(np.linalg.slogdet(covariances)[1]))
+    return information, gradient, cost + _squares(weights, innovations)
+
+
+def _squares(weights: Vector, errors: Vector) -> float:
+    """Return the sum of the squares of errors, shape (n, 5), with weights (n, 5, 5)."""
+    return float(np.einsum("ki,kij,kj->", errors, weights, errors))
 
 
 class NormalEquations:
@@ -195,9 +234,11 @@ class NormalEquations:
         Gauss-Newton step of the decision variables.
     cost : float
         -2 log of the probability of the poses after it, up to a constant.
-    steps, whitened : ndarray, shape (n, 10)
-        Steps at the ends of the intervals without an event that it leaves, and over their
-        standard deviations.
+    whitened : ndarray, shape (n, 10)
+        Steps at the ends of the intervals without an event that it leaves, over their standard
+        deviations.
+    noise : ndarray, shape (n, 5)
+        Errors of predicted poses in these steps [m, rad], without what drives differ by.
     """
 
     def __init__(
@@ -219,12 +260,14 @@ class NormalEquations:
         blocks = jacobians.transpose(0, 2, 1) @ jacobians
         gradients = (jacobians.transpose(0, 2, 1) @ errors)[:, :, 0]
         blocks[:, _MEASURED, _MEASURED] += given.pose_weights
-        gradients[:, _MEASURED] -= given.pose_weights * given.innovations
+        gradients[:, _MEASURED] -= np.einsum(
+            "kij,kj->ki", given.pose_weights, given.innovations
+        )
         cost = hypothesis.cost(numbers) + given.cost
         cost += _EXPECTED * (given.prior.scale / scale + float(np.log(scale)))
         cost += float(np.sum(errors**2))
         cost += 2.0 * float(np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2))))
-        cost += float(np.sum(given.pose_weights * given.innovations**2))
+        cost += _squares(given.pose_weights, given.innovations)
         for k, (information, gradient, more) in given.within.items():
             if hypothesis.events[k] is Event.NONE and k != without:
                 blocks[k][np.ix_(_OWN, _OWN)] += information
@@ -251,7 +294,8 @@ class NormalEquations:
         kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
         moved = np.array([self._local(KNOT * k, 2 * KNOT) for k in kept]).reshape(-1, _BLOCK, 1)
         self.whitened: Vector = (errors[kept] + jacobians[kept] @ moved)[:, :, 0]
-        self.steps: Vector = given.residuals[kept] + (given.jacobians[kept] @ moved)[:, :, 0]
+        deviations = np.sqrt(scale * given.variances[kept])
+        self.noise: Vector = deviations[:, None] * self.whitened[:, POSE_ERROR]
 
     def _add(self, begin: int, width: int, information: Vector, gradient: Vector) -> None:
         """Add information and gradient of `width` unknowns of knots, and of the common ones."""

@@ -29,6 +29,8 @@ from sphere_nmpc.worker.in_line import InLine
 _KEY = "estimator"
 _SAME = 1e-9
 """Time [s] below which two are the same."""
+_FEWEST, _SHORT_GAP = 3, 0.1
+"""Poses from which their mean spacing is taken, and share of it below which two are of a bunch."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -152,6 +154,10 @@ class Estimator:
         """
         poses = self._poses
         if not poses or time > poses[-1][0]:
+            if self._is_bunched(time):
+                # Of a bunch that was held up on its way the newest pose is the least late.
+                poses.pop()
+                self._tracker = None
             poses.append((time, pose))
             if self._tracker is not None:
                 self._tracker.observe(time, pose)
@@ -162,6 +168,14 @@ class Estimator:
         poses.insert(place, (time, pose))
         self._tracker = None
         return True
+
+    def _is_bunched(self, time: float) -> bool:
+        """Return whether a pose at `time` [s] comes just after the newest, which is no knot."""
+        poses = self._poses
+        if len(poses) < _FEWEST or poses[-1][0] == self._knot:
+            return False
+        mean = (poses[-1][0] - poses[0][0]) / (len(poses) - 1)
+        return time - poses[-1][0] < _SHORT_GAP * mean
 
     def estimate(self, time: float) -> Estimate | None:
         """Return the estimate at control time `time` [s]; None without a pose.
@@ -210,7 +224,7 @@ class Estimator:
     def _is_noisy(self) -> bool:
         given = self._settings
         declared = given.pose_position_noise > 0.0 or given.pose_orientation_noise > 0.0
-        return declared or self._result.pose_noise > 0.0
+        return declared or any(self._result.pose_noise)
 
     @property
     def _pose_deviations(self) -> Vector:
@@ -306,15 +320,18 @@ class Estimator:
 
     def _interval(self, since: float, poses: list[tuple[float, Vector]]) -> Interval:
         """Return the interval from `since` [s] to the last of its poses, with some of them."""
-        end, lead = poses[-1][0], self._numbers.lead
+        end, numbers = poses[-1][0], self._numbers
         used = poses[-1:]
         for one in reversed(poses[:-1]):
             # Poses in quick succession tell little more.
-            if min(used[0][0] - one[0], one[0] - since) > self._numbers.pose_spacing - _SAME:
+            if min(used[0][0] - one[0], one[0] - since) > numbers.pose_spacing - _SAME:
                 used.insert(0, one)
         after, measured = zip(*used, strict=True)
-        durations, speeds = self._sent.pieces(since - lead, end)
-        return Interval(np.array(after) - since, np.array(measured), durations, speeds, lead)
+        # A pose with an early stamp shows the effect of speeds sent after that.
+        durations, speeds = self._sent.pieces(since - numbers.lead, end + numbers.longest_lag)
+        return Interval(
+            np.array(after) - since, np.array(measured), durations, speeds, numbers.lead
+        )
 
     def _tracked(self) -> Tracker:
         """Return the tracker of the newest poses, from the last result on."""
@@ -322,7 +339,7 @@ class Estimator:
             plant = self.plant  # First, as it takes over a result that has arrived.
             self._tracker = Tracker(
                 self._result, plant, self._poses, self._sent,
-                self._scaling.pose_variance(self._result.pose_noise, self._pose_deviations),
-                self._scaling, self._settings.longest_step, self._is_noisy,
+                self._pose_deviations, self._scaling, self._settings.longest_step,
+                self._is_noisy,
             )
         return self._tracker

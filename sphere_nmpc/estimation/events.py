@@ -17,11 +17,14 @@ import numpy as np
 from sphere_nmpc.estimation.motion import Motion
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.estimation.unknowns import (
+    EXACT,
     KNOT,
+    LAG,
     MOMENTUM_ERROR,
     POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
+    PoseNoise,
     Scaling,
 )
 from sphere_nmpc.model.state import Vector
@@ -29,8 +32,12 @@ from sphere_nmpc.model.state import Vector
 TIGHT = 1e-4
 """Standard deviation of what is zero [rad/s, rad/s^2]: no step, but invertible."""
 
-_POSE_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
-"""Noises of the poses beyond that given that are tried [rad; over the radius in m]."""
+_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Noises of the poses beyond that given that are tried [rad; over the radius in m], and of their
+stamps [s]."""
+
+_ACROSS = 0.25
+"""Effect of a late command in other directions than that of a short delay, over that [-]."""
 
 
 class Event(Enum):
@@ -40,6 +47,7 @@ class Event(Enum):
     PUSHED = "pushed"
     TILTED = "tilted"
     SLIPPED = "slipped"
+    LATE = "commands late or lost"
 
 
 @dataclass(frozen=True)
@@ -60,8 +68,8 @@ class Hypothesis:
         Whether slope and imbalance before the window are not those known from older intervals.
     slippery : bool
         Whether the sphere has slipped before the window, so that it will again.
-    pose_noise : float
-        Noise of the poses beyond that given [rad; over the radius in m].
+    pose_noise : PoseNoise
+        Noise of the poses beyond that given.
     """
 
     events: tuple[Event, ...] = ()
@@ -70,7 +78,14 @@ class Hypothesis:
     disturbed: bool = False
     torques: bool = False
     slippery: bool = False
-    pose_noise: float = 0.0
+    pose_noise: PoseNoise = EXACT
+
+    @property
+    def undisturbed(self) -> "Hypothesis":
+        """The one that nothing has given the sphere momentum, slope or imbalance, as ever."""
+        torques = (Event.PUSHED, Event.TILTED)
+        events = tuple(Event.NONE if event in torques else event for event in self.events)
+        return replace(self, events=events, disturbed=False, torques=False, unbalanced=False)
 
     @property
     def fixed(self) -> Vector:
@@ -80,17 +95,18 @@ class Hypothesis:
     @property
     def is_undisturbed(self) -> bool:
         """Whether momentum, slope and imbalance are zero."""
-        return not (self.walks or [self._begins_disturbed])[-1]
+        return not (self.walks or [self.begins_disturbed])[-1]
 
     @property
-    def _begins_disturbed(self) -> bool:
+    def begins_disturbed(self) -> bool:
+        """Whether there was momentum, slope or imbalance before the window."""
         return self.disturbed or self.unbalanced or self.torques
 
     @property
     def walks(self) -> list[bool]:
         """Whether momentum and slope may drift at the end of each interval."""
         disturbing = (e in (Event.PUSHED, Event.TILTED) for e in self.events)
-        return list(accumulate(disturbing, or_, initial=self._begins_disturbed))[1:]
+        return list(accumulate(disturbing, or_, initial=self.begins_disturbed))[1:]
 
     def cost(self, numbers: EstimatorSettings) -> float:
         """Return -2 log of the probability of the events."""
@@ -98,8 +114,10 @@ class Hypothesis:
         # Jumps of a sphere at rest look like a slope for a while.
         events = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
         slips, known = count(Event.SLIPPED), int(self.slippery or Event.SLIPPED not in self.events)
-        others = self.unbalanced + self.weak + self.torques + 2 * (self.pose_noise > 0.0)
-        return numbers.rare * (events + others + 1 - known) + numbers.again * (slips - 1 + known)
+        others = self.unbalanced + self.weak + self.torques + 2 * (self.pose_noise.pose > 0.0)
+        # Stamps and commands are hardly ever exact.
+        likely = slips - 1 + known + count(Event.LATE) + (self.pose_noise.time > 0.0)
+        return numbers.rare * (events + others + 1 - known) + numbers.again * likely
 
     def extended(self, slippery: bool) -> "Hypothesis":
         """Return the hypothesis with another interval without an event."""
@@ -116,15 +134,18 @@ class Hypothesis:
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
         """Return hypotheses that differ in one respect, with the interval of which the event does.
 
-        Events are changed in the newest `recent` intervals; without `momentum` only slip is
-        possible.
+        Events are changed in the newest `recent` intervals; without `momentum` only those that
+        leave none are possible.
         """
         events, found = self.events, []
         for i in range(max(0, len(events) - recent), len(events)):
-            for kind in Event if momentum else (Event.NONE, Event.SLIPPED):
+            for kind in Event if momentum else (Event.NONE, Event.SLIPPED, Event.LATE):
                 changed = replace(self, events=(*events[:i], kind, *events[i + 1 :]))
                 found.append((i, changed))
-        others = [replace(self, pose_noise=noise) for noise in _POSE_NOISES]
+        pose, time = self.pose_noise
+        noises = [PoseNoise(one, time) for one in _NOISES]
+        noises += [PoseNoise(pose, one) for one in _NOISES]
+        others = [replace(self, pose_noise=noise) for noise in noises]
         if momentum:
             for unbalanced, torques in product((False, True), (self.torques, True)):
                 others.append(replace(self, unbalanced=unbalanced, torques=torques))
@@ -166,6 +187,12 @@ def step_covariances(
             covariances[k] += _at_unknown_time(by, MOMENTUM_ERROR, numbers.push)
         elif event is Event.TILTED:
             covariances[k] += _at_unknown_time(by, SLOPE_ERROR, numbers.tilt)
+        elif event is Event.LATE:
+            effect = numbers.late / numbers.lag * by[:, KNOT + LAG]
+            covariances[k] += np.outer(effect, effect)
+            # The motion is not linear in it.
+            across = _ACROSS * float(np.linalg.norm(effect[2:5]))
+            diagonals[k, POSE_ERROR] += scaling.pose_variance(across)
         spread = numbers.share_spread * by[:, KNOT + SHARE]
         covariances[k] += np.outer(spread, spread)
     covariances[:, places, places] += diagonals

@@ -23,7 +23,8 @@ class Interval:
     poses : ndarray, shape (M, 6)
         Measured poses.
     durations : ndarray, shape (K,)
-        Lengths of the straight pieces of the rotor speeds [s].
+        Lengths of the straight pieces of the rotor speeds [s], which go on beyond the end of the
+        interval by as much as stamps may be early.
     inputs : ndarray, shape (K + 1, 2)
         Rotor speeds at their ends [rad/s].
     lead : float

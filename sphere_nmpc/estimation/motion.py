@@ -14,15 +14,19 @@ from sphere_nmpc.estimation.unknowns import (
     LAG,
     LOCAL,
     SHARE,
+    PoseNoise,
     Scaling,
     disturbance_of,
 )
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import POSE, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
+_RATE_STEP = 1e-3
+"""Time over which a rate of the pose is taken [s]."""
 _SHARE_STEP = 0.02
 """Step of the difference by the share, downwards: ramps of plans are slightly below the limit."""
 
@@ -43,6 +47,8 @@ class Motion:
         Measured minus predicted poses within the interval.
     by_pose : ndarray, shape (M - 1, 5, 19)
         Derivatives of these predictions.
+    rates : ndarray, shape (M + 1, 5)
+        Rates of the pose's error at the start and at the M poses [m/s, rad/s].
     turned : float
         Angle rolled, or that the rotors ask for where it ends as it began [rad].
     """
@@ -53,7 +59,27 @@ class Motion:
     by_unknowns: Vector
     innovations: Vector
     by_pose: Vector
+    rates: Vector
     turned: float
+
+    def pose_covariances(self, noise: PoseNoise, given: Vector, scaling: Scaling) -> Vector:
+        """Return the covariances of poses measured at the start and at the M poses, (M + 1, 5, 5).
+
+        `noise` comes beside the deviations `given`, shape (5,) [m, rad].
+        """
+        return scaling.pose_covariance(noise, given, self.rates)
+
+
+def pose_rate(
+    state: Vector, speeds: Vector, constants: Vector, disturbance: Disturbance
+) -> Vector:
+    """Return the rate of the pose's error [m/s, rad/s], shape (5,), at rotor speeds [rad/s]."""
+    held = np.array((speeds, speeds))
+    later = roll_out(
+        state, held, np.array([_RATE_STEP]), constants, _RATE_STEP, disturbance
+    )[-1]
+    found: Vector = error_between(state[POSE], later[POSE]) / _RATE_STEP
+    return found
 
 
 def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -> Motion:
@@ -96,9 +122,13 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
         by[:, :8, KNOT + SHARE] = differ(interval.driven(lower * limit), 0.0, ends, -_SHARE_STEP)
     within = zip(ends[:-1], interval.poses[:-1], strict=True)
     innovations = [error_between(end[POSE], pose) for end, pose in within]
+    rates = [
+        pose_rate(at, speeds[index], constants, disturbance)
+        for at, index in zip((state, *ends), (0, *poses), strict=True)
+    ]
     ramp = float(np.max(np.ptp(speeds, axis=0)))
     turned = angle_error(state, moved) + ramp * float(constants[1]) * interval.duration
     return Motion(
         knot, common, np.concatenate((moved, knot[STATE_SIZE:])), by[-1],
-        np.array(innovations).reshape(-1, 5), by[:-1, :5], turned,
+        np.array(innovations).reshape(-1, 5), by[:-1, :5], np.array(rates), turned,
     )

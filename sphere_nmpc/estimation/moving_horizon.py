@@ -20,13 +20,14 @@ from sphere_nmpc.estimation.equations import (
     Prior,
     away_from,
 )
-from sphere_nmpc.estimation.events import Event, Hypothesis, noise_variance
+from sphere_nmpc.estimation.events import TIGHT, Event, Hypothesis, noise_variance
 from sphere_nmpc.estimation.interval import Interval
 from sphere_nmpc.estimation.motion import motion
 from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.estimation.unknowns import (
     COMMON,
+    IMBALANCE,
     KNOT,
     LOCAL,
     POSE_ERROR,
@@ -102,7 +103,7 @@ class MovingHorizon:
         known = self.result
         if not known.undisturbed:
             known = known.with_unknown_momentum(self._numbers)
-        variance = self._pose_variance(known.pose_noise)
+        variance = self._scaling.pose_variance(known.pose_noise.pose, self._pose_deviations)
         self.result = known.at_pose(time, pose, variance)
         self._restart()
 
@@ -130,7 +131,8 @@ class MovingHorizon:
         surprising = self._surprise(newest, fit) > numbers.rare
         fit = self._with_other_drives(start, intervals, fit, surprising)
         fit = self._improved(start, intervals, fit, not (surprising or self._is_noisy))
-        self._prior = self._prior_of(fit.hypothesis)
+        fit = self._without_disturbance(start, intervals, fit)
+        self._prior = self._prior_of(fit.hypothesis, fit.intervals[0])
         self._point, self._intervals = fit.point, fit.intervals
         self._hypothesis, self._scale = fit.hypothesis, fit.scale
         self._publish(fit, time)
@@ -138,27 +140,40 @@ class MovingHorizon:
     @property
     def _is_noisy(self) -> bool:
         """Whether what happens shows over many poses only."""
-        variance = self._pose_variance(self.result.pose_noise)
-        return bool(variance[2] > self._numbers.prediction**2)
+        noise = self.result.pose_noise
+        variance = self._scaling.pose_variance(noise.pose, self._pose_deviations)
+        return noise.time > 0.0 or bool(variance[2] > self._numbers.prediction**2)
 
-    def _prior_of(self, hypothesis: Hypothesis) -> Prior:
-        """Return the prior, of which a hypothesis may believe less."""
-        known, numbers, more = self._hypothesis, self._numbers, np.zeros(LOCAL)
-        # The pose at its knot was measured, too.
-        noisier = self._pose_variance(hypothesis.pose_noise)
-        more[POSE_ERROR] = np.maximum(noisier - self._pose_variance(known.pose_noise), 0.0)
+    def _prior_of(self, hypothesis: Hypothesis, first: Measured) -> Prior:
+        """Return the prior, of which a hypothesis may believe less; `first` is its interval."""
+        known, numbers, scaling = self._hypothesis, self._numbers, self._scaling
+        prior, factor = self._prior, np.zeros((LOCAL, LOCAL))
+        if known.begins_disturbed and not hypothesis.begins_disturbed:
+            variances = np.repeat([TIGHT, numbers.imbalance], [5, 3]) ** 2
+            prior = prior.undisturbed(variances)
+        if hypothesis.pose_noise != known.pose_noise:
+            # The pose at its knot was measured, too.
+            before, after = (
+                first.motion.pose_covariances(noise, self._pose_deviations, scaling)[0]
+                for noise in (known.pose_noise, hypothesis.pose_noise)
+            )
+            variances, axes = np.linalg.eigh(after - before)
+            factor[POSE_ERROR, POSE_ERROR] = axes * np.sqrt(np.maximum(variances, 0.0))
         if hypothesis.torques and not known.torques:
-            more[SLOPE_ERROR] = numbers.tilt**2
+            factor[SLOPE_ERROR, SLOPE_ERROR] = numbers.tilt * np.eye(2)
             if known.unbalanced:
-                more[-3:] = numbers.imbalance**2
-        return self._prior.blurred(more) if more.any() else self._prior
+                factor[-3:, -3:] = numbers.imbalance * np.eye(3)
+        kept = factor.any(axis=0)
+        return prior.blurred(factor[:, kept]) if kept.any() else prior
 
     def _surprise(self, newest: Measured, fit: _Fit) -> float:
         """Return the normalised square of the newest pose's innovation, or of a larger step."""
         by, numbers = newest.motion.by_unknowns[:5].copy(), self._numbers
         by[:, KNOT:][:, self._hypothesis.fixed] = 0.0
-        measured = self._pose_variance(self.result.pose_noise)
-        expected = by @ self.result.covariance @ by.T + np.diag(measured)
+        expected = by @ self.result.covariance @ by.T
+        expected += newest.motion.pose_covariances(
+            self.result.pose_noise, self._pose_deviations, self._scaling
+        )[-1]
         expected += self._scale * noise_variance(newest.motion.turned, numbers) * np.eye(5)
         error = error_between(newest.motion.end[POSE], newest.interval.poses[-1])
         steps = np.sum(fit.equations.whitened[-numbers.recent :] ** 2, axis=1)
@@ -195,11 +210,10 @@ class MovingHorizon:
     def _linearisation(
         self, point: Point, intervals: list[Measured], hypothesis: Hypothesis, scale: float
     ) -> Linearisation:
-        prior, variance = self._prior_of(hypothesis), self._pose_variance(hypothesis.pose_noise)
-        return Linearisation(point, prior, intervals, scale, variance, self._scaling)
-
-    def _pose_variance(self, noise: float) -> Vector:
-        return self._scaling.pose_variance(noise, self._pose_deviations)
+        return Linearisation(
+            point, self._prior_of(hypothesis, intervals[0]), intervals, scale,
+            hypothesis.pose_noise, self._pose_deviations, self._scaling,
+        )
 
     def _relinearised(self, point: Point, intervals: list[Measured]) -> list[Measured]:
         """Return the intervals, linearised again where the point has left their range."""
@@ -256,8 +270,9 @@ class MovingHorizon:
                 known[without] = _approximate(given, hypothesis, fit.scale, without)
             there = given
             if changed is None:
-                variance = self._pose_variance(other.pose_noise)
-                there = given.believing(self._prior_of(other), variance)
+                there = given.believing(
+                    self._prior_of(other, intervals[0]), other.pose_noise
+                )
             cost = _approximate(there, other, fit.scale, without) - known[without]
             kind = None if changed is None else other.events[changed]
             if cost < best.get(kind, (0.0,))[0]:
@@ -272,6 +287,22 @@ class MovingHorizon:
             if cost < least:
                 found, least = tried, cost
         return found
+
+    def _without_disturbance(
+        self, start: Point, intervals: list[Measured], fit: _Fit
+    ) -> _Fit:
+        """Return the fit without momentum, slope and imbalance, if it explains the window as well.
+
+        What was believed is given up when it no longer predicts.
+        """
+        if fit.hypothesis.is_undisturbed:
+            return fit
+        knots = tuple(np.concatenate((knot[POSE], np.zeros(5))) for knot in start.knots)
+        common = start.common.copy()
+        common[IMBALANCE] = 0.0
+        point, other = Point(knots, common), fit.hypothesis.undisturbed
+        found = self._fitted(point, intervals, other, fit.scale)
+        return found if found.equations.cost < fit.equations.cost else fit
 
     def _slide(self) -> None:
         """Sum up the oldest interval in the prior."""
@@ -293,7 +324,7 @@ class MovingHorizon:
         slipped = self.result.slipped + 1
         if Event.SLIPPED in events:
             slipped = list(reversed(events)).index(Event.SLIPPED)
-        errors = fit.equations.steps[:, POSE_ERROR]
+        errors = fit.equations.noise
         noise = float(np.sqrt(np.mean((errors * _QUATERNION) ** 2))) if len(errors) else 0.0
         self.result = Posterior(
             time, fit.point.knots[-1], fit.point.common, covariance, fit.hypothesis.is_undisturbed,

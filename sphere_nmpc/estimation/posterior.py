@@ -9,13 +9,15 @@ import numpy as np
 from sphere_nmpc.estimation.events import TIGHT
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.estimation.unknowns import (
+    DISTURBANCE,
+    EXACT,
     IMBALANCE,
     KNOT,
     LAG,
-    LOCAL,
     MOMENTUM_ERROR,
     POSE_ERROR,
     SLOPE_ERROR,
+    PoseNoise,
     Scaling,
     disturbance_of,
 )
@@ -24,8 +26,6 @@ from sphere_nmpc.model.state import MOMENTUM, POSE, POSE_SIZE, Vector
 
 _NEVER = 1_000_000
 """Number of intervals since what has not happened."""
-DISTURBANCE = np.r_[5:KNOT, LOCAL - 3 : LOCAL]
-"""Places of momentum, slope and imbalance among the local unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ class Posterior:
         Scale of the noise's variance [-].
     slipped : int
         Intervals since the sphere has slipped.
-    pose_noise : float
-        Noise of the poses beyond that given [rad; over the radius in m].
+    pose_noise : PoseNoise
+        Noise of the poses beyond that given.
     """
 
     time: float
@@ -64,7 +64,7 @@ class Posterior:
     noise: float = 0.0
     scale: float = 1.0
     slipped: int = _NEVER
-    pose_noise: float = 0.0
+    pose_noise: PoseNoise = EXACT
 
     @classmethod
     def initial(cls, lag: float, scaling: Scaling) -> "Posterior":

@@ -59,6 +59,8 @@ class EstimatorSettings:
     """Standard deviation of the momentum of a push [rad/s]."""
     tilt: float = 15.0
     """Standard deviation of a step of the slope [rad/s^2]."""
+    late: float = 0.1
+    """Standard deviation of the delay of a command that is late or lost [s]."""
     slip: float = 0.2
     """Standard deviation of slip within an interval [rad], and of its path over the radius."""
     rare: float = 14.0
@@ -91,6 +93,7 @@ class EstimatorSettings:
             slope_walk=self.slope_walk * torque / root,
             push=self.push * units.speed,
             tilt=self.tilt * torque,
+            late=self.late * units.time,
         )
 
 

@@ -10,10 +10,12 @@ import numpy as np
 
 from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.events import noise_variance
-from sphere_nmpc.estimation.posterior import DISTURBANCE, Posterior
+from sphere_nmpc.estimation.motion import pose_rate
+from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.unknowns import (
     CONSTANTS,
+    DISTURBANCE,
     IMBALANCE,
     KNOT,
     LOCAL,
@@ -41,14 +43,14 @@ class Tracker:
         plant: PlantEstimate,
         poses: list[tuple[float, Vector]],
         sent: SentInputs,
-        pose_variance: Vector,
+        pose_deviations: Vector,
         scaling: Scaling,
         max_step: float,
         noisy: bool,
     ) -> None:
         self._sent, self._scaling, self._max_step, self._noisy = sent, scaling, max_step, noisy
         self._lag, self._constants = plant.lag, plant.constants.as_array()
-        self._pose_variance = pose_variance
+        self._pose_deviations, self._pose_noise = pose_deviations, result.pose_noise
         self._noise_scale = result.scale
         self.disturbance = result.slope_and_imbalance
         """Slope and imbalance that it predicts with."""
@@ -70,8 +72,8 @@ class Tracker:
     def observe(self, time: float, pose: Vector) -> None:
         """Fuse a pose, shape (6,), measured at control time `time` [s]."""
         if not np.isfinite(self._time):
-            self._covariance[:5, :5] = np.diag(self._pose_variance)
             self._time, self._state = time, np.concatenate((pose, self._state[MOMENTUM]))
+            self._covariance[:5, :5] = self._measured()
             return
         if not self._noisy:
             moved = self._state
@@ -82,7 +84,8 @@ class Tracker:
         self._state, self._covariance = self._moved(time - self._lag)
         self._time = time
         innovation = error_between(self._state[POSE], pose)
-        expected = self._covariance[:5, :5] + np.diag(self._pose_variance)
+        measured = self._measured()
+        expected = self._covariance[:5, :5] + measured
         square = float(innovation @ np.linalg.solve(expected, innovation))
         if square < self._scaling.numbers.improbable:
             known = self._covariance[:5]
@@ -99,8 +102,14 @@ class Tracker:
             self.outliers.difference_update(self._in_a_row)
             self._state = apply_error(self._state, np.concatenate((innovation, np.zeros(3))))
             self._covariance[:5, :] = self._covariance[:, :5] = 0.0
-            self._covariance[:5, :5] = np.diag(self._pose_variance)
+            self._covariance[:5, :5] = measured
             self._in_a_row = []
+
+    def _measured(self) -> Vector:
+        """Return the covariance of a pose measured at the time of the state, shape (5, 5)."""
+        speeds = self._sent.at(self._time - self._lag)
+        rate = pose_rate(self._state, speeds, self._constants, self.disturbance)
+        return self._scaling.pose_covariance(self._pose_noise, self._pose_deviations, rate)
 
     def predict(self, time: float) -> tuple[Vector, Vector]:
         """Return the state at control time `time` [s] and the covariance of its pose, (5, 5)."""

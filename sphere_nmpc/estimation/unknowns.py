@@ -11,6 +11,7 @@ slope's. Local unknowns are the errors of a knot and of the common ones, shape (
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,11 +31,13 @@ MOMENTUM_ERROR = slice(5, 8)
 SLOPE_ERROR = slice(8, 10)
 
 LOCAL = KNOT + COMMON
+DISTURBANCE = np.r_[5:KNOT, LOCAL - 3 : LOCAL]
+"""Places of momentum, slope and imbalance among the local unknowns."""
 
 NORMAL: Vector = np.concatenate((np.ones(4), [0.0, 1.0], np.zeros(3)))
 """Common unknowns of a balanced robot as built, with drives that attain the limit."""
 
-_RANGE = (0.5, 1.6)
+_RANGE = (0.3, 3.0)
 """Range of each constant relative to its nominal value."""
 _LARGEST_RATIO = 0.98
 """The two ratios are below 1 for any mass; the model is singular there."""
@@ -44,6 +47,24 @@ _SHORTEST_LAG = 2e-4
 """A lag below this [s] is taken as zero: it moves the sphere by less than half a millimetre."""
 _ATTAINED = 0.98
 """Share above which the drives count as attaining the limit."""
+
+
+class PoseNoise(NamedTuple):
+    """Noise of measured poses beyond that given.
+
+    Attributes
+    ----------
+    pose : float
+        Standard deviation of the pose [rad; over the radius in m].
+    time : float
+        Standard deviation of the stamp, the time at which it is said to be measured [s].
+    """
+
+    pose: float = 0.0
+    time: float = 0.0
+
+
+EXACT = PoseNoise()
 
 
 def apply_knot_error(knot: Vector, error: Vector) -> Vector:
@@ -104,13 +125,26 @@ class Scaling:
         variance: Vector = np.array([noise * radius] * 2 + [noise] * 3) ** 2 + np.square(given)
         return variance
 
+    def pose_covariance(self, noise: PoseNoise, given: Vector, rates: Vector) -> Vector:
+        """Return the covariances, shape (..., 5, 5), of poses that change at rates, (..., 5).
+
+        A wrong stamp moves a pose along its own velocity. The noise comes beside the deviations
+        `given`, shape (5,) [m, rad]; rates are in m/s and rad/s.
+        """
+        along = noise.time * rates
+        found: Vector = along[..., :, None] * along[..., None, :]
+        found += np.diag(self.pose_variance(noise.pose, given))
+        return found
+
     def within(self, common: Vector) -> Vector:
         """Return the nearest common unknowns, shape (9,), within their range."""
         nominal = self.nominal.as_array()
         lowest, highest = np.full(COMMON, -np.inf), np.full(COMMON, np.inf)
         lowest[CONSTANTS], highest[CONSTANTS] = _RANGE
         highest[2:4] = np.minimum(_RANGE[1], _LARGEST_RATIO / nominal[2:4])
-        lowest[LAG], highest[LAG] = 0.0, self.numbers.longest_lag / self.numbers.lag
+        # Negative where stamps are earlier than the measurements.
+        highest[LAG] = self.numbers.longest_lag / self.numbers.lag
+        lowest[LAG] = -highest[LAG]
         lowest[SHARE], highest[SHARE] = _LEAST_SHARE, 1.0
         kept: Vector = np.minimum(np.maximum(common, lowest), highest)
         return kept
@@ -131,7 +165,7 @@ class Scaling:
     def significant_lag(self, common: Vector) -> float:
         """Return the lag [s], or 0 where it is too short to matter."""
         lag = self.lag(common)
-        return lag if lag >= _SHORTEST_LAG else 0.0
+        return lag if abs(lag) >= _SHORTEST_LAG else 0.0
 
     def attained(self, common: Vector) -> float:
         """Return the acceleration that the drives attain [rad/s^2]; inf where it is the limit."""

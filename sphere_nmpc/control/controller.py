@@ -14,9 +14,9 @@ from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
     Progress,
-    impossible_step,
     relative_error,
 )
+from sphere_nmpc.control.pose_stream import PoseCheck, PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
@@ -98,10 +98,8 @@ class Controller:
         """Poses dropped: not newer than the newest, or too old to be fused."""
         self._is_carried = False
         """Whether the pose has jumped and the rotors have not been stopped since."""
-        self.pose_jumps = 0
-        """Poses to which the sphere cannot have rolled from the one before."""
-        self.last_jump = ""
-        """Description of the step to the newest of these poses."""
+        self.pose_gate = PoseGate(robot)
+        """Outliers and jumps of the poses."""
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
@@ -234,7 +232,8 @@ class Controller:
         if not np.isfinite(time):
             raise InvalidStateError("time of the pose", time, "a finite number [s]")
         try:
-            self._notice_step(time, checked)
+            if self._is_held_back(time, checked):
+                return True
             accepted = self._estimator.observe(time, checked)
         except Exception as error:
             # As in `decide`; without further poses the sphere is stopped.
@@ -243,25 +242,25 @@ class Controller:
         self.late_poses += int(not accepted)
         return accepted
 
-    def _notice_step(self, time: float, state: Vector) -> None:
-        """Begin anew where the sphere has been carried since the newest pose.
+    def _is_held_back(self, time: float, state: Vector) -> bool:
+        """Return whether a pose has to wait for the next one; see `PoseGate`.
 
-        What the rotors do then is not known: a simulator that is reset stops them. So nothing is
-        learnt until they have been stopped.
+        Where the sphere has been carried, all begins anew. What the rotors do then is not known: a
+        simulator that is reset stops them. So nothing is learnt until they have been stopped.
         """
         newest = self._estimator.newest
+        found = PoseCheck.PLAUSIBLE
         if newest is not None and time > newest[0] + REACH:
             # All commands have ended; a prediction over hours would take seconds.
             self._estimator.forget()
-        elif newest is not None and time > newest[0]:
-            step = impossible_step(newest[1], state, time - newest[0], self._robot, self._settings)
-            if step:
-                self.pose_jumps += 1
-                self.last_jump = step
-                self._is_carried = True
-                self._begin_anew()
+        elif newest is None or time > newest[0]:
+            found = self.pose_gate.check(time, state, newest, self._settings)
+        if found is PoseCheck.CARRIED:
+            self._is_carried = True
+            self._begin_anew()
         if self._is_carried:
             self._estimator.forget()
+        return found is PoseCheck.HELD
 
     def observe_rotors(self, time: float, speeds: Vector) -> None:
         """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s].

@@ -42,12 +42,6 @@ _SAME_POSE = 5.0
 _IGNORED = 4.0
 """Rolling that the rotor speeds sent should have caused, over what counts as standing [-], above
 which they have had no effect."""
-_FASTEST = 10.0
-"""Rate of the shell that a push may cause, over the largest that the rotors cause [-]."""
-_SMALLEST = 0.1
-"""Turn of the shell [rad], and displacement in radii, that noise may be without being told."""
-_NO_STEP = 8.0
-"""Standard deviations of a measured pose [-] within which a step may be noise."""
 _NEAR = 0.7
 """Share of the limit of the rotor speeds from which on it is near [-]."""
 _SOON = 60.0
@@ -226,30 +220,6 @@ def _excess(speeds: Vector, decision: Decision, time: float) -> float:
     elapsed = np.array([time - decision.plan.hold.start])
     held = speeds_at_rest(state[MOMENTUM], decision.disturbance, state[QUATERNION], elapsed)[0]
     return float(np.max(np.abs(speeds - held)))
-
-
-def impossible_step(
-    before: Vector, after: Vector, elapsed: float, robot: RobotParameters,
-    settings: ControllerSettings,
-) -> str:
-    """Return what is wrong with a step between two poses that no rolling explains; else "".
-
-    The sphere has then been carried: after a reset of the simulator, or where an estimator
-    corrects its pose. Taken for rolling, the step would be explained by a push. `before` and
-    `after` are measured states, shape (6,), a time `elapsed` [s] apart.
-    """
-    rate = math.sqrt(2.0) * robot.lumped.input_gain * robot.max_rotor_speed
-    turn = _FASTEST * rate * elapsed + _SMALLEST
-    way = robot.shell_radius * turn + _NO_STEP * settings.pose_position_noise
-    turn += _NO_STEP * settings.pose_orientation_noise
-    moved, turned = position_error(before, after), angle_error(before, after)
-    if moved <= way and turned <= turn:
-        return ""
-    return (
-        f"given a step of {moved:.3g} m and {math.degrees(turned):.3g} deg within {elapsed:.3g} "
-        f"s, expected at most {way:.2g} m and {math.degrees(turn):.2g} deg; poses and plans "
-        "before it are dropped"
-    )
 
 
 def rotor_reserve(

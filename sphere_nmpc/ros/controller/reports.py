@@ -220,7 +220,7 @@ class ControllerReports:
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         self._message = plan.message or plan.status.value
         if decision.mode is Mode.POSE_JUMPED:
-            self._message = f"{decision.mode.value}: {self._controller.last_jump}"
+            self._message = f"{decision.mode.value}: {self._controller.pose_gate.last_jump}"
         self._warned = bool(warnings)
         for kind, text in warnings.items():
             self._message = f"{kind}: {text}"
@@ -239,8 +239,11 @@ class ControllerReports:
             log.report("solve failed", decision.plan.message)
         elif failed:
             log.report("controller failed", controller.last_failure)
-        if log.has_risen("pose jumped", controller.pose_jumps):
-            log.report("pose jumped", controller.last_jump)
+        gate = controller.pose_gate
+        if log.has_risen("pose jumped", gate.jumps):
+            log.report("pose jumped", gate.last_jump)
+        if log.has_risen("pose left out", gate.outliers):
+            log.report("pose left out", gate.last_outlier)
 
     def _warnings(self, decision: Decision) -> dict[str, str]:
         """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""
@@ -283,6 +286,7 @@ class ControllerReports:
             "tick p99 ms": tick_ms[1],
             "missed ticks": self._schedule.missed,
             "late poses": self._controller.late_poses,
+            "poses left out": self._controller.pose_gate.outliers,
             "pose age s": float("inf") if decision is None else decision.pose_age,
             **self._fault_log.counts,
         }

@@ -1,0 +1,159 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Monitors of the stream of measured poses: outliers, jumps, and stamps that are not exact."""
+
+import math
+from collections import deque
+from enum import Enum
+
+import numpy as np
+
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector, angle_error, position_error
+from sphere_nmpc.settings import ControllerSettings
+
+_FASTEST = 10.0
+"""Rate of the shell that a push may cause, over the largest that the rotors cause [-]."""
+_SMALLEST = 0.1
+"""Turn of the shell [rad], and displacement in radii, that noise may be without being told."""
+_NO_STEP = 8.0
+"""Standard deviations of a measured pose [-] within which a step may be noise."""
+_WRONG_BY = 0.1
+"""Time by which stamps may be wrong [s]: poses that a bridge sends in bunches."""
+_GAPS = 64
+"""Newest gaps between stamps that are looked at."""
+_ENOUGH = 20
+"""Gaps from which on something is told about them."""
+_SHARE = 0.2
+"""Share of the gaps that has to be wrong for it."""
+_SHORT = 0.1
+"""Gap over the mean of all [-] below which poses come in bunches."""
+_INEXACT = 2e-3
+"""Standard deviation of the stamps from which on it is told [s]: 1.5 mm at the full speed of the
+robot of Table 1."""
+
+
+class PoseCheck(Enum):
+    """What a pose is taken for."""
+
+    PLAUSIBLE = "plausible"
+    HELD = "held back until the next one"
+    CARRIED = "carried"
+
+
+class PoseGate:
+    """Gate for poses to which the sphere cannot have rolled from the newest one.
+
+    Such a pose is held back until the next one tells what it was: an outlier if that follows from
+    the pose before, or the place to which the sphere has been carried if it follows from the pose
+    held back.
+
+    Parameters
+    ----------
+    robot : RobotParameters
+        Robot as built: its radius and largest rate.
+    """
+
+    def __init__(self, robot: RobotParameters) -> None:
+        self._radius = robot.shell_radius
+        self._rate = math.sqrt(2.0) * robot.lumped.input_gain * robot.max_rotor_speed
+        self._held: tuple[float, Vector] | None = None
+        self.outliers = self.jumps = 0
+        """Poses left out, and jumps of the pose, since the start."""
+        self.last_outlier = self.last_jump = ""
+        """Descriptions of the newest of these."""
+
+    def check(
+        self, time: float, pose: Vector, newest: tuple[float, Vector] | None,
+        settings: ControllerSettings,
+    ) -> PoseCheck:
+        """Return what a pose, shape (6,), measured at `time` [s] is taken for.
+
+        `newest` are time and pose of the newest one before; None without any.
+        """
+        held, self._held = self._held, None
+        step = "" if newest is None else self.impossible_step(newest, time, pose, settings)
+        if step and (held is None or self.impossible_step(held, time, pose, settings)):
+            self._held = time, pose
+        elif step:
+            self.jumps += 1
+            self.last_jump = f"{step}; poses and plans before it are dropped"
+            return PoseCheck.CARRIED
+        if held is not None and newest is not None:
+            self.outliers += 1
+            step = self.impossible_step(newest, *held, settings)
+            self.last_outlier = (
+                f"{step}, and the next pose is elsewhere; it is left out: does the source of the "
+                "poses lose sight of the sphere, or see another one?"
+            )
+        return PoseCheck.HELD if self._held else PoseCheck.PLAUSIBLE
+
+    def impossible_step(
+        self, before: tuple[float, Vector], time: float, pose: Vector,
+        settings: ControllerSettings,
+    ) -> str:
+        """Return what is wrong with a step to a pose that no rolling explains; else "".
+
+        Taken for rolling, the step would be explained by a push. `before` are time [s] and pose
+        from which it leads.
+        """
+        elapsed = time - before[0]
+        turn = self._rate * (_FASTEST * elapsed + _WRONG_BY) + _SMALLEST
+        way = self._radius * turn + _NO_STEP * settings.pose_position_noise
+        turn += _NO_STEP * settings.pose_orientation_noise
+        moved, turned = position_error(before[1], pose), angle_error(before[1], pose)
+        if moved <= way and turned <= turn:
+            return ""
+        return (
+            f"given a step of {moved:.3g} m and {math.degrees(turned):.3g} deg within "
+            f"{elapsed:.3g} s, expected at most {way:.2g} m and {math.degrees(turn):.2g} deg"
+        )
+
+
+class StampWatch:
+    """Monitor of stamps that cannot be the times at which poses were measured."""
+
+    def __init__(self) -> None:
+        self._newest = math.nan
+        self._gaps: deque[float] = deque(maxlen=_GAPS)
+
+    def received(self, stamp: float) -> None:
+        """Record the stamp of a pose [s]."""
+        gap, self._newest = stamp - self._newest, stamp
+        if gap >= 0.0:
+            self._gaps.append(gap)
+
+    def fault(self, deviation: float) -> str:
+        """Return what is wrong with the stamps, and the remedy; empty if nothing is.
+
+        `deviation` is the standard deviation of the stamps that the motion shows [s].
+        """
+        gaps = np.array(self._gaps) if len(self._gaps) >= _ENOUGH else np.empty(0)
+        if gaps.size and self._newest == 0.0:
+            return (
+                "given poses without a stamp, expected the time of measurement: the program that "
+                "publishes them has to set header.stamp"
+            )
+        count = max(1, gaps.size)
+        mean = float(np.sum(gaps)) / count
+        same, close = (float(np.sum(gaps <= most)) / count for most in (0.0, _SHORT * mean))
+        if same > _SHARE:
+            return (
+                f"given {100.0 * same:.0f} % of the poses with the same stamp as the one before, "
+                "expected the time of measurement of each: is the clock that stamps them coarse? "
+                "All but the first are dropped"
+            )
+        if close > _SHARE:
+            return (
+                f"given {100.0 * close:.0f} % of the poses less than {1e3 * _SHORT * mean:.2g} ms "
+                f"after the one before, at {1.0 / mean:.3g} Hz, expected the times of "
+                "measurement: poses are stamped where they are measured, not where bunches of "
+                "them are passed on"
+            )
+        if deviation < _INEXACT:
+            return ""
+        return (
+            f"given poses whose stamps are wrong by about {1e3 * deviation:.2g} ms, by the motion "
+            "that they show, expected the times of measurement: stamp them where they are "
+            "measured, by the same clock"
+        )

@@ -97,7 +97,7 @@ def run(
     controller = Controller(settings, ROBOT)
     controller.set_goal(scenario.goal)
     period = 1000.0 / rate
-    instants: Vector = period * np.arange(round(1e3 * duration / period))
+    instants = np.array([k * period for k in range(round(1e3 * duration / period))])
     due = stamped(poses, instants, rng)
     measurements = iter(instants.tolist())
     states: dict[float, Vector] = {}

@@ -227,6 +227,12 @@ class Estimator:
         return declared or any(self._result.pose_noise)
 
     @property
+    def _is_known(self) -> bool:
+        """Whether more knots would tell no more of the constants."""
+        variances = np.diag(self._result.covariance)[KNOT : KNOT + 4]
+        return self._is_noisy or bool(np.max(variances) < self._numbers.known**2)
+
+    @property
     def _pose_deviations(self) -> Vector:
         given = self._settings
         noise = [given.pose_position_noise] * 2 + [given.pose_orientation_noise] * 3
@@ -293,7 +299,9 @@ class Estimator:
         now, vacant = poses[-1][0], _MOST_PENDING - len(self._replies)
         if vacant <= 0:
             return False
-        spacing = max(numbers.spacing, (now - since) / vacant)
+        spacing = max(
+            numbers.spacing if self._is_known else numbers.first_spacing, (now - since) / vacant
+        )
         outliers = self._tracked().outliers
         long_enough = self._index(since + spacing - _SAME)
         ends = (i for i in range(long_enough, len(poses)) if poses[i][0] not in outliers)

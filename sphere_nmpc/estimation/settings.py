@@ -14,7 +14,11 @@ class EstimatorSettings:
 
     # Poses and intervals
     spacing: float = 0.2
-    """Least time between two knots, which are poses [s]."""
+    """Least time between two knots, which are poses [s] ..."""
+    first_spacing: float = 0.1
+    """... and as long as the constants are not known, from exact poses."""
+    known: float = 5e-3
+    """Relative standard deviation below which a constant is known [-]."""
     longest: float = 2.0
     """Longest interval [s]; predictions over longer ones are inaccurate."""
     pose_spacing: float = 0.01
@@ -28,8 +32,9 @@ class EstimatorSettings:
     """Longest integration step of the prediction [s]."""
 
     # Prior
-    constants: float = 0.1
-    """Standard deviation of the constants, relative to those of the robot as built [-]."""
+    constants: tuple[float, float, float, float] = (0.12, 0.22, 0.07, 0.08)
+    """Standard deviations of [Rs, c1, r1, r3], relative to those of the robot as built [-]: those
+    of robots whose masses, sizes and inertias differ by up to 20 %."""
     lag: float = 5e-3
     """Standard deviation of the lag [s]."""
     longest_lag: float = 0.05
@@ -85,6 +90,7 @@ class EstimatorSettings:
         return replace(
             self,
             spacing=self.spacing * units.time,
+            first_spacing=self.first_spacing * units.time,
             longest=self.longest * units.time,
             lead=self.lead * units.time,
             step=self.step * units.time,

@@ -107,7 +107,7 @@ class Scaling:
     def deviations(self) -> Vector:
         """Prior standard deviations, shape (9,), of a robot out of balance."""
         numbers = self.numbers
-        return np.array([numbers.constants] * 4 + [1.0, numbers.share] + [numbers.imbalance] * 3)
+        return np.array([*numbers.constants, 1.0, numbers.share] + [numbers.imbalance] * 3)
 
     @cached_property
     def units(self) -> Vector:

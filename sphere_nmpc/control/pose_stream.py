@@ -114,26 +114,20 @@ class StampWatch:
     """Monitor of stamps that cannot be the times at which poses were measured."""
 
     def __init__(self) -> None:
-        self._newest = math.nan
+        self._newest: tuple[float, Vector] = (math.nan, np.empty(0))
         self._gaps: deque[float] = deque(maxlen=_GAPS)
+        self.deviation = 0.0
+        """Standard deviation of the stamps that the motion shows [s]."""
 
-    def received(self, stamp: float) -> None:
-        """Record the stamp of a pose [s]."""
-        gap, self._newest = stamp - self._newest, stamp
-        if gap >= 0.0:
-            self._gaps.append(gap)
+    def received(self, stamp: float, pose: Vector) -> None:
+        """Record a pose, shape (6,), and its stamp [s]; a copy of the one before counts as it."""
+        (before, same), self._newest = self._newest, (stamp, pose)
+        if stamp > before or (stamp == before and not np.array_equal(pose, same)):
+            self._gaps.append(stamp - before)
 
-    def fault(self, deviation: float) -> str:
-        """Return what is wrong with the stamps, and the remedy; empty if nothing is.
-
-        `deviation` is the standard deviation of the stamps that the motion shows [s].
-        """
+    def fault(self) -> str:
+        """Return what is wrong with the stamps, and the remedy; empty if nothing is."""
         gaps = np.array(self._gaps) if len(self._gaps) >= _ENOUGH else np.empty(0)
-        if gaps.size and self._newest == 0.0:
-            return (
-                "given poses without a stamp, expected the time of measurement: the program that "
-                "publishes them has to set header.stamp"
-            )
         count = max(1, gaps.size)
         mean = float(np.sum(gaps)) / count
         same, close = (float(np.sum(gaps <= most)) / count for most in (0.0, _SHORT * mean))
@@ -150,10 +144,10 @@ class StampWatch:
                 "measurement: poses are stamped where they are measured, not where bunches of "
                 "them are passed on"
             )
-        if deviation < _INEXACT:
+        if self.deviation < _INEXACT:
             return ""
         return (
-            f"given poses whose stamps are wrong by about {1e3 * deviation:.2g} ms, by the motion "
-            "that they show, expected the times of measurement: stamp them where they are "
-            "measured, by the same clock"
+            f"given poses whose stamps are off by about {1e3 * self.deviation:.2g} ms, by the "
+            "motion that they show, expected the times of measurement: stamp them where they are "
+            "measured, by the clock of this node"
         )

@@ -147,6 +147,11 @@ class Estimator:
         """Slope and imbalance as estimated so far."""
         return self._result.slope_and_imbalance
 
+    @property
+    def stamp_deviation(self) -> float:
+        """Standard deviation of the stamps of poses that the motion shows [s]."""
+        return self._result.pose_noise.time
+
     def observe(self, time: float, pose: Vector) -> bool:
         """Take a pose, shape (6,), measured at control time `time` [s]; False if outdated.
 

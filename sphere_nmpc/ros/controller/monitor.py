@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from rclpy.node import Node
 
+from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.timing import MissedSamples
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.graph_monitor import (
@@ -43,6 +44,9 @@ class ControllerMonitor:
         """Whether control time was the same at the check before."""
         self.is_steady = True
         """Whether the clock had not jumped shortly before the last check."""
+        self.stamps = StampWatch()
+        """Stamps of the poses."""
+        self._has_stamp = True
         self._samples = MissedSamples()
         self._counted = (0, 0, 1.0)
         self._time_changed_at = self._pose_seen_at = time.monotonic()
@@ -56,9 +60,9 @@ class ControllerMonitor:
         """The present faults, the most severe first."""
         return self._graph.faults
 
-    def pose_received(self, age: float) -> None:
-        """Record a pose, `age` behind the clock [s]; nan if unknown."""
-        self._pose_received, self._pose_age = True, age
+    def pose_received(self, age: float, stamp: int) -> None:
+        """Record a pose with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
+        self._pose_received, self._pose_age, self._has_stamp = True, age, stamp != 0
 
     def sampled(self, used: int, missed: int, period: float) -> None:
         """Record the numbers of sampling instants, `period` [s] apart, with a plan and without."""
@@ -102,8 +106,12 @@ class ControllerMonitor:
                 follows_clock, self.time, wall - self._time_changed_at, wall - self._pose_seen_at,
                 self._pose_age, pose_timeout, clocks,
                 graph.publishers(self._pose_topic), self._clock_topic, self._pose_topic, others,
+                self._has_stamp,
             )
         )
+        inexact = self.stamps.fault()
+        if inexact:
+            found.append(GraphFault("inexact stamps", inexact, severe=False))
         found += self._missed_samples(wall)
         senders = graph.publishers(self._command_topic)
         found += several_publishers(
@@ -157,6 +165,8 @@ class GraphState:
     clock_topic: str = "/clock"
     pose_topic: str = "/pose"
     other_clocks: Sequence[str] = ()
+    has_stamp: bool = True
+    """Whether the newest pose has a stamp other than 0."""
 
 
 def find_faults(seen: GraphState) -> list[GraphFault]:
@@ -218,6 +228,12 @@ def _wrong_clock(seen: GraphState) -> tuple[str, str] | None:
         return None
     if seen.follows_clock and seen.clock_silence >= SILENCE_LIMIT:
         return None  # paused
+    if not seen.has_stamp:
+        return "no stamp", (
+            f"given poses on {seen.pose_topic} with the stamp 0, expected the time of "
+            "measurement on this node's clock; the program that publishes them has to set "
+            "header.stamp"
+        )
     remedy = "synchronise the clocks of the machines (chrony), or raise pose_timeout"
     if not seen.follows_clock and age > _OTHER_CLOCK_AGE:
         remedy = "they are in simulated time: start this node with -p use_sim_time:=true"

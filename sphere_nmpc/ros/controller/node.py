@@ -202,6 +202,7 @@ class ControllerNode(RunnableNode):
         clock = self._control_clock
         now, watch = clock.now(), clock.watch
         jump = 0.0 if watch.is_steady else watch.step
+        self._monitor.stamps.deviation = self.controller.estimator.stamp_deviation
         self._monitor.check(now, clock.simulated, jump, self._settings.pose_timeout)
         self._reports.update()
         if self._rotor_receiver is not None:
@@ -278,9 +279,10 @@ class ControllerNode(RunnableNode):
             stamp = header_stamp(message)
             measured = self._control_clock.time_of(stamp)
             age = self._schedule.pose_age(measured, now)
-            self._monitor.pose_received(age)
+            self._monitor.pose_received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
             pose = TimedPose(stamp, measured, pose_of_message(message, self._frame))
+            self._monitor.stamps.received(measured, pose.state)
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
             return

@@ -5,6 +5,7 @@
 import re
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from standing import Standing
 
+from sphere_nmpc.model.state import Vector, upright_state
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
@@ -53,14 +55,22 @@ def simulator(graph, **parameters) -> SimulatorNode:
     return node
 
 
-def robot(graph, stamp: Callable[[], float], qos: QoSProfile | int = 10) -> None:
-    """Publish pose and clock at 50 Hz with stamps [s]."""
+def robot(
+    graph, stamp: Callable[[], float], qos: QoSProfile | int = 10,
+    measured: Callable[[int, int], tuple[Vector, int]] = lambda number, now: (CASE.start, now),
+) -> None:
+    """Publish pose and clock at 50 Hz with stamps [s].
+
+    `measured` returns a pose and its stamp [ns], given its number and the stamp now [ns].
+    """
     poses = graph.probe.create_publisher(PoseStamped, "pose", qos)
     clock = graph.probe.create_publisher(Clock, "/clock", 10)
+    numbers = count()
 
     def send() -> None:
         now = round(stamp() * 1e9)
-        poses.publish(pose_to_ros(CASE.start, now, 0.3))
+        pose, stamped = measured(next(numbers), now)
+        poses.publish(pose_to_ros(pose, stamped, 0.3))
         clock.publish(Clock(clock=stamp_to_ros(now)))
 
     graph.probe.create_timer(0.02, send)
@@ -80,6 +90,37 @@ def two_simulators(graph) -> None:
 def pose_sent_best_effort_in_lockstep(graph) -> None:
     robot(graph, time.time, NEWEST)
     controller(graph, use_sim_time=True, lockstep=True)
+
+
+def poses_without_a_stamp(graph) -> None:
+    robot(graph, time.time, measured=lambda number, now: (CASE.start, 0))
+    controller(graph)
+
+
+def turning(number: int) -> Vector:
+    """Return a pose that differs from the one before."""
+    return upright_state(0.0, 0.0, 1e-3 * number)
+
+
+def coarse_clock(graph) -> None:
+    step = 50_000_000
+    robot(graph, time.time, measured=lambda number, now: (turning(number), now // step * step))
+    controller(graph)
+
+
+def bunches_that_are_stamped_when_passed_on(graph) -> None:
+    robot(graph, time.time, measured=lambda number, now: (
+        turning(number), (now // 200_000_000 - 1) * 200_000_000 + number % 8 * 300_000
+    ))
+    controller(graph)
+
+
+def frames_without_the_sphere(graph) -> None:
+    robot(graph, time.time, measured=lambda number, now: (
+        CASE.goal if number % 20 == 10 else CASE.start, now
+    ))
+    controller(graph)
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.start, 0, 0.3))
 
 
 class Slow(Standing):
@@ -124,6 +165,10 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     forgotten_use_sim_time: ("controller", "in simulated time"),
     two_simulators: ("controller", "/clock: given …"),
     pose_sent_best_effort_in_lockstep: ("controller", "incompatible QoS"),
+    poses_without_a_stamp: ("controller", "no stamp"),
+    coarse_clock: ("controller", "clock that stamps them coarse"),
+    bunches_that_are_stamped_when_passed_on: ("controller", "not where bunches of them"),
+    frames_without_the_sphere: ("controller", "pose left out"),
     rate_beyond_the_machine: ("controller", "missed samples"),
     lockstep_without_controller: ("simulator", "time waits"),
     controller_without_lockstep: ("simulator", "does not run in lockstep"),

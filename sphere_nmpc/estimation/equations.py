@@ -85,6 +85,20 @@ class Prior:
             self, information=0.5 * (information + information.T), gradient=gradient
         )
 
+    def renewed(self, mean: Vector, deviations: Vector) -> "Prior":
+        """Return it with other common unknowns, independent ones, shape (9,), and the same pose.
+
+        Momentum and slope are zero, but for their deviations, the first five of shape (14,).
+        """
+        kept = np.linalg.inv(self.information)[POSE_ERROR, POSE_ERROR]
+        covariance = np.zeros((LOCAL, LOCAL))
+        covariance[POSE_ERROR, POSE_ERROR] = kept
+        covariance[5:, 5:] = np.diag(deviations**2)
+        moved: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
+        knot = apply_knot_error(self.knot, moved[:KNOT])
+        knot[MOMENTUM.start :] = 0.0
+        return Prior.of(knot, mean, covariance, self.scale)
+
     def undisturbed(self, variances: Vector) -> "Prior":
         """Return it with momentum, slope and imbalance that are zero, with variances, shape (8,).
 
@@ -288,14 +302,30 @@ class NormalEquations:
         cost += 2.0 * float(np.sum(np.log(_FIXED / given.scaling.deviations[fixed])))
         # SciPy's triangular solver is faster, but its import takes as long as all others here.
         self.step: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
+        self._keep_range(given)
         self._factor: Vector = np.asarray(np.linalg.cholesky(self.information))
         known = 2.0 * float(np.sum(np.log(np.diag(self._factor))))
-        self.cost = cost + float(self.gradient @ self.step) + known
+        change = 2.0 * self.gradient + self.information @ self.step
+        self.cost = cost + float(change @ self.step) + known
         kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
         moved = np.array([self._local(KNOT * k, 2 * KNOT) for k in kept]).reshape(-1, _BLOCK, 1)
         self.whitened: Vector = (errors[kept] + jacobians[kept] @ moved)[:, :, 0]
         deviations = np.sqrt(scale * given.variances[kept])
         self.noise: Vector = deviations[:, None] * self.whitened[:, POSE_ERROR]
+
+    def _keep_range(self, given: Linearisation) -> None:
+        """Change the step so that common unknowns which would leave their range end at its end."""
+        wanted = given.common + self.step[-COMMON:]
+        kept = given.scaling.within(wanted)
+        beyond = np.flatnonzero(kept != wanted)
+        if not beyond.size:
+            return
+        places = self.step.size - COMMON + beyond
+        free = np.setdiff1d(np.arange(self.step.size), places)
+        self.step[places] = (kept - given.common)[beyond]
+        forced = self.gradient + self.information[:, places] @ self.step[places]
+        inner = self.information[np.ix_(free, free)]
+        self.step[free] = np.linalg.solve(inner, -forced[free])
 
     def _add(self, begin: int, width: int, information: Vector, gradient: Vector) -> None:
         """Add information and gradient of `width` unknowns of knots, and of the common ones."""

@@ -32,9 +32,10 @@ from sphere_nmpc.model.state import Vector
 TIGHT = 1e-4
 """Standard deviation of what is zero [rad/s, rad/s^2]: no step, but invertible."""
 
-_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
-"""Noises of the poses beyond that given that are tried [rad; over the radius in m], and of their
-stamps [s]."""
+_POSE_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Noises of the poses beyond that given that are tried [rad; over the radius in m]."""
+_TIME_NOISES = (0.0, 3e-3, 1e-2, 3e-2)
+"""Noises of their stamps that are tried [s]."""
 
 _ACROSS = 0.25
 """Effect of a late command in other directions than that of a short delay, over that [-]."""
@@ -62,12 +63,16 @@ class Hypothesis:
         Whether there is an imbalance; otherwise it is zero.
     weak : bool
         Whether the drives attain less than the acceleration limit.
+    weakened : bool
+        Whether they did before the window.
     disturbed : bool
         Whether there was momentum or slope before the window.
     torques : bool
         Whether slope and imbalance before the window are not those known from older intervals.
     slippery : bool
         Whether the sphere has slipped before the window, so that it will again.
+    renewed : bool
+        Whether the common unknowns are not those known from older intervals.
     pose_noise : PoseNoise
         Noise of the poses beyond that given.
     """
@@ -75,17 +80,28 @@ class Hypothesis:
     events: tuple[Event, ...] = ()
     unbalanced: bool = False
     weak: bool = False
+    weakened: bool = False
     disturbed: bool = False
     torques: bool = False
     slippery: bool = False
+    renewed: bool = False
     pose_noise: PoseNoise = EXACT
 
+    def has_event(self, recent: int) -> bool:
+        """Return whether there is an event in one of the newest intervals."""
+        return any(event is not Event.NONE for event in self.events[-recent:])
+
     @property
-    def undisturbed(self) -> "Hypothesis":
-        """The one that nothing has given the sphere momentum, slope or imbalance, as ever."""
+    def simpler(self) -> list["Hypothesis"]:
+        """Those without what was believed: momentum, slope and imbalance; all of it."""
         torques = (Event.PUSHED, Event.TILTED)
         events = tuple(Event.NONE if event in torques else event for event in self.events)
-        return replace(self, events=events, disturbed=False, torques=False, unbalanced=False)
+        level = replace(self, events=events, disturbed=False, torques=False, unbalanced=False)
+        found = [] if self.is_undisturbed else [level]
+        if self.has_event(len(self.events)):
+            nothing = tuple(Event.NONE for _ in self.events)
+            found.append(replace(level, events=nothing, weak=False, renewed=True))
+        return found
 
     @property
     def fixed(self) -> Vector:
@@ -114,9 +130,9 @@ class Hypothesis:
         # Jumps of a sphere at rest look like a slope for a while.
         events = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
         slips, known = count(Event.SLIPPED), int(self.slippery or Event.SLIPPED not in self.events)
-        others = self.unbalanced + self.weak + self.torques + 2 * (self.pose_noise.pose > 0.0)
-        # Stamps and commands are hardly ever exact.
-        likely = slips - 1 + known + count(Event.LATE) + (self.pose_noise.time > 0.0)
+        others = self.unbalanced + self.torques + self.renewed + (self.weak and not self.weakened)
+        others += 2 * sum(noise > 0.0 for noise in self.pose_noise)
+        likely = slips - 1 + known + count(Event.LATE) + (self.weak and self.weakened)
         return numbers.rare * (events + others + 1 - known) + numbers.again * likely
 
     def extended(self, slippery: bool) -> "Hypothesis":
@@ -128,7 +144,7 @@ class Hypothesis:
         event = self.events[0] in (Event.PUSHED, Event.TILTED)
         return replace(
             self, events=self.events[1:], disturbed=self.disturbed or self.torques or event,
-            torques=False,
+            torques=False, weakened=self.weak,
         )
 
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
@@ -143,8 +159,8 @@ class Hypothesis:
                 changed = replace(self, events=(*events[:i], kind, *events[i + 1 :]))
                 found.append((i, changed))
         pose, time = self.pose_noise
-        noises = [PoseNoise(one, time) for one in _NOISES]
-        noises += [PoseNoise(pose, one) for one in _NOISES]
+        noises = [PoseNoise(one, time) for one in _POSE_NOISES]
+        noises += [PoseNoise(pose, one) for one in _TIME_NOISES]
         others = [replace(self, pose_noise=noise) for noise in noises]
         if momentum:
             for unbalanced, torques in product((False, True), (self.torques, True)):

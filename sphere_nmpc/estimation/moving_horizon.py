@@ -131,10 +131,11 @@ class MovingHorizon:
         surprising = self._surprise(newest, fit) > numbers.rare
         fit = self._with_other_drives(start, intervals, fit, surprising)
         fit = self._improved(start, intervals, fit, not (surprising or self._is_noisy))
-        fit = self._without_disturbance(start, intervals, fit)
+        if surprising or fit.hypothesis.has_event(numbers.recent):
+            fit = self._believing_less(start, intervals, fit)
         self._prior = self._prior_of(fit.hypothesis, fit.intervals[0])
         self._point, self._intervals = fit.point, fit.intervals
-        self._hypothesis, self._scale = fit.hypothesis, fit.scale
+        self._hypothesis, self._scale = replace(fit.hypothesis, renewed=False), fit.scale
         self._publish(fit, time)
 
     @property
@@ -148,7 +149,10 @@ class MovingHorizon:
         """Return the prior, of which a hypothesis may believe less; `first` is its interval."""
         known, numbers, scaling = self._hypothesis, self._numbers, self._scaling
         prior, factor = self._prior, np.zeros((LOCAL, LOCAL))
-        if known.begins_disturbed and not hypothesis.begins_disturbed:
+        if hypothesis.renewed:
+            deviations = np.concatenate((np.full(5, TIGHT), scaling.deviations))
+            prior = prior.renewed(self._initial(prior.common), deviations)
+        elif known.begins_disturbed and not hypothesis.begins_disturbed:
             variances = np.repeat([TIGHT, numbers.imbalance], [5, 3]) ** 2
             prior = prior.undisturbed(variances)
         if hypothesis.pose_noise != known.pose_noise:
@@ -288,21 +292,26 @@ class MovingHorizon:
                 found, least = tried, cost
         return found
 
-    def _without_disturbance(
+    def _initial(self, common: Vector) -> Vector:
+        """Return the common unknowns of the robot as built, shape (9,), with the lag of others."""
+        return self._scaling.prior(self._scaling.lag(common))
+
+    def _believing_less(
         self, start: Point, intervals: list[Measured], fit: _Fit
     ) -> _Fit:
-        """Return the fit without momentum, slope and imbalance, if it explains the window as well.
+        """Return the fit of a hypothesis with less that was believed, if it is more probable.
 
-        What was believed is given up when it no longer predicts.
+        What no longer predicts the motion is given up.
         """
-        if fit.hypothesis.is_undisturbed:
-            return fit
-        knots = tuple(np.concatenate((knot[POSE], np.zeros(5))) for knot in start.knots)
-        common = start.common.copy()
-        common[IMBALANCE] = 0.0
-        point, other = Point(knots, common), fit.hypothesis.undisturbed
-        found = self._fitted(point, intervals, other, fit.scale)
-        return found if found.equations.cost < fit.equations.cost else fit
+        best = fit
+        for other in fit.hypothesis.simpler:
+            knots = tuple(np.concatenate((knot[POSE], np.zeros(5))) for knot in start.knots)
+            common = self._initial(start.common) if other.renewed else start.common.copy()
+            common[IMBALANCE] = 0.0
+            found = self._fitted(Point(knots, common), intervals, other, fit.scale)
+            if found.equations.cost < best.equations.cost:
+                best = found
+        return best
 
     def _slide(self) -> None:
         """Sum up the oldest interval in the prior."""

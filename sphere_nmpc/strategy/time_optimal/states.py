@@ -192,7 +192,8 @@ class Following:
                 if math.isnan(clearance):
                     return None
             arrival = replace(arrival, clearance=clearance)
-        return replace(self, arrival=arrival, planned_at=now, reaches=arrival.error <= dead_band)
+        rests = max(dead_band, settings.leaving_error)
+        return replace(self, arrival=arrival, planned_at=now, reaches=arrival.error <= rests)
 
 
     def as_plan(self, situation: Situation, max_speed: float) -> Plan:

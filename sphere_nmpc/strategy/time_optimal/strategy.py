@@ -229,6 +229,7 @@ class TimeOptimalStrategy:
             self._searches.cancel()
             return Searching()
         found, is_fruitless = self._found(situation, dead_band, deadline)
+        ended = isinstance(state, Following) and state.leads_to(situation)
         if isinstance(state, Following):
             plan = state.aimed_at(situation) if state.leads_to(situation) else state
             kept = plan.solved_again(situation, dead_band, deadline)
@@ -245,7 +246,7 @@ class TimeOptimalStrategy:
             return state
         at_rest = self._is_at_rest(situation)
         band = max(dead_band, tracked)
-        if not tuning.is_small(situation):
+        if ended or not tuning.is_small(situation):
             band = max(band, tuning.leaving_error)
         if not isinstance(state, Holding | Saturated) and at_rest and error < band:
             return Holding(tuning.leaving_band(situation.uncertainty))

@@ -36,13 +36,16 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.clearance import Margin, clearance_of
+from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import stop
 from sphere_nmpc.worker.contract import Worker
 
-_MOTIONS = PlanStatus.SOLVED, PlanStatus.BEST_SO_FAR, PlanStatus.HOLDING
-"""Plans that move the sphere other than to stop it."""
+_LATE = 0.04
+"""Delay of a command from which on its motion is certified as well [s; for the robot of Table 1]:
+that of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
+delay, and a plan that is followed has a margin of 2.1 mm."""
 _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
@@ -105,6 +108,10 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
+        self._situation: Situation | None = None
+        """That of the newest plan of the strategy; None after a decision without one."""
+        self._is_refused = False
+        """Whether the goal was refused at the last sampling instant with a plan."""
         self.failures = 0
         """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
@@ -342,7 +349,11 @@ class Controller:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
-        hold = commands.joined(hold, start, self._settings.control_period)
+        sent = commands.joined(hold, start, self._settings.control_period)
+        is_late = start - decision.plan.hold.start > _LATE * self._settings.units.time
+        if is_late and not decision.plan.stops:
+            sent = self._clear_when_late(hold, sent)
+        hold = sent
         planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
@@ -350,7 +361,34 @@ class Controller:
         commands.record(hold, stops=not planned)
         return hold
 
+    def _clear_when_late(self, hold: FirstOrderHold, sent: FirstOrderHold) -> FirstOrderHold:
+        """Return what is sent of a late plan `hold`: all as it is `sent` or later, a part, a stop.
+
+        It begins in another state than was planned, so that its motion is another one, unless the
+        sphere rests until then. The next plan corrects that, where the motion until then, with a
+        stop, is certified to keep clear.
+        """
+        situation, start = self._situation, sent.start
+        if situation is None or situation.floor is None:
+            return sent
+        commands, period = self._commands, self._settings.control_period
+        durations, speeds = commands.sent.pieces(situation.time, start)
+        times = np.append(0.0, np.cumsum(durations))
+        late = start - hold.start
+        later = commands.joined(hold.delayed(late), start, period)
+        part = commands.joined(hold, start, period, late + period)
+        for each in (sent, later, part):
+            motion = FirstOrderHold(
+                np.append(times, each.times[1:] - situation.time),
+                np.vstack((speeds, each.speeds[1:])),
+            )
+            if not math.isnan(clearance_of(situation, motion, Margin.SENT)):
+                return each
+        situation = replace(situation, time=start, input_in_force=sent.speeds[0])
+        return commands.joined(stop(situation, self._robot, "late").hold, start, period)
+
     def _decide(self, time: float, time_budget: float) -> Decision:
+        self._situation = None
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Mode.NO_POSE, float("inf"))
@@ -426,9 +464,9 @@ class Controller:
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
                 estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
                 plant.slippery, aim.orientation, aim.rate, self.floor,
-                estimate.place_deviation,
+                estimate.place_deviation, self._commands.sent.newest,
             )
-            plan = self._strategy.plan(situation)
+            plan = self._refused(situation) or self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
@@ -436,34 +474,46 @@ class Controller:
             plan = self._certified(situation, plan)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
+            self._situation = situation
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)
 
+    def _refused(self, situation: Situation) -> Plan | None:
+        """Return a stop where the goal is refused, whatever the strategy; None where it is not."""
+        reason, was_refused = refusal(situation), self._is_refused
+        self._is_refused = bool(reason)
+        if not reason:
+            return None
+        if not was_refused:
+            self._reset_strategy()  # its plan leads on from where the sphere was without the stop
+        return stop(situation, self._robot, "no way to the goal", reason)
+
     def _certified(self, situation: Situation, plan: Plan) -> Plan:
         """Return a plan that keeps clear of what is on the floor; a stop in place of another."""
-        moves = plan.status in _MOTIONS and bool(plan.hold.speeds.any())
+        moves = not plan.stops and bool(plan.hold.speeds.any())
         if situation.floor is None or not moves or not math.isnan(plan.clearance):
             return plan
         hold = plan.hold.delayed(-situation.time)
         clearance = clearance_of(situation, hold, Margin.KEPT)
         if not math.isnan(clearance):
             return replace(plan, clearance=clearance)
-        stop = self._hold_or_rest(self._commands.stop, situation.time)
-        if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
-            return replace(plan, hold=stop, states=_states(situation.state))
-        return Plan(
-            PlanStatus.RAMP_TO_REST, stop, _states(situation.state), message="not clear",
-            given_up=f"the goal: plans of the strategy {self._settings.strategy} do not lead "
-            "around what is occupied, those of time_optimal do",
+        stopped = stop(
+            situation, self._robot, "not clear",
+            f"the goal: plans of the strategy {self._settings.strategy} do not lead around what "
+            "is occupied, those of time_optimal do",
         )
+        if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
+            return replace(plan, hold=stopped.hold, states=stopped.states)
+        return stopped
 
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
-        """Return the rest of the hold in force."""
+        """Return the rest of the hold in force; on a floor, for which it may not be, a stop."""
         message = self._record(error)
         self._reset_strategy()
-        hold = self._hold_or_rest(self._commands.in_force, time)
+        commands = self._commands
+        hold = self._hold_or_rest(commands.in_force if self.floor is None else commands.stop, time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:

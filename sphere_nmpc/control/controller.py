@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.goal_motion import GoalMotion, current
+from sphere_nmpc.control.keeping_clear import LATE, clear_command, clear_plan, stop_if_refused
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
@@ -36,16 +36,10 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import stop
 from sphere_nmpc.worker.contract import Worker
 
-_LATE = 0.04
-"""Delay of a command from which on its motion is certified as well [s; for the robot of Table 1]:
-that of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
-delay, and a plan that is followed has a margin of 2.1 mm."""
 _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
@@ -109,7 +103,7 @@ class Controller:
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
         self._situation: Situation | None = None
-        """That of the newest plan of the strategy; None after a decision without one."""
+        """That of the newest plan on a floor; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
         self.failures = 0
@@ -349,43 +343,18 @@ class Controller:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
-        sent = commands.joined(hold, start, self._settings.control_period)
-        is_late = start - decision.plan.hold.start > _LATE * self._settings.units.time
-        if is_late and not decision.plan.stops:
-            sent = self._clear_when_late(hold, sent)
-        hold = sent
+        situation, period = self._situation, self._settings.control_period
+        is_late = start - decision.plan.hold.start > LATE * self._settings.units.time
+        if is_late and situation is not None and not decision.plan.stops:
+            hold = clear_command(situation, hold, commands, start, period, self._robot)
+        else:
+            hold = commands.joined(hold, start, period)
         planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
         self.rotor_feedback.sent(hold)
         commands.record(hold, stops=not planned)
         return hold
-
-    def _clear_when_late(self, hold: FirstOrderHold, sent: FirstOrderHold) -> FirstOrderHold:
-        """Return what is sent of a late plan `hold`: all as it is `sent` or later, a part, a stop.
-
-        It begins in another state than was planned, so that its motion is another one, unless the
-        sphere rests until then. The next plan corrects that, where the motion until then, with a
-        stop, is certified to keep clear.
-        """
-        situation, start = self._situation, sent.start
-        if situation is None or situation.floor is None:
-            return sent
-        commands, period = self._commands, self._settings.control_period
-        durations, speeds = commands.sent.pieces(situation.time, start)
-        times = np.append(0.0, np.cumsum(durations))
-        late = start - hold.start
-        later = commands.joined(hold.delayed(late), start, period)
-        part = commands.joined(hold, start, period, late + period)
-        for each in (sent, later, part):
-            motion = FirstOrderHold(
-                np.append(times, each.times[1:] - situation.time),
-                np.vstack((speeds, each.speeds[1:])),
-            )
-            if not math.isnan(clearance_of(situation, motion, Margin.SENT)):
-                return each
-        situation = replace(situation, time=start, input_in_force=sent.speeds[0])
-        return commands.joined(stop(situation, self._robot, "late").hold, start, period)
 
     def _decide(self, time: float, time_budget: float) -> Decision:
         self._situation = None
@@ -466,50 +435,26 @@ class Controller:
                 plant.slippery, aim.orientation, aim.rate, self.floor,
                 estimate.place_deviation, self._commands.sent.newest,
             )
-            plan = self._refused(situation) or self._strategy.plan(situation)
+            refused, was_refused = stop_if_refused(situation, self._robot), self._is_refused
+            self._is_refused = refused is not None
+            if self._is_refused and not was_refused:
+                self._reset_strategy()  # its plan leads on from where the stop does not
+            plan = refused or self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
                 raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
-            plan = self._certified(situation, plan)
+            plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
-            self._situation = situation
+            self._situation = situation if situation.floor is not None else None
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)
 
-    def _refused(self, situation: Situation) -> Plan | None:
-        """Return a stop where the goal is refused, whatever the strategy; None where it is not."""
-        reason, was_refused = refusal(situation), self._is_refused
-        self._is_refused = bool(reason)
-        if not reason:
-            return None
-        if not was_refused:
-            self._reset_strategy()  # its plan leads on from where the sphere was without the stop
-        return stop(situation, self._robot, "no way to the goal", reason)
-
-    def _certified(self, situation: Situation, plan: Plan) -> Plan:
-        """Return a plan that keeps clear of what is on the floor; a stop in place of another."""
-        moves = not plan.stops and bool(plan.hold.speeds.any())
-        if situation.floor is None or not moves or not math.isnan(plan.clearance):
-            return plan
-        hold = plan.hold.delayed(-situation.time)
-        clearance = clearance_of(situation, hold, Margin.KEPT)
-        if not math.isnan(clearance):
-            return replace(plan, clearance=clearance)
-        stopped = stop(
-            situation, self._robot, "not clear",
-            f"the goal: plans of the strategy {self._settings.strategy} do not lead around what "
-            "is occupied, those of time_optimal do",
-        )
-        if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
-            return replace(plan, hold=stopped.hold, states=stopped.states)
-        return stopped
-
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
-        """Return the rest of the hold in force; on a floor, for which it may not be, a stop."""
+        """Return the rest of the hold in force; on a floor, which may be another one, a stop."""
         message = self._record(error)
         self._reset_strategy()
         commands = self._commands

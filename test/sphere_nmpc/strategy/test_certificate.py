@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from delayed_worker import DelayedWorker
 from floors import DOORWAY, RADIUS, floor_of, least_distance, pose
 from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.floor.way import way_to
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -31,6 +33,8 @@ from sphere_nmpc.strategy.clearance import (
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.time_optimal.searches import SearchTask
 
 SETTINGS = ControllerSettings(planning_effort=20_000)
 LARGER = RobotParameters(shell_radius=1.15 * RADIUS)
@@ -206,6 +210,28 @@ def test_a_command_that_begins_late_is_certified_as_it_is_sent() -> None:
         loop.advance(loop.settings.control_period - loop.delay)
     assert least >= floor.needed - 1e-4
     assert state_error(loop.pose, pose(4.5, 1.0)) < 1e-2
+
+
+def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
+    """By a tenth of the radius, so that there are finitely many rests."""
+    floor, goal = floor_of([*DOORWAY, (1.8, 0.0, 1.9, 2.2)]), pose(4.5, 1.0)
+    loop = SampledLoop(pose(1.0, 1.0), SETTINGS)
+    worker = DelayedWorker(lambda: loop.simulator.time, 0.05)
+    loop.controller = Controller(SETTINGS, ROBOT, worker=worker)
+    loop.controller.floor = floor
+    loop.controller.set_goal(goal)
+    loop.run(16.0)
+    assert state_error(loop.pose, goal) < 1e-2
+    way = way_to(floor, goal[POSITION])
+    tasks = [task for task in worker.tasks if isinstance(task, SearchTask)]
+    left = [way.length(task.rested) for task in tasks if task.rested is not None]
+    assert len(left) > 5
+    falls = -np.diff(left)
+    assert ((falls == 0.0) | (falls > 0.1 * RADIUS - 2e-3)).all()
+    # Nothing does from beside the goal.
+    task = next(task for task in tasks if task.rested is not None)
+    assert isinstance(task(), Arrival)
+    assert replace(task, rested=goal[POSITION] + 0.05)() is None
 
 
 class Given:

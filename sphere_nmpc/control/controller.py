@@ -400,9 +400,10 @@ class Controller:
             mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
         )
         settings = self._settings
-        reached = self._arrival.update(
-            time, relative_error(decision, settings), settings.period
-        )
+        away = relative_error(decision, settings)
+        if self._is_refused and decision.solved:
+            away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
+        reached = self._arrival.update(time, away, settings.period)
         if reached and goals is not None and not goals.is_last:
             self._aim(replace(goals, index=goals.index + 1))
             return decision

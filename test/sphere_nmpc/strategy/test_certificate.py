@@ -12,6 +12,7 @@ from floors import DOORWAY, RADIUS, floor_of, least_distance, pose
 from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.way import way_to
@@ -67,6 +68,20 @@ def test_it_stops_inside_of_an_area_that_is_dropped_over_it(strategy: str, goal:
     loop.controller.floor = floor_of([])
     loop.run(0.5)
     assert not loop.decision.plan.given_up
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_a_goal_in_an_area_is_not_reached_though_the_sphere_is_there(strategy: str) -> None:
+    loop = SampledLoop(pose(1.0, 2.0), replace(SETTINGS, strategy=strategy))
+    loop.controller.floor = floor_of([])
+    loop.controller.set_goal(pose(1.0, 2.0))
+    loop.run(1.0)
+    assert loop.decision.mode is Mode.AT_GOAL
+    loop.controller.floor = floor_of([(0.5, 1.5, 1.5, 2.5)])
+    loop.run(1.0)
+    assert not loop.controller.at_goal
+    assert loop.decision.mode is Mode.TRACKING
+    assert "occupied" in loop.decision.plan.given_up
 
 
 def on_a_line(distance: float) -> Situation:

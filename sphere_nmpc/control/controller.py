@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from sphere_nmpc.control.decision import Decision, Mode
 from sphere_nmpc.control.goal_motion import GoalMotion, current
+from sphere_nmpc.control.keeping_clear import LATE, clear_command, clear_plan, stop_if_refused
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
@@ -36,13 +36,10 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.clearance import Margin, clearance_of
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
 
-_MOTIONS = PlanStatus.SOLVED, PlanStatus.BEST_SO_FAR, PlanStatus.HOLDING
-"""Plans that move the sphere other than to stop it."""
 _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
@@ -103,6 +100,10 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
+        self._situation: Situation | None = None
+        """That of the newest plan on a floor; None after a decision without one."""
+        self._is_refused = False
+        """Whether the goal was refused at the last sampling instant with a plan."""
         self.failures = 0
         """Errors since the start in the processing of poses, estimates, plans and commands."""
         self.last_failure = ""
@@ -341,7 +342,12 @@ class Controller:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
-        hold = commands.joined(hold, start, self._settings.control_period)
+        situation, period = self._situation, self._settings.control_period
+        is_late = start - decision.plan.hold.start > LATE * self._settings.units.time
+        if is_late and situation is not None and not decision.plan.stops:
+            hold = clear_command(situation, hold, commands, start, period, self._robot)
+        else:
+            hold = commands.joined(hold, start, period)
         planned = decision.solved or decision.mode is Mode.FALLBACK
         if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
             return None
@@ -350,6 +356,7 @@ class Controller:
         return hold
 
     def _decide(self, time: float, time_budget: float) -> Decision:
+        self._situation = None
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Mode.NO_POSE, float("inf"))
@@ -392,9 +399,10 @@ class Controller:
             mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
         )
         settings = self._settings
-        reached = self._arrival.update(
-            time, relative_error(decision, settings), settings.period
-        )
+        away = relative_error(decision, settings)
+        if self._is_refused and decision.solved:
+            away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
+        reached = self._arrival.update(time, away, settings.period)
         if reached and goals is not None and not goals.is_last:
             self._aim(replace(goals, index=goals.index + 1))
             return decision
@@ -425,44 +433,32 @@ class Controller:
                 time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
                 estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
                 plant.slippery, aim.orientation, aim.rate, self.floor,
-                estimate.place_deviation,
+                estimate.place_deviation, self._commands.sent.newest,
             )
-            plan = self._strategy.plan(situation)
+            refused, was_refused = stop_if_refused(situation, self._robot), self._is_refused
+            self._is_refused = refused is not None
+            if self._is_refused and not was_refused:
+                self._reset_strategy()  # its plan leads on from where the stop does not
+            plan = refused or self._strategy.plan(situation)
             if not np.isfinite(plan.states).all():
                 raise ArithmeticError("the predicted states are not finite")
             if not isinstance(plan.hold, FirstOrderHold):
                 raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
-            plan = self._certified(situation, plan)
+            plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
+            self._situation = situation if situation.floor is not None else None
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)
 
-    def _certified(self, situation: Situation, plan: Plan) -> Plan:
-        """Return a plan that keeps clear of what is on the floor; a stop in place of another."""
-        moves = plan.status in _MOTIONS and bool(plan.hold.speeds.any())
-        if situation.floor is None or not moves or not math.isnan(plan.clearance):
-            return plan
-        hold = plan.hold.delayed(-situation.time)
-        clearance = clearance_of(situation, hold, Margin.KEPT)
-        if not math.isnan(clearance):
-            return replace(plan, clearance=clearance)
-        stop = self._hold_or_rest(self._commands.stop, situation.time)
-        if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
-            return replace(plan, hold=stop, states=_states(situation.state))
-        return Plan(
-            PlanStatus.RAMP_TO_REST, stop, _states(situation.state), message="not clear",
-            given_up=f"the goal: plans of the strategy {self._settings.strategy} do not lead "
-            "around what is occupied, those of time_optimal do",
-        )
-
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
-        """Return the rest of the hold in force."""
+        """Return the rest of the hold in force; on a floor, which may be another one, a stop."""
         message = self._record(error)
         self._reset_strategy()
-        hold = self._hold_or_rest(self._commands.in_force, time)
+        commands = self._commands
+        hold = self._hold_or_rest(commands.in_force if self.floor is None else commands.stop, time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:

@@ -97,13 +97,15 @@ class Commands:
         is_near = newest is not None and now <= newest.start <= now + MOST_AHEAD
         return newest.start if newest is not None and is_near else now
 
-    def joined(self, hold: FirstOrderHold, start: float, period: float) -> FirstOrderHold:
+    def joined(
+        self, hold: FirstOrderHold, start: float, period: float, reach: float = REACH
+    ) -> FirstOrderHold:
         """Return the hold from the speeds in force at `start` on, within all limits, to rest.
 
-        It stops on its path `REACH` or two control periods `period` [s] later: a robot that gets
-        no further command must not roll on.
+        It stops on its path `reach` [s] or two control periods `period` [s] later: a robot that
+        gets no further command must not roll on.
         """
-        last = start + max(REACH, 2.0 * period)
+        last = start + max(reach, 2.0 * period)
         led = self.sent.leading_to(hold, start)
         if led.end > last:
             stop = stop_on_path(led.starting_at(last, led.at(last)), self._max_acceleration)

@@ -30,6 +30,8 @@ the distance by up to 0.2 of the side along a wall, and by 0.7 near a corner ...
 _MOST_REFINED = 4_000_000
 """... as long as there are no more cells."""
 _OCCUPIED, _DISTANCES = "occupied.npy", "distances.npy"
+_REACH = 4.0
+"""Distance up to which it is told exactly [needed one]."""
 FALL = 1e-3
 """Decrease of the clearance [m] that counts as none where it is too small already."""
 
@@ -110,6 +112,13 @@ class Floor:
         best[outside] = 0.0
         return best
 
+    def is_occupied(self, place: Vector) -> bool:
+        """Return whether a place, shape (2,), is occupied or outside."""
+        height, width = self.grid.occupied.shape
+        column, row = self.grid.local(place).tolist()
+        inside = 0.0 <= column < width and 0.0 <= row < height
+        return not inside or bool(self.grid.occupied[int(row), int(column)])
+
     def about(self, places: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the distances of places, shape (P, 2), to what is occupied [m], but for a cell.
 
@@ -126,9 +135,10 @@ class Floor:
     def distance(self, place: Vector) -> float:
         """Return the exact distance of a place, shape (2,), to what is occupied [m].
 
-        No more than twice the needed one.
+        No more than four times the needed one: a radius may be found to be that of a sphere three
+        times as large.
         """
-        return exact_distance(self.grid, place, 2.0 * self.needed)
+        return exact_distance(self.grid, place, _REACH * self.needed)
 
 
 @lru_cache(maxsize=2)
@@ -179,7 +189,9 @@ def corner_distances(grid: Grid) -> NDArray[np.float32]:
     return found
 
 
-def certified_distance(distances: Vector, lengths: Vector, needed: float) -> float:
+def certified_distance(
+    distances: Vector, lengths: Vector, needed: float, radius: float
+) -> float:
     """Return a distance that a whole path keeps [m], nan if it is not certified to keep enough.
 
     Parameters
@@ -191,16 +203,23 @@ def certified_distance(distances: Vector, lengths: Vector, needed: float) -> flo
     needed : float
         Distance that is to be kept [m]; where the path begins with less, its distance must not
         fall until it has that.
+    radius : float
+        Distance of a contact [m]: a path that begins without one is certified not to have any
+        between its samples either. From within what is occupied no path is certified.
     """
     # From one sample the distance falls and to the next one it rises by no more than the way.
     between = 0.5 * (distances[:-1] + distances[1:] - lengths)
     if distances[0] >= needed:
         least = float(np.min(between, initial=float(distances[0])))
         return least if least >= needed else math.nan
+    start = float(distances[0])
+    if not start > 0.0:
+        return math.nan
     reached = np.maximum.accumulate(distances)
-    # Short of it at the start, a path is only known at its samples.
+    # Short of it at the start, whether a path falls is only known at its samples.
     known = np.where(reached[:-1] < needed, distances[1:], between)
-    if np.any(known < np.minimum(needed, reached[1:]) - FALL):
+    wanted = np.maximum(np.minimum(needed, reached[1:]) - FALL, min(start, radius))
+    if np.any(known < wanted) or (start >= radius and np.any(between < radius)):
         return math.nan
     return float(np.min(distances))
 

@@ -99,29 +99,34 @@ class Way:
         return int((near[0].start + i) * columns + near[1].start + j)
 
 
-def way_to(floor: Floor, goal: Vector) -> Way:
-    """Return the ways to a goal, shape (2,) [m]; the newest ones are kept with the floor."""
-    kept = floor.cache
-    key = f"{goal[0]:.6g} {goal[1]:.6g}"
+def way_to(floor: Floor, goal: Vector, needed: float = 0.0) -> Way:
+    """Return the ways to a goal, shape (2,) [m]; the newest ones are kept with the floor.
+
+    `needed` is the distance that the sphere's centre keeps [m], which is rounded down to cells
+    beyond that of the floor, as it varies where a radius is learnt.
+    """
+    kept, side = floor.cache, floor.fine.resolution
+    needed = floor.needed + side * max(0, int((needed - floor.needed) / side))
+    key = f"{goal[0]:.6g} {goal[1]:.6g} {needed:.6g}"
     found = kept.get(key)
     if not isinstance(found, Way):
         while len(kept) >= _KEPT:
             del kept[next(iter(kept))]
-        found = kept[key] = _way_to(floor, goal)
+        found = kept[key] = _way_to(floor, goal, needed)
     return found
 
 
-def _way_to(floor: Floor, goal: Vector) -> Way:
+def _way_to(floor: Floor, goal: Vector, needed: float) -> Way:
     fine = floor.fine
     stride = max(1, int(_SPACING * floor.radius / fine.resolution + 1e-6))
     while floor.corner_distances.size > _MOST_NODES * stride**2:
         stride += 1
     distances = floor.corner_distances[::stride, ::stride]
     spacing = stride * fine.resolution
-    room = (distances - floor.needed) / (_ROOM * floor.radius)
+    room = (distances - needed) / (_ROOM * floor.radius)
     cost = spacing * (1.0 + _NARROW * np.clip(1.0 - room, 0.0, 1.0)).astype(np.float32)
-    cost[distances < floor.needed + _SURE * floor.radius] *= _UNSURE
-    cost[distances < floor.needed - np.sqrt(0.5) * spacing] = np.inf
+    cost[distances < needed + _SURE * floor.radius] *= _UNSURE
+    cost[distances < needed - np.sqrt(0.5) * spacing] = np.inf
     rows, columns = cost.shape
     column, row = np.rint(fine.local(goal) / stride).astype(int)
     lengths = np.full(cost.shape, np.inf, dtype=np.float32)

@@ -17,7 +17,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 
 _STEP = 0.02
-"""Spacing of the knots of a stop [s]: between them it leaves the path by less than 0.2 mm."""
+"""Spacing of the knots of a stop [s]: between them it leaves the path by less than 0.4 mm."""
 _SHARE = 1.0 - 1e-8
 """Share of the limit that is used, as what exceeds it by rounding would have to be made up for."""
 

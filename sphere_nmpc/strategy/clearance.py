@@ -5,7 +5,8 @@
 Without momentum |v| <= Rs c1 |u|, whatever the orientation, so that the way between two samples of
 a path is no longer than the integral of that bound; the clearance at the samples then bounds that
 between them. With momentum the speed of rolling freely is added, which is an estimate: the
-certificate holds as far as that estimate does.
+certificate holds as far as that estimate does. A sphere inside of what is occupied has no distance
+that it could keep: no motion is certified from there.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.floor.floor import FALL, Floor, certified_distance
-from sphere_nmpc.model.disturbance import is_zero
+from sphere_nmpc.model.disturbance import GRAVITY, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
 from sphere_nmpc.solver.half_motions import Side
@@ -25,14 +26,19 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 
 _SAMPLES = 0.06, 0.015, 0.0025
-"""Longest time between two samples of a path [1 / (c1 u_max)]: 18 mm of the way for Table 1, and 5
-and 0.8 mm where that does not certify it."""
+"""Longest time between two samples of a path [1 / (c1 u_max)]: 25.5 mm of the way for Table 1 with
+both rotors at their limits, and 6.4 and 1.1 mm where that does not certify it."""
 _PADDED = 64
 """Number of which that of the samples is a multiple, as the memory for each number is kept."""
 _DEVIATIONS = 3.0
 """Standard deviations of the position that are added."""
 _AT_GOAL = 1e-3
 """Distance [m] by which a plan may be nearer to what is occupied than the goal is."""
+_ROUNDING, _VARIES = 1e-6, 1e-3
+"""Distances [m] by which a goal may be too near to what is occupied: for radius and clearance, and
+for a radius that is learnt, which varies."""
+_LEAST_SHARE = 0.1
+"""Least share [-] of its inertia about the contact point that an imbalance may leave a sphere."""
 
 
 class Margin(Enum):
@@ -47,19 +53,19 @@ class Margin(Enum):
     """Of one along a straight line."""
     KEPT = 0.007
     """Of one that is being followed."""
+    SENT = 0.0
+    """Of a command that begins later than it was planned."""
 
 
 def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float:
     """Return the distance [m] of the sphere's centre from what is occupied that a plan keeps.
 
-    The margin is for what changes in a plan and for the error of the estimated place. A sphere
-    that is found to be larger than it was said to be uses up the clearance first, as there may be
-    no other way. A goal may be as near as is allowed: a plan to it has no margin that it lacks.
+    The margin is for what changes in a plan and for the error of the estimated place. A goal may
+    be as near as is allowed: a plan to it has no margin that it lacks.
     """
-    larger = max(0.0, situation.constants.shell_radius - floor.needed)
-    beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation + larger
+    beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation
     there = _distance_at(floor, *situation.goal[POSITION].tolist()) - _AT_GOAL
-    return min(floor.needed + beyond, max(there, floor.radius))
+    return min(situation.least_distance + beyond, max(there, situation.radius))
 
 
 @lru_cache(maxsize=2)  # of a goal and of one on the way there the same at nearly every sample
@@ -67,18 +73,45 @@ def _distance_at(floor: Floor, x: float, y: float) -> float:
     return float(floor.distances(np.array([[x, y]]))[0])
 
 
+def refusal(situation: Situation) -> str:
+    """Return why the sphere is not to move, whatever a plan would be; empty if it may."""
+    floor = situation.floor
+    if floor is None:
+        return ""
+    if floor.is_occupied(situation.state[POSITION]):
+        return (
+            "the goal: the place of the sphere is occupied or outside of the floor, so that no "
+            "motion keeps clear"
+        )
+    goal, radius = situation.goal[POSITION], situation.radius
+    distance = _exact_distance_at(floor, *goal.tolist())
+    if distance >= max(floor.needed - _ROUNDING, radius - _VARIES):
+        return ""
+    if distance > 0.0:
+        least = f"radius and clearance, {floor.needed:.3g} m"
+        if radius > floor.needed:
+            least = f"the radius that is learnt, {radius:.3g} m"
+        return f"the goal: it is {distance:.3g} m from what is occupied, less than {least}"
+    return f"the goal: it is {'occupied' if floor.grid.contains(goal) else 'outside of the floor'}"
+
+
+@lru_cache(maxsize=1)  # the same at nearly every sample
+def _exact_distance_at(floor: Floor, x: float, y: float) -> float:
+    return floor.distance(np.array((x, y)))
+
+
 def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> float:
     """Return the clearance that the motion by a hold is certified to keep, from time 0 (now) on.
 
     It is that between the sphere and what is occupied [m], infinite where nothing is; nan where it
-    is not certified to be enough. A sphere that is nearer at the start than it has to be keeps at
-    least that distance.
+    is not certified to be enough. A sphere that is nearer at the start than it has to be comes no
+    nearer, and never into contact.
     """
     floor = situation.floor
     if floor is None:
         return math.inf
     needed = needed_distance(situation, floor, margin)
-    return certified(situation, hold, floor, needed) - floor.radius
+    return certified(situation, hold, floor, needed) - situation.radius
 
 
 def certified(
@@ -100,7 +133,8 @@ def certified(
     spacings = _spacings(situation, hold)
     found: float = solver.hold_clearance(
         hold.times.size - 1, *(array.ctypes.data for array in arrays), *corners.shape,
-        place.ctypes.data, needed, FALL, spacings.ctypes.data, spacings.size,
+        place.ctypes.data, needed, situation.radius, FALL, bound_of_speed(situation),
+        spacings.ctypes.data, spacings.size,
     )
     return found
 
@@ -120,7 +154,7 @@ def plain_certified(
     for longest in _spacings(situation, hold):
         path, lengths = sampled_path(situation, hold, float(longest))
         distances = floor.distances(path)
-        found = certified_distance(distances, lengths, needed)
+        found = certified_distance(distances, lengths, needed, situation.radius)
         is_near = distances[0] >= needed and float(np.min(distances)) < needed
         if is_near or not math.isnan(found):
             break  # closer samples would change nothing
@@ -157,8 +191,23 @@ def sampled_path(
     norms = np.linalg.norm(speeds, axis=1)
     if not is_zero(situation.momentum, situation.disturbance):
         norms = norms + np.linalg.norm(states[:, MOMENTUM], axis=1)
-    rate = constants.shell_radius * constants.input_gain
-    return states[:, POSITION], 0.5 * rate * (norms[1:] + norms[:-1]) * np.diff(sampled)
+    ways = 0.5 * bound_of_speed(situation) * (norms[1:] + norms[:-1]) * np.diff(sampled)
+    return states[:, POSITION], ways
+
+
+def bound_of_speed(situation: Situation) -> float:
+    """Return the largest speed of the centre for rotor speeds and momentum of length 1 [m/rad].
+
+    The momentum about the contact point divided by the least inertia about it, over It1 + m: that
+    is 1 without momentum, as no rotor turns about the body's z axis, r1 / r3 for momentum about
+    that axis, and less by twice the length of b with an imbalance (`sphere_nmpc.model.dynamics`).
+    """
+    radius, gain, r1, r3 = situation.constants.as_array().tolist()
+    if is_zero(situation.momentum, situation.disturbance):
+        return float(radius * gain)
+    imbalance = situation.disturbance.imbalance
+    beside = gain * radius / GRAVITY * math.sqrt(imbalance.dot(imbalance))
+    return float(radius * gain / max(min(1.0, r1 / r3) - 2.0 * beside, _LEAST_SHARE))
 
 
 def without_collisions(situation: Situation, side: Side, beyond: Vector | None = None) -> Side:
@@ -192,7 +241,7 @@ def stop_before_contact(situation: Situation, hold: FirstOrderHold) -> str:
     if floor is None:
         return ""
     path, lengths = sampled_path(situation, hold, float(_spacings(situation, hold)[-1]))
-    touched = np.flatnonzero(floor.distances(path) < floor.radius)
+    touched = np.flatnonzero(floor.distances(path) < situation.radius)
     if not touched.size:
         return ""
     whole, free = float(np.sum(lengths)), float(np.sum(lengths[: touched[0]]))

@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import STANDING, Orientation, moved
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, Vector
@@ -52,6 +53,8 @@ class Situation:
         What the sphere has to stay clear of; None where there is nothing.
     place_deviation : float
         Standard deviation of the error of the position [m].
+    in_force : FirstOrderHold or None
+        The newest command sent, which is followed to its end without another; None before it.
     """
 
     time: float
@@ -69,6 +72,22 @@ class Situation:
     goal_rate: Vector = field(default_factory=lambda: STANDING)
     floor: Floor | None = None
     place_deviation: float = 0.0
+    in_force: FirstOrderHold | None = None
+
+    @property
+    def radius(self) -> float:
+        """Radius in force [m]: the larger one of built and learnt, which nothing may be within."""
+        learnt = self.constants.shell_radius
+        return learnt if self.floor is None else max(self.floor.radius, learnt)
+
+    @property
+    def least_distance(self) -> float:
+        """Least distance of the sphere's centre from what is occupied [m]; 0 without a floor.
+
+        A sphere that is found to be larger than it was built uses up the clearance first, as there
+        may be no other way; a goal is not refused where the learnt radius varies by less.
+        """
+        return 0.0 if self.floor is None else max(self.floor.needed, self.radius)
 
     @property
     def momentum(self) -> Vector:

@@ -76,6 +76,12 @@ class Plan:
     clearance: float = float("nan")
     beyond: float = 0.0
 
+    @property
+    def stops(self) -> bool:
+        """Whether all that it does is to bring the rotors to the speeds at which they stay."""
+        saturated = self.status is PlanStatus.SATURATED and len(self.states) < 2
+        return saturated or self.status is PlanStatus.RAMP_TO_REST
+
     def distance_left(self, now: float) -> float:
         """Return the length of the way to the goal from `now` [s] on [m]; nan without a plan.
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Rest with momentum: commands that hold it, and the nearest goal at which they can.
+"""Rest and stops, with momentum too: commands that hold it, and the nearest goal to hold it at.
 
 The rotors hold what is perpendicular to the body's z axis. Momentum that comes from pushes, slopes
 and imbalance is horizontal, so every upright goal can be held; at another one the component along
@@ -8,13 +8,24 @@ that axis would turn the sphere. At rest on a slope or out of balance the moment
 its rate must be perpendicular to the axis, too.
 """
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import Disturbance, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
+SMALL_MOMENTUM = 1.0
+"""Momentum [rad/s] that is small. A sphere with less rolls steadily, rests and stops on its path
+as one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
+plan for a momentum that differs by less can still be followed."""
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
 REST_TIME = 1.0
@@ -36,6 +47,14 @@ _STEP = 1e-6
 """Step of the difference quotients [rad]."""
 _LARGEST_TURN = 0.5
 """Largest change of an iteration [rad]."""
+
+
+def is_small(situation: Situation, limit: float = SMALL_MOMENTUM) -> bool:
+    """Return whether the momentum is small, together with what is added in the next second."""
+    disturbance = situation.disturbance
+    vectors = situation.momentum, disturbance.slope, disturbance.imbalance
+    # On three numbers a norm by NumPy takes twice as long.
+    return sum(math.sqrt(v.dot(v)) for v in vectors) < limit
 
 
 def speeds_of_rest(momentum: Vector, quaternion: Vector, max_speed: float) -> Vector:
@@ -76,6 +95,33 @@ def ramp_to(
     """
     ramp = FirstOrderHold.ramp_to_rest(time, speeds - target, max_acceleration)
     return FirstOrderHold(ramp.times, ramp.speeds + target)
+
+
+def come_to_rest(
+    situation: Situation, robot: RobotParameters, message: str,
+    status: PlanStatus = PlanStatus.HOLDING,
+) -> Plan:
+    """Return a plan that brings the rotors to the speeds of rest and holds the momentum."""
+    momentum, quaternion = situation.momentum, situation.state[QUATERNION]
+    limit = robot.max_rotor_speed
+    target = speeds_of_rest(momentum, quaternion, limit)
+    in_force = situation.input_in_force
+    hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
+    hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
+    states: Vector = situation.state[None, :]
+    return Plan(status, hold, states, message=message)
+
+
+def stop(situation: Situation, robot: RobotParameters, message: str, given_up: str = "") -> Plan:
+    """Return a plan to rest, where anything is on the floor on the path in force."""
+    status, in_force = PlanStatus.RAMP_TO_REST, situation.in_force
+    moving = bool(np.any(situation.input_in_force)) and is_small(situation)
+    if situation.floor is None or in_force is None or not moving:
+        plan = come_to_rest(situation, robot, message, status)
+        return replace(plan, given_up=given_up)
+    in_force = in_force.starting_at(situation.time, situation.input_in_force)
+    hold = stop_on_path(in_force, min(robot.max_rotor_acceleration, situation.acceleration))
+    return Plan(status, hold, situation.state[None, :], message=message, given_up=given_up)
 
 
 def holdable_goal(goal: Vector, momentum: Vector, disturbance: Disturbance) -> Vector:

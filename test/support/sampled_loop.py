@@ -24,10 +24,16 @@ _SPACING = 5e-3
 
 @dataclass
 class SampledLoop:
-    """Closed loop of an ideal sphere from rest at `start`, shape (6,), on."""
+    """Closed loop of an ideal sphere from rest at `start`, shape (6,), on.
+
+    The sphere is that of `plant`, which the controller knows as `ROBOT`; each command is sent
+    `delay` [s] after the instant that it was planned for.
+    """
 
     start: Vector
     settings: ControllerSettings = field(default_factory=ControllerSettings)
+    plant: RobotParameters = ROBOT
+    delay: float = 0.0
     controller: Controller = field(init=False)
     simulator: Simulator = field(init=False)
     in_force: FirstOrderHold = field(init=False)
@@ -37,8 +43,8 @@ class SampledLoop:
     def __post_init__(self) -> None:
         self.controller = Controller(self.settings, ROBOT)
         self.simulator = Simulator(
-            SimulatorSettings(initial_state=tuple(self.start)), ROBOT,
-            make_plant("rolling", ROBOT, self.start),
+            SimulatorSettings(initial_state=tuple(self.start)), self.plant,
+            make_plant("rolling", self.plant, self.start),
         )
 
     @property
@@ -52,7 +58,9 @@ class SampledLoop:
         if seen:
             self.controller.observe(now, self.simulator.measured_state())
         self.decision = self.controller.decide(now)
-        hold = self.controller.commit(self.decision, now)
+        if self.delay:
+            self.advance(self.delay)
+        hold = self.controller.commit(self.decision, self.simulator.time)
         if hold is not None:
             self.in_force = hold
             self.simulator.follower.follow_trajectory(hold)
@@ -73,7 +81,7 @@ class SampledLoop:
         end, period = self.simulator.time + duration, self.settings.control_period
         while self.simulator.time < end - 1e-9:
             self.sample()
-            self.advance(min(period, end - self.simulator.time))
+            self.advance(min(period - self.delay, end - self.simulator.time))
 
     def path(self) -> Vector:
         """Return the path of the hold in force from now on, at poses 1 mm apart, shape (K, 6)."""

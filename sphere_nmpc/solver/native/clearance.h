@@ -30,7 +30,7 @@ static double distance_at(const floor_corners *f, double x, double y)
     return least;
 }
 
-static double bound_of_speed(const double *inputs, const double *state, int is_disturbed)
+static double speeds_of(const double *inputs, const double *state, int is_disturbed)
 {
     double speed = hypot(inputs[0], inputs[1]);
     if (is_disturbed)
@@ -44,13 +44,16 @@ static double bound_of_speed(const double *inputs, const double *state, int is_d
    where they would not. */
 static int certify(int64_t intervals, const double *constants, const double *torques,
                    const double *durations, const double *inputs, const double *start,
-                   const floor_corners *f, double needed, double fall, double longest,
-                   int is_disturbed, double *found)
+                   const floor_corners *f, double needed, double radius, double fall, double rate,
+                   double longest, int is_disturbed, double *found)
 {
-    double states[2][STATE], ends[4], rate = constants[0] * constants[1];
+    double states[2][STATE], ends[4];
     memcpy(states[1], start, sizeof states[1]);
     double before = distance_at(f, start[0], start[1]), reached = before, least = before;
     int has_enough = before >= needed;
+    /* Inside of what is occupied there is no distance that could be kept. */
+    if (!(before > 0.0)) return -1;
+    double kept = fmin(before, radius), contact = before >= radius ? radius : 0.0;
     for (int64_t m = 0; m < intervals; m++) {
         int64_t parts = (int64_t)fmax(1.0, ceil(durations[m] / longest));
         double step = durations[m] / (double)parts;
@@ -59,8 +62,8 @@ static int certify(int64_t intervals, const double *constants, const double *tor
             inputs_at(inputs + 2 * m, (double)(k + 1) / (double)parts, ends + 2);
             memcpy(states[0], states[1], sizeof states[0]);
             hold_roll_out(1, INFINITY, constants, torques, &step, ends, states[0]);
-            double speeds = bound_of_speed(ends, states[0], is_disturbed)
-                            + bound_of_speed(ends + 2, states[1], is_disturbed);
+            double speeds = speeds_of(ends, states[0], is_disturbed)
+                            + speeds_of(ends + 2, states[1], is_disturbed);
             double here = distance_at(f, states[1][0], states[1][1]);
             /* From one sample it falls and to the next one it rises by no more than the way. */
             double between = 0.5 * (before + here - 0.5 * rate * speeds * step);
@@ -69,10 +72,11 @@ static int certify(int64_t intervals, const double *constants, const double *tor
                 if (between < needed) return 0;
                 least = fmin(least, between);
             } else {
-                /* Short of it at the start, a path is only known at its samples. */
+                /* Short of it at the start, whether a path falls is only known at its samples. */
                 double known = reached < needed ? here : between;
                 reached = fmax(reached, here);
-                if (known < fmin(needed, reached) - fall) return 0;
+                if (known < fmax(fmin(needed, reached) - fall, kept) || between < contact)
+                    return 0;
                 least = fmin(least, here);
             }
             before = here;
@@ -84,19 +88,21 @@ static int certify(int64_t intervals, const double *constants, const double *tor
 
 /* Return the distance [m] that a motion keeps, nan where it is not certified to keep enough.
 
-   `grid` are place x, y [m], cosine and sine of the heading, and side of the cells [m]; `spacings`
-   the distances of samples [s] that are tried one after the other. */
+   `grid` are place x, y [m], cosine and sine of the heading, and side of the cells [m]; `radius` is
+   the distance of a contact [m], `rate` the bound of the centre's speed for inputs of length 1
+   [m/rad], and `spacings` are the distances of samples [s] that are tried one after the other. */
 double hold_clearance(int64_t intervals, const double *constants, const double *torques,
                       const double *durations, const double *inputs, const double *start,
                       const float *distances, int64_t rows, int64_t columns, const double *grid,
-                      double needed, double fall, const double *spacings, int64_t levels)
+                      double needed, double radius, double fall, double rate,
+                      const double *spacings, int64_t levels)
 {
     floor_corners f = {distances, rows, columns, grid[0], grid[1], grid[2], grid[3], grid[4]};
     int is_disturbed_motion = is_disturbed(start, torques);
     double found = NAN;
     for (int64_t level = 0; level < levels; level++) {
         int result = certify(intervals, constants, torques, durations, inputs, start, &f, needed,
-                             fall, spacings[level], is_disturbed_motion, &found);
+                             radius, fall, rate, spacings[level], is_disturbed_motion, &found);
         if (result != 0) return result > 0 ? found : NAN;
     }
     return NAN;

@@ -73,7 +73,7 @@ def _loaded() -> ctypes.CDLL:
         ("hold_way", None, [*[count] * 3, *[address] * 5]),
         (
             "hold_clearance", number,
-            [count, *[address] * 6, count, count, address, number, number, address, count],
+            [count, *[address] * 6, count, count, address, *[number] * 4, address, count],
         ),
     ):
         function = getattr(solver, name)

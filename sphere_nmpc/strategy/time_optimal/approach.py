@@ -52,7 +52,7 @@ class Approach(NamedTuple):
 def is_narrow(situation: Situation, floor: Floor) -> bool:
     """Return whether there is little room at the goal."""
     there = float(floor.distances(situation.goal[None, POSITION])[0])
-    return there < floor.needed + _NARROW * floor.radius
+    return there < situation.least_distance + _NARROW * floor.radius
 
 
 def approach_to(situation: Situation, way: Way, solver: ArrivalSolver) -> Approach | None:
@@ -70,7 +70,8 @@ def approach_to(situation: Situation, way: Way, solver: ArrivalSolver) -> Approa
         hold, here = found
         holds.append(hold)
         place = here.state[POSITION]
-        if float(floor.distances(place[None, :])[0]) > floor.needed + _OPEN * floor.radius:
+        room = float(floor.distances(place[None, :])[0]) - situation.least_distance
+        if room > _OPEN * floor.radius:
             break
         path = path[int(np.argmin(np.linalg.norm(path - place, axis=1))) :]
     if not holds:
@@ -87,7 +88,7 @@ def _line(
     lengths = floor.radius * np.array(_LENGTHS)
     on_path = [path[int(np.argmax(away >= length))] for length in lengths if away[-1] > length]
     targets = np.array([*on_path, *(place + length * _away(floor, place) for length in lengths)])
-    room = floor.distances(targets) - floor.needed
+    room = floor.distances(targets) - situation.least_distance
     seen = in_sight(floor, place, targets, needed) & (room > 0.0)
     best, most = None, -math.inf
     for target, there in zip(targets[seen], room[seen], strict=True):

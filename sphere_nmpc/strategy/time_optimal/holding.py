@@ -31,7 +31,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import hold_momentum, ramp_to, speeds_of_rest
+from sphere_nmpc.strategy.rest import come_to_rest
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _TRACKED, _TRACKING_PERIOD = 6, 0.2
@@ -140,18 +140,3 @@ def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
         settings, horizon=_TRACKED, sample_period=_TRACKING_PERIOD * time, terminal_weight=1.0,
         input_weight=_TRACKING_WEIGHT / settings.units.max_speed**2, max_iterations=_ITERATIONS,
     )
-
-
-def come_to_rest(
-    situation: Situation, robot: RobotParameters, message: str,
-    status: PlanStatus = PlanStatus.HOLDING,
-) -> Plan:
-    """Return a plan that brings the rotors to the speeds of rest and holds the momentum."""
-    momentum, quaternion = situation.momentum, situation.state[QUATERNION]
-    limit = robot.max_rotor_speed
-    target = speeds_of_rest(momentum, quaternion, limit)
-    in_force = situation.input_in_force
-    hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
-    hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
-    states: Vector = situation.state[None, :]
-    return Plan(status, hold, states, message=message)

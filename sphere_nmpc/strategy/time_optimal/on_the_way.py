@@ -9,7 +9,6 @@ nothing, the sphere rolls straight on, from rest to rest.
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,10 +33,11 @@ _STRAIGHT = 10.0, 5.0, 3.0, 1.5, 0.75, 0.3, 0.1
 """Distances along the way [Rs] of places to which the sphere may roll straight."""
 _REST_COSTS = 1.5
 """Time of the rest of a way, over that of rolling it without a stop: there will be others."""
-_ROUNDING = 1e-6
-"""Distance [m] by which a goal may be too near to what is occupied."""
 _BEYOND = 1.5
 """Distance [Rs] by which it is then beyond what is in sight: motions are not straight."""
+_LEAST_GAIN = 0.1
+"""Length [Rs] by which the way left at the end of a part has to be less than where the sphere has
+last rested: there are then finitely many rests on the way to a goal."""
 _WORTH_IT = 0.7
 """Share of the distance of the farthest place in sight that one with more room has to have."""
 
@@ -66,39 +66,18 @@ class Aim(NamedTuple):
     detour: float = 0.0
 
 
-def refusal(situation: Situation) -> str:
-    """Return why the goal cannot be had wherever the sphere is; empty if it can."""
-    floor = situation.floor
-    return "" if floor is None else _refusal(floor, *situation.goal[POSITION].tolist())
-
-
-@lru_cache(maxsize=1)  # the same at nearly every sample
-def _refusal(floor: Floor, x: float, y: float) -> str:
-    place = np.array((x, y))
-    distance = floor.distance(place)
-    if distance >= floor.needed - _ROUNDING:
-        return ""
-    if distance > 0.0:
-        return (
-            f"the goal: it is {distance:.3g} m from what is occupied, less than radius and "
-            f"clearance, {floor.needed:.3g} m"
-        )
-    found = "occupied" if floor.grid.contains(place) else "outside of the floor"
-    return f"the goal: it is {found}"
-
-
 def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
     """Return what to aim at: the goal if it is in sight, else the farthest place that is.
 
     After `fruitless` searches it is nearer each time.
     """
     place, goal = situation.state[POSITION], situation.goal[POSITION]
-    way = way_to(floor, goal)
+    way = way_to(floor, goal, situation.least_distance)
     path = way.path(place)
     if len(path) == 0:
         return Aim(situation, way, reason=(
-            f"the goal: no way with {floor.needed:.3g} m (radius and clearance) on either side "
-            "leads there from the place of the sphere"
+            f"the goal: no way with {situation.least_distance:.3g} m (radius and clearance) on "
+            "either side leads there from the place of the sphere"
         ))
     needed = needed_distance(situation, floor, Margin.FOUND)
     near = 0.5**fruitless
@@ -139,14 +118,25 @@ def detour_to_goal(situation: Situation, floor: Floor) -> float:
     needed = needed_distance(situation, floor, Margin.KEPT)
     if in_sight(floor, place, goal[None, :], needed)[0]:
         return 0.0
-    return max(1e-3, way_to(floor, goal).length(place) - float(np.linalg.norm(goal - place)))
+    way = way_to(floor, goal, situation.least_distance)
+    return max(1e-3, way.length(place) - float(np.linalg.norm(goal - place)))
 
 
-def rolled_straight(situation: Situation, way: Way, solver: ArrivalSolver) -> Arrival | None:
+def leads_on(way: Way, rested: Vector, place: Vector) -> bool:
+    """Return whether a part that ends at a place leads on from where the sphere has last rested.
+
+    Both are of shape (2,) [m].
+    """
+    return way.length(place) <= way.length(rested) - _LEAST_GAIN * way.floor.radius
+
+
+def rolled_straight(
+    situation: Situation, way: Way, solver: ArrivalSolver, rested: Vector
+) -> Arrival | None:
     """Return the fastest of the straight lines that lead on along a way, from rest to rest.
 
     It is there where a search finds nothing, as long as it is clear of what is occupied: the
-    orientation does not matter to it.
+    orientation does not matter to it. The sphere has last `rested` at a place, shape (2,) [m].
     """
     floor, place = way.floor, situation.state[POSITION]
     path = way.path(place)
@@ -161,7 +151,9 @@ def rolled_straight(situation: Situation, way: Way, solver: ArrivalSolver) -> Ar
     speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
     for target in seen:
         found = straight_arrival(situation, target, solver)
-        if found is None or not is_clear(situation, found.hold, Margin.STRAIGHT):
+        if found is None or not leads_on(way, rested, found.states[-1, POSITION]):
+            continue
+        if not is_clear(situation, found.hold, Margin.STRAIGHT):
             continue
         cost = found.duration + _REST_COSTS * way.length(found.states[-1, POSITION]) / speed
         if cost < least:

@@ -28,6 +28,7 @@ from sphere_nmpc.strategy.time_optimal.on_the_way import (
     Aim,
     aimed,
     detour_to_goal,
+    leads_on,
     rolled_straight,
     time_to_go,
 )
@@ -82,6 +83,9 @@ class SearchTask:
     fruitless : int
         Searches before it that have found nothing; a goal on the way around obstacles is then
         nearer.
+    rested : ndarray of shape (2,), or None
+        Where the sphere has last rested [m], from which a part of the way has to lead on; None
+        where it is now.
     """
 
     robot: RobotParameters
@@ -93,6 +97,7 @@ class SearchTask:
     from_rest: bool = False
     known: FirstOrderHold | None = None
     fruitless: int = 0
+    rested: Vector | None = None
 
     def __call__(self, store: Store | None = None) -> Arrival | NoWay | None:
         """Return the earliest arrival that is found, but for the one that is known."""
@@ -128,8 +133,11 @@ class SearchTask:
         if not aim.is_goal:
             search = ArrivalSearch(solver, aim.situation, self.seed, detour=aim.detour)
             found = search.improve(self.effort, end)
+        rested = situation.state[POSITION] if self.rested is None else self.rested
+        if found is not None and not leads_on(aim.way, rested, found.states[-1, POSITION]):
+            found = None
         if found is None and self.from_rest:
-            found = rolled_straight(situation, aim.way, solver)
+            found = rolled_straight(situation, aim.way, solver, rested)
         if found is None:
             return None
         there = found.states[-1, POSITION]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.rest import SMALL_MOMENTUM, is_small
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _TABLE_1 = RobotParameters()
@@ -21,10 +22,8 @@ class TimeOptimalSettings:
     quaternion components together), as in the metrics of a study.
     """
 
-    small_momentum: float = 1.0
-    """Momentum [rad/s] that is small. A sphere with less rolls steadily and rests at the goal as
-    one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
-    plan for a momentum that differs by less can still be followed."""
+    small_momentum: float = SMALL_MOMENTUM
+    """Momentum [rad/s] that is small."""
 
     # Knots of a plan
 
@@ -137,10 +136,7 @@ class TimeOptimalSettings:
 
     def is_small(self, situation: Situation) -> bool:
         """Return whether the momentum is small, together with what is added in the next second."""
-        disturbance = situation.disturbance
-        vectors = situation.momentum, disturbance.slope, disturbance.imbalance
-        # On three numbers a norm by NumPy takes twice as long.
-        return sum(math.sqrt(v.dot(v)) for v in vectors) < self.small_momentum
+        return is_small(situation, self.small_momentum)
 
     def is_out_of_balance(self, situation: Situation) -> bool:
         """Return whether plans end without momentum along the body's z axis by an imbalance."""

@@ -79,6 +79,8 @@ class Following:
         Number of the search that has found it.
     final : ndarray of shape (6,), or None
         Final goal, where that of the plan is on the way to it.
+    rested : ndarray of shape (2,), or None
+        Where the sphere has rested before the plan and those that it has taken the place of [m].
     """
 
     arrival: Arrival
@@ -88,6 +90,7 @@ class Following:
     fruitless: int = 0
     motion: int = 0
     final: Vector | None = None
+    rested: Vector | None = None
 
     @property
     def arrives(self) -> float:

@@ -19,24 +19,23 @@ import time
 
 import numpy as np
 
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.path_stop import stop_on_path
-from sphere_nmpc.model.state import QUATERNION, nearer_sign, state_error
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.clearance import stop_before_contact
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import (
     SATURATED,
+    come_to_rest,
     is_saturated,
     speeds_of_rest,
+    stop,
 )
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
-from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal, come_to_rest
-from sphere_nmpc.strategy.time_optimal.on_the_way import refusal
+from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal
 from sphere_nmpc.strategy.time_optimal.searches import (
     Searches,
     SearchTask,
@@ -115,7 +114,6 @@ class TimeOptimalStrategy:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._state: State = Searching()
         self._last: Situation | None = None
-        self._in_force: FirstOrderHold | None = None
         self._improved_at = -np.inf
         self._no_way = ""
         for searches in (self._in_line, self._beside):
@@ -167,7 +165,6 @@ class TimeOptimalStrategy:
         situation = self._aimed(situation)
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)
-        self._in_force = plan.hold
         if not plan.given_up and self._held_goal.given_up:
             plan = dataclasses.replace(plan, given_up=self._held_goal.given_up)
         if isinstance(self._state, Holding):
@@ -185,9 +182,8 @@ class TimeOptimalStrategy:
             plan = come_to_rest(situation, robot, "saturated", status)
             return dataclasses.replace(plan, given_up=SATURATED)
         plan = self._stop(situation)
-        reason = refusal(situation) or self._no_way
-        if reason:
-            return dataclasses.replace(plan, given_up=reason, message="no way to the goal")
+        if self._no_way:
+            return dataclasses.replace(plan, given_up=self._no_way, message="no way to the goal")
         if situation.floor is not None:
             hold = plan.hold.delayed(-situation.time)
             given_up = stop_before_contact(situation, hold)
@@ -197,14 +193,7 @@ class TimeOptimalStrategy:
         return plan
 
     def _stop(self, situation: Situation) -> Plan:
-        """Return a plan to rest, where anything is on the floor on the path in force."""
-        message, status = "no arrival found yet", PlanStatus.RAMP_TO_REST
-        moving = bool(np.any(situation.input_in_force)) and self._tuning.is_small(situation)
-        if situation.floor is None or self._in_force is None or not moving:
-            return come_to_rest(situation, self._robot, message, status)
-        in_force = self._in_force.starting_at(situation.time, situation.input_in_force)
-        hold = stop_on_path(in_force, self._solver.robot.max_rotor_acceleration)
-        return Plan(status, hold, situation.state[None, :], message=message)
+        return stop(situation, self._robot, "no arrival found yet")
 
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows from `state` and the present situation.
@@ -212,7 +201,6 @@ class TimeOptimalStrategy:
         ========= ======================================================= ==========
         state     condition                                               next state
         ========= ======================================================= ==========
-        any       the goal is occupied, outside or without the clearance  Searching
         Following a search has found an earlier plan, or another goal's   Following
         Following the plan has not ended                                  Following
         other     the rotors cannot hold the momentum at the goal         Saturated
@@ -225,9 +213,6 @@ class TimeOptimalStrategy:
         tuning, goal = self._tuning, situation.goal
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
         error = state_error(situation.state, goal)
-        if refusal(situation):
-            self._searches.cancel()
-            return Searching()
         found, is_fruitless = self._found(situation, dead_band, deadline)
         ended = isinstance(state, Following) and state.leads_to(situation)
         if isinstance(state, Following):
@@ -295,18 +280,20 @@ class TimeOptimalStrategy:
         plan = Following(
             outcome.arrival, begins, solver_for(task.robot, self._tuning), motion=task.seed,
             final=task.situation.goal if outcome.arrival.to_go > 0.0 else None,
+            rested=task.rested,
         )
         return plan.solved_again(situation, dead_band, deadline), False
 
     def _search(
         self, start: Situation, solver: ArrivalSolver, effort: int, longest: float,
         plan: Following | None = None, from_rest: bool = False, fruitless: int = 0,
+        rested: Vector | None = None,
     ) -> None:
         """Begin a search from a situation on, for an earlier arrival if there is a plan."""
         known = None if plan is None else plan.rest(start.time)
         task = SearchTask(
             solver.robot, self._tuning, start, next(self._seeds), effort, longest, from_rest,
-            known, fruitless,
+            known, fruitless, rested,
         )
         self._searches.begin(task)
 
@@ -328,7 +315,8 @@ class TimeOptimalStrategy:
         longest = self._longest(growth, deadline)
         effort = round(growth * self._settings.planning_effort)
         self._search(
-            start, solver, effort, longest, from_rest=at_rest, fruitless=fruitless
+            start, solver, effort, longest, from_rest=at_rest, fruitless=fruitless,
+            rested=situation.state[POSITION],
         )
         return self._found(situation, dead_band, deadline)
 
@@ -364,6 +352,7 @@ class TimeOptimalStrategy:
         self._search(
             start, plan.solver, settings.planning_effort, longest, known,
             fruitless=plan.fruitless if plan.is_part else 0,
+            rested=plan.rested if suits else None,
         )
         if searches.ahead:
             return plan

@@ -84,7 +84,7 @@ def test_certificate_holds_between_samples() -> None:
         chords = np.linalg.norm(np.diff(path, axis=0), axis=1)
         lengths = chords * rng.uniform(1.0, 1.5, chords.size)
         needed = rng.uniform(0.02, 0.2)
-        found = certified_distance(floor.distances(path), lengths, needed)
+        found = certified_distance(floor.distances(path), lengths, needed, 0.0)
         if math.isnan(found) or floor.distances(start)[0] < needed:
             continue
         certified += 1
@@ -108,13 +108,13 @@ def test_certificate_holds_between_samples() -> None:
 def test_certificate_of_a_start_without_clearance() -> None:
     away = np.array([0.24, 0.241, 0.2495, 0.265, 0.27])
     steps = np.full(4, 0.02)
-    assert certified_distance(away, steps, 0.25) == pytest.approx(0.24)
+    assert certified_distance(away, steps, 0.25, 0.2) == pytest.approx(0.24)
     falls = np.array([0.23, 0.24, 0.235, 0.255, 0.27])
-    assert math.isnan(certified_distance(falls, steps, 0.25))
+    assert math.isnan(certified_distance(falls, steps, 0.25, 0.2))
     # Once it has enough it must keep that.
     back = np.array([0.24, 0.25, 0.26, 0.248, 0.26])
-    assert math.isnan(certified_distance(back, steps, 0.25))
-    assert certified_distance(np.array([0.1]), np.empty(0), 0.25) == pytest.approx(0.1)
+    assert math.isnan(certified_distance(back, steps, 0.25, 0.2))
+    assert certified_distance(np.array([0.1]), np.empty(0), 0.25, 0.2) == pytest.approx(0.1)
 
 
 def test_a_floor_reaches_another_process_as_files() -> None:

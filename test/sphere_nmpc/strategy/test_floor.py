@@ -8,15 +8,16 @@ import math
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from floors import DOORWAY, RADIUS, floor_of, least_distance, pose
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.floor.floor import Floor, exact_distance
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector, state_error, without_momentum
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import (
     Margin,
@@ -35,28 +36,10 @@ from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
 ROBOT = RobotParameters()
-RADIUS = ROBOT.shell_radius
 SOLVER = solver_for(ROBOT, TimeOptimalSettings())
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 SIDEWAYS = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 SETTINGS = ControllerSettings(planning_effort=20_000)
-
-
-def pose(x: float, y: float, turn: tuple[float, ...] = LEVEL) -> Vector:
-    return np.array([x, y, *turn])
-
-
-def floor_of(walls: list[tuple[float, float, float, float]], clearance: float = 0.02) -> Floor:
-    """Floor of 6 m by 4 m with walls (x0, y0, x1, y1) on the lines of its cells of 5 cm."""
-    occupied = np.zeros((80, 120), dtype=bool)
-    for wall in walls:
-        x0, y0, x1, y1 = (round(value / 0.05) for value in wall)
-        occupied[y0:y1, x0:x1] = True
-    return Floor(Grid(occupied, 0.05), RADIUS, clearance)
-
-
-DOORWAY = [(3.0, 0.0, 3.1, 1.6), (3.0, 2.3, 3.1, 4.0)]
-"""A wall with a doorway of twice the radius and 0.1 m."""
 
 
 class Loop:
@@ -97,7 +80,7 @@ class Loop:
 
 
 def clearance(floor: Floor, places: Vector) -> float:
-    return min(exact_distance(floor.grid, place, 1.0) for place in places) - RADIUS
+    return least_distance(floor, places) - RADIUS
 
 
 def test_straight_lines_from_any_orientation() -> None:
@@ -199,13 +182,17 @@ def test_a_goal_near_a_wall_is_reached() -> None:
     assert clearance(floor, loop.places) >= floor.clearance - 1e-3
 
 
+@pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize(("x", "y", "reason"), [
     (3.05, 0.5, "it is occupied"),
     (-1.0, 0.5, "outside of the floor"),
     (0.31, 2.0, "0.31 m from what is occupied, less than radius and clearance, 0.32 m"),
 ])
-def test_goals_that_cannot_be_are_refused(x: float, y: float, reason: str) -> None:
-    loop = Loop(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y))
+def test_goals_that_cannot_be_are_refused(
+    x: float, y: float, reason: str, strategy: str
+) -> None:
+    settings = ControllerSettings(strategy=strategy)
+    loop = Loop(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y), settings)
     loop.run(1.0)
     assert reason in loop.given_up
     assert (loop.places == loop.places[0]).all()

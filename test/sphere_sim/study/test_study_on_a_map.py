@@ -28,9 +28,9 @@ from sphere_sim.study.workers import Workers
 ACROSS = Scenario(as_state([-1.0, 0.0, 1, 0, 0, 0]), as_state([1.0, 0.0, 1, 0, 0, 0]))
 """From one side of the wall in the middle to the other."""
 PUSHED = Scenario(
-    *2 * (as_state([-0.6, 0.0, 1, 0, 0, 0]),), push=Push(1.0, (2.0, 0.0))
+    *2 * (as_state([-0.6, 0.0, 1, 0, 0, 0]),), push=Push(1.0, (4.0, 0.0))
 )
-"""Pushed towards that wall, at rest at the goal."""
+"""Pushed towards that wall, at rest at the goal, by more than the rotors can hold."""
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,78 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Guard of the loop on a floor: goals that are refused, plans and commands without a certificate.
+
+Whatever the strategy is, a goal that is refused leads to a stop, and so do a plan that has no
+certificate (`sphere_nmpc.strategy.clearance`) and a command for which that does not hold any more.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sphere_nmpc.control.link import Commands
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import stop
+
+LATE = 0.04
+"""Delay of a command from which on its motion is certified as well [s; for the robot of Table 1]:
+that of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
+delay, and a plan that is followed has a margin of 2.1 mm."""
+
+
+def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None:
+    """Return a stop where the goal is refused, whatever a plan would be; None where it is not."""
+    reason = refusal(situation)
+    return stop(situation, robot, "no way to the goal", reason) if reason else None
+
+
+def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strategy: str) -> Plan:
+    """Return a plan of a strategy with its clearance; a stop in place of one without."""
+    moves = not plan.stops and bool(plan.hold.speeds.any())
+    if situation.floor is None or not moves or not math.isnan(plan.clearance):
+        return plan
+    hold = plan.hold.delayed(-situation.time)
+    clearance = clearance_of(situation, hold, Margin.KEPT)
+    if not math.isnan(clearance):
+        return replace(plan, clearance=clearance)
+    stopped = stop(
+        situation, robot, "not clear",
+        f"the goal: plans of the strategy {strategy} do not lead around what is occupied, those "
+        "of time_optimal do",
+    )
+    if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
+        return replace(plan, hold=stopped.hold, states=stopped.states)
+    return stopped
+
+
+def clear_command(
+    situation: Situation, hold: FirstOrderHold, commands: Commands, start: float, period: float,
+    robot: RobotParameters,
+) -> FirstOrderHold:
+    """Return what is sent of a plan `hold` that begins late, at `start` [s].
+
+    It begins in another state than was planned, so that its motion is another one, unless the
+    sphere rests until then and the plan is as late. Where neither is certified it is sent up to a
+    stop, as the next plan, after `period` [s], corrects that; where that is not, only a stop. All
+    are joined to the speeds in force, see `Commands.joined`.
+    """
+    durations, speeds = commands.sent.pieces(situation.time, start)
+    times, late = np.append(0.0, np.cumsum(durations)), start - hold.start
+    for sent in (
+        commands.joined(hold, start, period),
+        commands.joined(hold.delayed(late), start, period),
+        commands.joined(hold, start, period, late + period),
+    ):
+        motion = FirstOrderHold(
+            np.append(times, sent.times[1:] - situation.time),
+            np.vstack((speeds, sent.speeds[1:])),
+        )
+        if not math.isnan(clearance_of(situation, motion, Margin.SENT)):
+            return sent
+    situation = replace(situation, time=start, input_in_force=speeds[-1])
+    return commands.joined(stop(situation, robot, "late").hold, start, period)

@@ -10,12 +10,11 @@ certificate holds as far as that estimate does.
 
 import math
 from enum import Enum
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.floor.floor import FALL, Floor, certified_distance
+from sphere_nmpc.floor.floor import FALL, Floor, certified_distance, kept_with_floor
 from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
@@ -62,7 +61,7 @@ def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float
     return min(floor.needed + beyond, max(there, floor.radius))
 
 
-@lru_cache(maxsize=2)  # of a goal and of one on the way there the same at nearly every sample
+@kept_with_floor(2)  # of a goal and of one on the way there the same at nearly every sample
 def _distance_at(floor: Floor, x: float, y: float) -> float:
     return float(floor.distances(np.array([[x, y]]))[0])
 

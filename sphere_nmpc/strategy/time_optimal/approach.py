@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.floor.way import Way, in_sight
+from sphere_nmpc.floor.way import in_sight, way_to
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.state import POSE, POSITION, Vector, without_momentum
@@ -55,14 +55,15 @@ def is_narrow(situation: Situation, floor: Floor) -> bool:
     return there < floor.needed + _NARROW * floor.radius
 
 
-def approach_to(situation: Situation, way: Way, solver: ArrivalSolver) -> Approach | None:
+def approach_to(
+    situation: Situation, floor: Floor, solver: ArrivalSolver
+) -> Approach | None:
     """Return an approach to the goal from the open; None where none is found.
 
     It goes back along the way from the sphere to the goal, or away from what is near.
     """
-    floor = way.floor
     here, holds = replace(situation, state=without_momentum(situation.goal)), []
-    path = way.path(situation.state[POSITION])[::-1]
+    path = way_to(floor, situation.goal[POSITION]).path(situation.state[POSITION])[::-1]
     for _ in range(_LINES):
         found = _line(here, floor, path, solver)
         if found is None:

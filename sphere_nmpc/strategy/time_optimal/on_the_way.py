@@ -9,12 +9,11 @@ nothing, the sphere rolls straight on, from rest to rest.
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.floor import Floor, kept_with_floor
 from sphere_nmpc.floor.way import Way, in_sight, way_to
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
@@ -49,8 +48,6 @@ class Aim(NamedTuple):
     ----------
     situation : Situation
         With the goal that is aimed at.
-    way : Way
-        The ways to the final goal.
     is_goal : bool
         Whether the final goal is aimed at.
     reason : str
@@ -60,7 +57,6 @@ class Aim(NamedTuple):
     """
 
     situation: Situation
-    way: Way
     is_goal: bool = False
     reason: str = ""
     detour: float = 0.0
@@ -72,7 +68,7 @@ def refusal(situation: Situation) -> str:
     return "" if floor is None else _refusal(floor, *situation.goal[POSITION].tolist())
 
 
-@lru_cache(maxsize=1)  # the same at nearly every sample
+@kept_with_floor(1)  # the same at nearly every sample
 def _refusal(floor: Floor, x: float, y: float) -> str:
     place = np.array((x, y))
     distance = floor.distance(place)
@@ -93,18 +89,22 @@ def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
     After `fruitless` searches it is nearer each time.
     """
     place, goal = situation.state[POSITION], situation.goal[POSITION]
-    way = way_to(floor, goal)
-    path = way.path(place)
-    if len(path) == 0:
-        return Aim(situation, way, reason=(
-            f"the goal: no way with {floor.needed:.3g} m (radius and clearance) on either side "
-            "leads there from the place of the sphere"
-        ))
     needed = needed_distance(situation, floor, Margin.FOUND)
     near = 0.5**fruitless
     straight = float(np.linalg.norm(goal - place))
-    if fruitless % 2 == 0 and in_sight(floor, place, goal[None, :], needed)[0]:
-        return Aim(situation, way, is_goal=True)
+    # Before the ways are computed, which takes as long as a search on a large floor.
+    if (
+        fruitless % 2 == 0 and floor.distances(place[None, :])[0] > 0.0
+        and in_sight(floor, place, goal[None, :], needed)[0]
+    ):
+        return Aim(situation, is_goal=True)
+    way = way_to(floor, goal)
+    path = way.path(place)
+    if len(path) == 0:
+        return Aim(situation, reason=(
+            f"the goal: no way with {floor.needed:.3g} m (radius and clearance) on either side "
+            "leads there from the place of the sphere"
+        ))
     away = _lengths(path)
     reach = max(_NEAREST, _FARTHEST * near) * floor.radius
     if fruitless and straight < reach:
@@ -130,7 +130,7 @@ def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
         situation, goal=member, orientation=Orientation.ANY,
         goal_rate=np.zeros_like(situation.goal_rate),
     )
-    return Aim(aim, way, detour=detour)
+    return Aim(aim, detour=detour)
 
 
 def detour_to_goal(situation: Situation, floor: Floor) -> float:
@@ -142,13 +142,15 @@ def detour_to_goal(situation: Situation, floor: Floor) -> float:
     return max(1e-3, way_to(floor, goal).length(place) - float(np.linalg.norm(goal - place)))
 
 
-def rolled_straight(situation: Situation, way: Way, solver: ArrivalSolver) -> Arrival | None:
-    """Return the fastest of the straight lines that lead on along a way, from rest to rest.
+def rolled_straight(
+    situation: Situation, floor: Floor, solver: ArrivalSolver
+) -> Arrival | None:
+    """Return the fastest of the straight lines that lead on to the goal, from rest to rest.
 
     It is there where a search finds nothing, as long as it is clear of what is occupied: the
     orientation does not matter to it.
     """
-    floor, place = way.floor, situation.state[POSITION]
+    place, way = situation.state[POSITION], way_to(floor, situation.goal[POSITION])
     path = way.path(place)
     away = _lengths(path)
     lengths = floor.radius * np.array(_STRAIGHT)

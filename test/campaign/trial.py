@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from actions import memory_of
 from catalogue import Fault, name_of
 from hostile import FORGED, random_goal
 from node_session import Session, Settings
@@ -55,6 +56,8 @@ class Outcome:
     """Reasons why it does not count as survived."""
     repetition: int = 0
     """Number of the trial among those of the same fault, from 0 on."""
+    memory: float = 0.0
+    """Resident memory of the controller and its worker at the end [MB]."""
 
     @property
     def survived(self) -> bool:
@@ -106,6 +109,7 @@ class Trial:
         return Outcome(
             self._name, recovery, limits.worst_speed, limits.worst_slew,
             tuple(self._complaints), self._repetition,
+            memory_of(self._session.processes["controller"].pid),
         )
 
     def _apply_faults(self) -> None:

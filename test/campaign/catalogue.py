@@ -174,7 +174,7 @@ HOSTILE = tuple(
         tries.ended,
     )
 ) + tuple(
-    Fault(action.__name__, "floor", action, duration=6.0, goal_again=True)
+    Fault(action.__name__, "floor", action, duration=12.0, goal_again=True)
     for action in (floors.areas, floors.maps, floors.goal_lists)
 )
 """Faults of the fuzzing, which need a session with everything."""

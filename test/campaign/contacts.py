@@ -12,8 +12,9 @@ from sphere_nmpc.model.state import Vector
 STOPPING = 0.5
 """Way [m] that a stop takes at most: a sampling period and the ramp of the rotors at the largest
 speed, 0.742 m/s, and what the controller and this judge learn late."""
-_TOLERANCE = 1e-3
-"""Distance by which the sphere has to be too near for a contact [m]."""
+_TOUCH = 5e-3
+"""Distance [m] below which the sphere counts as in contact: walls of the plant stop it millimetres
+before, and any plan keeps more."""
 _SAME = 1e-2
 """Decrease of the distance by which a new floor has come nearer to the sphere [m]."""
 
@@ -28,15 +29,21 @@ class ContactCheck:
     def __init__(self) -> None:
         self.grid: Grid | None = None
         """What is occupied on the floor in force; None if nothing is."""
+        self.begin()
         self._place: Vector | None = None
         self._left = 0.0
+
+    def begin(self) -> None:
+        """Reset the result, at the beginning of a trial."""
+        self.excused = False
+        """Whether something has come into force too near to be avoided."""
 
     def floor(self, grid: Grid | None) -> None:
         """Take a floor that has come into force."""
         before, self.grid = self._distance(), grid
         now = self._distance()
         if now < RADIUS + STOPPING and now < before - _SAME:
-            self._left = STOPPING
+            self._left, self.excused = STOPPING, True
 
     def observe(self, place: Vector) -> str:
         """Return what is wrong about a place of the sphere, shape (2,) [m]; empty if nothing."""
@@ -45,7 +52,7 @@ class ContactCheck:
         distance = self._distance()
         if distance >= RADIUS + STOPPING:
             self._left = 0.0
-        if distance >= RADIUS - _TOLERANCE:
+        if distance >= RADIUS + _TOUCH:
             return ""
         before, self._left = self._left, self._left - rolled
         if before < 0.0 or self._left >= 0.0:

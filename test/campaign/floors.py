@@ -10,10 +10,12 @@ import array
 import math
 import random
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from actions import Action
-from geometry_msgs.msg import Point32, PolygonInstanceStamped
+from geometry_msgs.msg import Point32, PolygonInstanceStamped, PoseStamped
 from hostile import TEXTS, bad_map, goal_message, map_message
 from nav_msgs.msg import Goals, OccupancyGrid
 from node_session import READY, Session, SessionError
@@ -31,8 +33,10 @@ _AWAY = 1.0
 way of a stop, and what it rolls until that is in force."""
 _IDS = (0, 1, 2, 2**31, 2**32 - 1)
 """Ids of areas, of which each replaces the one before."""
-_PERIODS = 0.1, 0.3, 1.0
+_PERIODS = 0.1, 0.5, 2.0
 """Wall times between two areas [s], of which a trial has one."""
+_GOAL_EVERY = 1.5
+"""Wall time between two goals, so that the sphere moves [s]."""
 _MAP_EVERY = 1.0
 """Wall time between two maps [s]."""
 _LIST_EVERY = 0.2
@@ -47,6 +51,21 @@ _EDGES = (
 """Texts of the parameter `floor`; edges are far from the sphere."""
 
 
+@contextmanager
+def _goals(session: Session, rng: random.Random) -> Iterator[Callable[[], None]]:
+    """Yield a function that sends another goal from time to time."""
+    due = 0.0
+
+    def send() -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + _GOAL_EVERY
+            publisher.publish(goal_message(rng, "valid"))
+
+    with session.publisher(PoseStamped, "goal_pose") as publisher:
+        yield send
+
+
 def areas(session: Session) -> Action:
     """Areas to keep out of and edges: near, far, huge, tiny, moving, over sphere or goal, bad."""
     rng, due = source(session), 0.0
@@ -55,6 +74,7 @@ def areas(session: Session) -> Action:
 
     def send() -> None:
         nonlocal due
+        goal()
         place, judge = session.judge.state, session.judge
         if time.monotonic() < due or place is None or judge.run is None:
             return
@@ -72,7 +92,8 @@ def areas(session: Session) -> Action:
             )
             session.ask("controller/set_parameters", request)
 
-    with session.publisher(PolygonInstanceStamped, "keepout", _KEPT) as publisher:
+    topic = session.publisher(PolygonInstanceStamped, "keepout", _KEPT)
+    with topic as publisher, _goals(session, rng) as goal:
         yield send
         for number in sent:
             publisher.publish(_area(number, np.empty((0, 2))))
@@ -87,6 +108,7 @@ def maps(session: Session) -> Action:
 
     def send() -> None:
         nonlocal due
+        goal()
         state = session.judge.state
         if time.monotonic() < due or state is None:
             return
@@ -94,7 +116,8 @@ def maps(session: Session) -> Action:
         message = bad_map(rng) if rng.random() < 0.3 else _map(rng, state[POSITION])
         publisher.publish(message)
 
-    with session.publisher(OccupancyGrid, "map", LATCHED) as publisher:
+    topic = session.publisher(OccupancyGrid, "map", LATCHED)
+    with topic as publisher, _goals(session, rng) as goal:
         yield send
     session.without_map()
 

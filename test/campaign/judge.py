@@ -200,6 +200,7 @@ class Judge:
         """Begin a trial and return its run to a goal, shape (6,)."""
         self.run = GoalRun(goal)
         self.limits.begin()
+        self.contacts.begin()
         return self.run
 
     def restarted(self) -> None:

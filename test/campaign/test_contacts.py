@@ -41,8 +41,9 @@ def test_rolling_into_what_is_in_force_is_found_once() -> None:
     check.restart()
     rolled(check, 1.0, 1.1)
     check.floor(wall(4.0))
-    assert rolled(check, 1.1, 4.0 - RADIUS) == []
-    (found,) = rolled(check, 4.0 - RADIUS, 4.2)
+    assert rolled(check, 1.1, 4.0 - RADIUS - 0.01) == []
+    (found,) = rolled(check, 4.0 - RADIUS - 0.01, 4.2)
+    assert not check.excused
     assert "rolled on in contact" in found
     check.floor(None)
     assert rolled(check, 4.2, 4.5) == []
@@ -55,6 +56,7 @@ def test_what_comes_too_near_allows_the_way_of_a_stop(x: float) -> None:
     check.floor(wall(x))
     end = max(1.0, x - RADIUS) + STOPPING - 0.03
     assert rolled(check, 1.0, end) == []
+    assert check.excused
     # The same floor again allows no more.
     check.floor(wall(x))
     assert len(rolled(check, end, end + 0.2)) == 1

@@ -148,6 +148,7 @@ def _corners(rng: random.Random, place: Vector, goal: Vector) -> Vector:
     away = _AWAY + size + rng.choice((0.0, 0.5, 8.0, 30.0))
     middle = place + away * np.array((math.cos(angle), math.sin(angle)))
     if kind == 4:  # over the sphere
+        size = rng.choice((size, 2.5))
         middle = place + np.array((rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4)))
     elif kind == 5 and float(np.linalg.norm(goal - place)) > _AWAY + size:
         middle = goal

@@ -58,13 +58,14 @@ class SharedMemory:
         OSError is raised where there is not enough of it.
         """
         try:
-            file: IO[bytes] = os.fdopen(os.memfd_create("sphere_nmpc"), "w+b")
+            file: IO[bytes] = os.fdopen(os.memfd_create("sphere_nmpc"), "w+b", buffering=0)
         except (AttributeError, OSError):  # Linux alone has it
-            file = tempfile.TemporaryFile(prefix="sphere_nmpc_")  # noqa: SIM115 - closed by `cls`
+            file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `cls`
         memory = cls(file)
         for part in parts:
-            file.write(part)
-        file.flush()
+            left = part.cast("B")
+            while left:
+                left = left[file.write(left) :]
         return memory
 
     def mapped(self) -> mmap.mmap:

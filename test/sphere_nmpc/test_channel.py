@@ -137,6 +137,25 @@ def test_nothing_is_left_of_memory_whose_process_is_killed(system: str, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("system", ["with memfd_create", "without"])
+def test_memory_that_is_too_small_is_told_once(system: str, tmp_path: Path) -> None:
+    program = (
+        "import os, resource\n"
+        f"if {system == 'without'}: del os.memfd_create\n"
+        "from sphere_nmpc.channel import SharedMemory\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "try: SharedMemory.of(memoryview(bytes(10_000)))\n"
+        "except OSError as error: print(error.strerror)\n"
+    )
+    environment = dict(os.environ, TMPDIR=str(tmp_path))
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "File too large\n", "")
+    assert not list(tmp_path.iterdir())
+
+
 def test_memory_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "memfd_create")
     monkeypatch.setattr(tempfile, "tempdir", "/nonexistent")

@@ -1,19 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes: their command lines, a channel to them, their start and their end."""
+"""Child processes: their command lines, their start and their end."""
 
 import contextlib
 import ctypes
 import os
-import pickle
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+
+from sphere_nmpc.channel import Channel
 
 TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 """From a terminal to all processes that run in it: Ctrl-C, Ctrl-\\ and its end."""
@@ -21,10 +20,6 @@ END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 """Signals that ask a process to end, which all processes of this package treat alike."""
 Process = subprocess.Popen[bytes]
 _SET_PARENT_DEATH_SIGNAL = 1
-_LENGTH = struct.Struct("!Q")
-"""Length of a message [bytes], which comes before it."""
-_READ_AT_ONCE = 1 << 18
-"""Bytes: what a socket of Linux holds by default."""
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
@@ -56,67 +51,6 @@ def end_with_parent(parent: int) -> None:
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
         if os.getppid() != parent:
             sys.exit(1)
-
-
-class Channel:
-    """One end of a pipe between a process and a child that it has started, for whole objects.
-
-    Objects are pickled, and reading a pickle can run any code. So this is for the two ends of a
-    socket pair alone, of which one was handed to the child when it was started: nobody else can
-    write to it.
-    """
-
-    def __init__(self, connected: socket.socket) -> None:
-        self._socket = connected
-        self._read = bytearray()
-
-    @classmethod
-    def inherited(cls, descriptor: int) -> "Channel":
-        """Return the end whose file descriptor was handed to this process."""
-        return cls(socket.socket(fileno=descriptor))
-
-    def fileno(self) -> int:
-        """Return the file descriptor."""
-        return self._socket.fileno()
-
-    def close(self) -> None:
-        """Close this end; reading from the other one then ends with EOFError."""
-        self._socket.close()
-
-    def never_wait(self) -> None:
-        """Raise BlockingIOError from now on where sending or `receive` would have to wait."""
-        self._socket.setblocking(False)
-
-    def send(self, message: bytes) -> None:
-        """Send what `encoded` has returned."""
-        self._socket.sendall(_LENGTH.pack(len(message)) + message)
-
-    def receive(self) -> Any:
-        """Return the next object; EOFError if the other end is closed.
-
-        BlockingIOError is raised after `never_wait` where the object has not arrived as a whole;
-        what has is kept. Any other exception means that the object cannot be read.
-        """
-        while len(self._read) < _LENGTH.size:
-            self._more()
-        (length,) = _LENGTH.unpack_from(self._read)
-        end = _LENGTH.size + length
-        while len(self._read) < end:
-            self._more()
-        message = bytes(self._read[_LENGTH.size : end])
-        del self._read[:end]
-        return pickle.loads(message)
-
-    def _more(self) -> None:
-        arrived = self._socket.recv(_READ_AT_ONCE)
-        if not arrived:
-            raise EOFError("the other end is closed")
-        self._read += arrived
-
-
-def encoded(message: object) -> bytes:
-    """Return an object as `Channel.send` takes it; raises where it cannot be pickled."""
-    return pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
 
 
 class Child:

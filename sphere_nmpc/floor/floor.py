@@ -9,18 +9,16 @@ that cell.
 """
 
 import math
-import shutil
-import tempfile
-import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Any
+from functools import cached_property, lru_cache, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sphere_nmpc.channel import SharedMemory
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import Vector
 
@@ -29,11 +27,11 @@ _CELL = 1.0 / 24.0
 the distance by up to 0.2 of the side along a wall, and by 0.7 near a corner ..."""
 _MOST_REFINED = 4_000_000
 """... as long as there are no more cells."""
-_OCCUPIED, _DISTANCES = "occupied.npy", "distances.npy"
 _REACH = 4.0
 """Distance up to which it is told exactly [needed one]."""
 FALL = 1e-3
 """Decrease of the clearance [m] that counts as none where it is too small already."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +51,27 @@ class Floor:
     grid: Grid
     radius: float
     clearance: float
-    cache: dict[str, object] = field(default_factory=dict, repr=False)
-    """Ways to goals."""
+    kept: dict[str, Any] = field(default_factory=dict, repr=False)
+    """Results of `kept_with_floor` by the names of the functions."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as the path of files, which another process loads once."""
+        """Pickle as shared memory, which another process looks at as it is."""
         grid = self.fine
-        place = (grid.resolution, grid.origin, self.radius, self.clearance)
-        return _loaded, (str(self._folder), *place)
+        place = (grid.occupied.shape, grid.resolution, grid.origin, self.radius, self.clearance)
+        return _shared, (self._memory, *place)
 
     @cached_property
-    def _folder(self) -> Path:
-        """Folder of the files with what is occupied and the distances, as long as this exists."""
-        folder = Path(tempfile.mkdtemp(prefix="sphere_nmpc_floor_"))
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        np.save(folder / _OCCUPIED, self.fine.occupied, allow_pickle=False)
-        np.save(folder / _DISTANCES, self.corner_distances, allow_pickle=False)
-        return folder
+    def _memory(self) -> SharedMemory:
+        """Distances and what is occupied, in memory that a worker shares."""
+        distances, occupied = self.corner_distances, np.ascontiguousarray(self.fine.occupied)
+        memory = SharedMemory.of(distances.data, occupied.data)
+        # Not twice in this process.
+        vars(self)["corner_distances"], _ = _arrays(memory, occupied.shape)
+        return memory
 
     def prepared(self) -> "Floor":
-        """Return the floor with all done that takes long: distances, and files for a worker."""
-        self._folder  # noqa: B018 - kept from then on
+        """Return the floor with all done that takes long: distances, and memory for a worker."""
+        self._memory  # noqa: B018 - kept from then on
         return self
 
     @property
@@ -141,21 +139,48 @@ class Floor:
         return exact_distance(self.grid, place, _REACH * self.needed)
 
 
-@lru_cache(maxsize=2)
-def _loaded(
-    folder: str, resolution: float, origin: tuple[float, float, float], radius: float,
-    clearance: float,
+@lru_cache(maxsize=1)
+def _shared(
+    memory: SharedMemory, shape: tuple[int, int], resolution: float,
+    origin: tuple[float, float, float], radius: float, clearance: float,
 ) -> Floor:
-    """Return the floor that another process has written to files."""
-    occupied = np.load(Path(folder) / _OCCUPIED, mmap_mode="r", allow_pickle=False)
+    """Return the floor that another process has made, of which the newest is kept."""
+    distances, occupied = _arrays(memory, shape)
     floor = Floor(Grid(occupied, resolution, origin), radius, clearance)
     # What was computed there is not computed again.
-    known: dict[str, Any] = vars(floor)
-    known["fine"] = floor.grid
-    known["corner_distances"] = np.load(
-        Path(folder) / _DISTANCES, mmap_mode="r", allow_pickle=False
-    )
+    vars(floor).update(fine=floor.grid, corner_distances=distances, _memory=memory)
     return floor
+
+
+def _arrays(
+    memory: SharedMemory, shape: tuple[int, ...]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return distances and occupied cells, in rows and columns of this `shape`."""
+    mapped, corners = memory.mapped(), tuple(size + 1 for size in shape)
+    distances = np.frombuffer(mapped, np.float32, math.prod(corners)).reshape(corners)
+    occupied = np.frombuffer(mapped, np.bool_, offset=distances.nbytes).reshape(shape)
+    return distances, occupied
+
+
+def kept_with_floor(most: int) -> Callable[[Callable[..., T]], Callable[..., T]]:
+    """Let the last `most` results of a function of a floor and numbers be kept with that floor.
+
+    A result that refers to the floor would keep it from being freed before garbage is collected.
+    """
+
+    def decorated(function: Callable[..., T]) -> Callable[..., T]:
+        @wraps(function)
+        def found(floor: Floor, *numbers: float) -> T:
+            results: dict[tuple[float, ...], T] = floor.kept.setdefault(function.__name__, {})
+            if numbers not in results:
+                while len(results) >= most:
+                    del results[next(iter(results))]
+                results[numbers] = function(floor, *numbers)
+            return results[numbers]
+
+        return found
+
+    return decorated
 
 
 def finest_cell(radius: float) -> float:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.floor import Floor, kept_with_floor
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.library import library
 
@@ -44,8 +45,8 @@ class Way:
 
     Attributes
     ----------
-    floor : Floor
-        The floor.
+    grid : Grid
+        Cells of the floor, which is not referred to, as it keeps the ways.
     stride : int
         Spacing of the nodes [cells].
     lengths : ndarray of float32, shape (R, C)
@@ -57,7 +58,7 @@ class Way:
         The goal [m].
     """
 
-    floor: Floor
+    grid: Grid
     stride: int
     lengths: NDArray[np.float32]
     following: NDArray[np.int32]
@@ -85,11 +86,11 @@ class Way:
 
     def _places(self, nodes: NDArray[np.intp]) -> Vector:
         rows, columns = np.divmod(nodes, self.lengths.shape[1])
-        return self.floor.fine.world(self.stride * np.column_stack((columns, rows)).astype(float))
+        return self.grid.world(self.stride * np.column_stack((columns, rows)).astype(float))
 
     def _nearest(self, place: Vector) -> int | None:
         """Return the node near a place from which the way is shortest."""
-        column, row = np.rint(self.floor.fine.local(place) / self.stride).astype(int)
+        column, row = np.rint(self.grid.local(place) / self.stride).astype(int)
         columns = self.lengths.shape[1]
         near = slice(max(0, row - 2), row + 3), slice(max(0, column - 2), column + 3)
         block = self.lengths[near]
@@ -105,18 +106,14 @@ def way_to(floor: Floor, goal: Vector, needed: float = 0.0) -> Way:
     `needed` is the distance that the sphere's centre keeps [m], which is rounded down to cells
     beyond that of the floor, as it varies where a radius is learnt.
     """
-    kept, side = floor.cache, floor.fine.resolution
-    needed = floor.needed + side * max(0, int((needed - floor.needed) / side))
-    key = f"{goal[0]:.6g} {goal[1]:.6g} {needed:.6g}"
-    found = kept.get(key)
-    if not isinstance(found, Way):
-        while len(kept) >= _KEPT:
-            del kept[next(iter(kept))]
-        found = kept[key] = _way_to(floor, goal, needed)
-    return found
+    side = floor.fine.resolution
+    cells = max(0, int((needed - floor.needed) / side))
+    return _way_to(floor, *goal.tolist(), floor.needed + side * cells)
 
 
-def _way_to(floor: Floor, goal: Vector, needed: float) -> Way:
+@kept_with_floor(_KEPT)
+def _way_to(floor: Floor, x: float, y: float, needed: float) -> Way:
+    goal: Vector = np.array((x, y))
     fine = floor.fine
     stride = max(1, int(_SPACING * floor.radius / fine.resolution + 1e-6))
     while floor.corner_distances.size > _MOST_NODES * stride**2:
@@ -137,7 +134,7 @@ def _way_to(floor: Floor, goal: Vector, needed: float) -> Way:
         node = int((near[0].start + i) * columns + near[1].start + j)
         if np.isfinite(cost.flat[node]):
             find_ways(cost, node, lengths, following)
-    return Way(floor, stride, lengths, following, np.array(goal, dtype=float))
+    return Way(fine, stride, lengths, following, goal)
 
 
 def find_ways(

@@ -11,12 +11,11 @@ that it could keep: no motion is certified from there.
 
 import math
 from enum import Enum
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.floor.floor import FALL, Floor, certified_distance
+from sphere_nmpc.floor.floor import FALL, Floor, certified_distance, kept_with_floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
@@ -68,7 +67,7 @@ def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float
     return min(situation.least_distance + beyond, max(there, situation.radius))
 
 
-@lru_cache(maxsize=2)  # of a goal and of one on the way there the same at nearly every sample
+@kept_with_floor(2)  # of a goal and of one on the way there the same at nearly every sample
 def _distance_at(floor: Floor, x: float, y: float) -> float:
     return float(floor.distances(np.array([[x, y]]))[0])
 
@@ -95,7 +94,7 @@ def refusal(situation: Situation) -> str:
     return f"the goal: it is {'occupied' if floor.grid.contains(goal) else 'outside of the floor'}"
 
 
-@lru_cache(maxsize=1)  # the same at nearly every sample
+@kept_with_floor(1)  # the same at nearly every sample
 def _exact_distance_at(floor: Floor, x: float, y: float) -> float:
     return floor.distance(np.array((x, y)))
 

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.child import Child, encoded
+from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.child import Child
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
 _MOST_PENDING = 8
@@ -60,7 +61,7 @@ class WorkerProcess:
         """Send a task to the process; see `Worker.submit`."""
         reply: Reply[Result] = Reply()
         try:
-            content = encoded(task)
+            message = encoded(task)
         except Exception as error:
             # Whatever cannot be sent must not reach the control loop.
             reply.error = f"given a task that cannot be sent: {type(error).__name__}: {error}"
@@ -69,19 +70,20 @@ class WorkerProcess:
         self._restart()
         child = self._child
         full = len(self._pending) >= _MOST_PENDING
-        if child is None or full or sum(self._sizes) + len(content) > _MOST_BYTES:
+        size = len(message.content)
+        if child is None or full or sum(self._sizes) + size > _MOST_BYTES:
             reply.error = "the worker has ended" if child is None else "the worker is busy"
             return reply
         if not self._pending:
             self._heard = time.monotonic()
         try:
-            child.channel.send(content)
-        except OSError as error:
+            child.channel.send(message)
+        except ChannelEndError as error:
             self._replace(str(error))
             reply.error = "the worker has ended"
             return reply
         self._pending.append(reply)
-        self._sizes.append(len(content))
+        self._sizes.append(size)
         return reply
 
     def poll(self) -> None:
@@ -94,7 +96,7 @@ class WorkerProcess:
         stuck = silent > self._patience and not self._waits()
         try:
             while self._pending:
-                result, error = child.channel.receive()
+                result, error = _answer(child.channel)
                 self._heard, self._patience = time.monotonic(), _PATIENCE
                 self._used = None
                 reply, _ = self._pending.popleft(), self._sizes.popleft()
@@ -103,12 +105,8 @@ class WorkerProcess:
                     self._on_fault(error)
         except BlockingIOError:
             pass  # What is left has not arrived as a whole.
-        except (OSError, EOFError):
-            self._replace("it has ended")
-            return
-        except Exception as error:
-            # Whatever cannot be read must not reach the control loop.
-            self._replace(f"given a result that cannot be read: {error}")
+        except ChannelEndError as error:
+            self._replace(str(error))
             return
         if stuck and awaited.pending:
             self._replace(f"given no result for {silent:.1f} s, expected {self._patience:g} s")
@@ -167,3 +165,12 @@ class WorkerProcess:
         while self._pending:
             self._pending.popleft().error = why
         self._sizes.clear()
+
+
+def _answer(channel: Channel) -> tuple[Any, str]:
+    """Return the next result and its error, empty if there is none."""
+    try:
+        result, error = channel.receive()
+    except ContentError as unreadable:
+        return None, f"given a result that cannot be read: {unreadable}"
+    return result, error

@@ -13,7 +13,8 @@ from functools import partial
 from importlib import import_module
 from typing import NoReturn
 
-from sphere_nmpc.child import END_SIGNALS, Channel, encoded
+from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.child import END_SIGNALS
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.worker.contract import Store
 
@@ -26,14 +27,12 @@ _USED = ("sphere_nmpc.strategy.time_optimal.searches", "sphere_nmpc.estimation.e
 def serve(channel: Channel) -> None:
     """Do the tasks that arrive; each is answered by its result and an error, empty if none."""
     store: Store = {}
-    with contextlib.suppress(ConnectionError):
+    with contextlib.suppress(ChannelEndError):
         while True:
             try:
                 task = channel.receive()
-            except (EOFError, OSError):
-                return
-            except Exception as error:
-                task = partial(_failed, error)  # a module that it needs cannot be imported
+            except ContentError as error:  # as a module that it needs cannot be imported
+                task = partial(_failed, error)
             try:
                 answer = encoded((task(store), ""))
             except Exception as raised:

@@ -17,9 +17,10 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.demo.plan import HOLD, DemoPlan
-from sphere_sim.demo.results import write_results
+from sphere_sim.demo.results import hints_of, write_results
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.output.live_display import LiveDisplay
+from sphere_sim.recording.message_fields import number
 from sphere_sim.ros.session.child_process import ChildProcess
 from sphere_sim.ros.session.demo_session import DemoSession
 from sphere_sim.ros.session.goal_run import wait_until_settled
@@ -62,15 +63,17 @@ def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
                 arrived = (
                     wait_until_settled(run, spin, plan.duration, linger=plan.linger) is not None
                 )
+            missed = number(session.status.values, "missed_ticks")
+            hints = hints_of(plan, missed, session.status.obstacle(), run.time)
             session.pause(True)
             nodes.stop("recorder")
             if page and plan.stays:
                 session.pause(False)
-                write_results(plan, arrived, console)
+                write_results(plan, arrived, console, hints)
                 _run_on(page, session, console)
                 return arrived
             nodes.stop("controller", "simulator")
-    write_results(plan, arrived, console)
+    write_results(plan, arrived, console, hints)
     return arrived
 
 

@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sphere_nmpc.child import Channel, Child, encoded, end_with_parent
+from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.child import Child, end_with_parent
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.library_threads import limit_library_threads
@@ -106,7 +107,7 @@ class Workers(contextlib.ExitStack):
         def hand_out(channel: Channel) -> None:
             busy[channel] = waiting.popleft()
             # If the process has ended, reading its answer fails.
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(ChannelEndError):
                 channel.send(encoded(_Call(call, busy[channel][1])))
 
         while waiting or busy:
@@ -123,7 +124,9 @@ class Workers(contextlib.ExitStack):
                 task = name, _ = busy.pop(channel)
                 try:
                     result, failure = channel.receive()
-                except (EOFError, OSError):
+                except ContentError as error:
+                    raise WorkersError(f"{what} {name} cannot be read: {error}") from None
+                except ChannelEndError:
                     deaths[name] += 1
                     reason = self._children.pop(channel).end()
                     if deaths[name] == TRIES:

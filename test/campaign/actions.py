@@ -220,6 +220,15 @@ def worker_of(controller: int) -> int:
     return 0
 
 
+def memory_of(controller: int) -> float:
+    """Return the resident memory of a process and its worker [MB]."""
+    found = 0.0
+    for pid in filter(None, (controller, worker_of(controller))):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            found += psutil.Process(pid).memory_info().rss / 1e6
+    return found
+
+
 def bad_solver(session: Session, mode: str) -> Action:
     """Let the solver fail in a mode of `bad_strategy`."""
     session.solver_file.write_text(mode)

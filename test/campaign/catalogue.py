@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import actions
+import floors
 import numpy as np
 import tries
 from relay import (
@@ -172,6 +173,9 @@ HOSTILE = tuple(
         tries.malformed, tries.extremes, tries.parameters, tries.services, tries.clock_jump,
         tries.ended,
     )
+) + tuple(
+    Fault(action.__name__, "floor", action, duration=12.0, goal_again=True)
+    for action in (floors.areas, floors.maps, floors.goal_lists)
 )
 """Faults of the fuzzing, which need a session with everything."""
 FAULTS = {fault.name: fault for fault in _ALL}
@@ -215,7 +219,9 @@ def fuzzed(seed: int, number: int) -> tuple[Fault, ...]:
     """Return the hostile fault of a number, sometimes with one that leaves the nodes running."""
     rng = np.random.default_rng([seed, number])
     faults = (HOSTILE[rng.integers(len(HOSTILE))],)
-    others = [fault for fault in _ALL if fault.group in ("pose", "goal", "burst", "clock")]
+    # A controller without poses or time cannot avoid what is put on the floor meanwhile.
+    groups = ("goal",) if faults[0].group == "floor" else ("pose", "goal", "burst", "clock")
+    others = [fault for fault in _ALL if fault.group in groups]
     return (*faults, others[rng.integers(len(others))]) if rng.random() < 0.3 else faults
 
 

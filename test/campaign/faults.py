@@ -38,6 +38,11 @@ from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.world.settings import PLANTS
 
 _PAIRS = 12
+_GROWTH = 1.5
+"""Ratio of the memory at the end and at the beginning from which on it is not level: floors of up
+to 70 MB come and go."""
+_ENOUGH = 40
+"""Trials from which on it has to be level: the first large floor alone makes a difference."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,7 +73,17 @@ def _campaign(given: argparse.Namespace, folder: Path) -> bool:
     print(*_table(outcomes), sep="\n")
     survived = sum(outcome.survived for outcome in outcomes)
     print(f"\n{survived} of {len(outcomes)} trials survived")
-    return survived == len(outcomes)
+    first, last = memory_at_ends([outcome.memory for outcome in outcomes])
+    print("memory of the controller and its worker, median of the first and the last quarter: "
+          f"{first:.0f} MB, {last:.0f} MB")
+    is_level = len(outcomes) < _ENOUGH or last <= _GROWTH * first
+    return survived == len(outcomes) and is_level
+
+
+def memory_at_ends(found: Sequence[float]) -> tuple[float, float]:
+    """Return the medians of the first and of the last quarter; nodes are restarted in between."""
+    quarter = math.ceil(len(found) / 4)
+    return statistics.median(found[:quarter] or [0.0]), statistics.median(found[-quarter:] or [0])
 
 
 def _fuzzing(given: argparse.Namespace) -> Iterator[tuple[tuple[Fault, ...], int]]:

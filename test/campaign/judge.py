@@ -9,15 +9,18 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from contacts import ContactCheck
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rclpy.node import Node
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.floor_messages import map_of_message
 from sphere_nmpc.ros.messages import (
     clock_stamp,
     header_stamp,
@@ -157,6 +160,7 @@ class Judge:
 
     def __init__(self, servo_error: float = 0.0) -> None:
         self.limits = LimitCheck(servo_error)
+        self.contacts = ContactCheck()
         self.run: GoalRun | None = None
         """The run to the goal."""
         self.now = 0
@@ -196,6 +200,7 @@ class Judge:
         """Begin a trial and return its run to a goal, shape (6,)."""
         self.run = GoalRun(goal)
         self.limits.begin()
+        self.contacts.begin()
         return self.run
 
     def restarted(self) -> None:
@@ -224,6 +229,10 @@ class Judge:
             if not self.is_lenient:  # otherwise it may have been pushed away too far
                 self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
             return
+        if self.is_lenient:
+            self.contacts.restart()
+        elif touched := self.contacts.observe(self.state[POSITION]):
+            self.limits.broken.append(touched)
         if self.run is not None:
             self.run.observe(self.time, self.state)
 
@@ -272,6 +281,13 @@ class Judge:
             # Between two poses time is known no better than to their spacing.
             latest = (self.pose_stamp + self._spacing) / NANOSECONDS
             self.limits.delivered(hold_and_stamp(raw, 0)[0], latest)
+
+    def floor(self, raw: bytes) -> None:
+        """Take the floor that the controller has in force."""
+        grid = None
+        with suppress(InvalidMapError):  # of no cells
+            grid = map_of_message(raw, "world")(1.0, False)
+        self.contacts.floor(grid)
 
     def confirmed(self, raw: bytes) -> None:
         """Take the goal in force, as far as it can be read."""

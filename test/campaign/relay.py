@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from judge import Judge
+from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
@@ -75,6 +76,9 @@ class Relay:
         self._goals = reader.create_subscription(
             PoseStamped, "controller/active_goal", _ignore, _LATCHED, raw=True
         )
+        self._floors = reader.create_subscription(
+            OccupancyGrid, "controller/floor", _ignore, _LATCHED, raw=True
+        )
 
     def forward(self) -> None:
         """Pass on what has arrived."""
@@ -85,6 +89,8 @@ class Relay:
                     publisher.publish(passed)
         for raw, _ in taken(self._goals):
             self._judge.confirmed(raw)
+        for raw, _ in taken(self._floors):
+            self._judge.floor(raw)
 
     def _passed(self, topic: str, raw: bytes) -> list[bytes]:
         """Return what is passed on when a message has arrived."""

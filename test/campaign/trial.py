@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from actions import memory_of
 from catalogue import Fault, name_of
 from hostile import FORGED, random_goal
 from node_session import Session, Settings
@@ -55,6 +56,8 @@ class Outcome:
     """Reasons why it does not count as survived."""
     repetition: int = 0
     """Number of the trial among those of the same fault, from 0 on."""
+    memory: float = 0.0
+    """Resident memory of the controller and its worker at the end [MB]."""
 
     @property
     def survived(self) -> bool:
@@ -106,6 +109,7 @@ class Trial:
         return Outcome(
             self._name, recovery, limits.worst_speed, limits.worst_slew,
             tuple(self._complaints), self._repetition,
+            memory_of(self._session.processes["controller"].pid),
         )
 
     def _apply_faults(self) -> None:
@@ -159,11 +163,14 @@ class Trial:
         session = self._session
         self._complaints.extend(self._judge.limits.broken[:3])
         harmful = [fault for fault in self._faults if fault.named_by]
-        # One of two may hide the other: a controller that was killed cannot report bad poses.
-        if harmful and not any(session.reports.name(fault.named_by) for fault in harmful):
+        is_named = any(session.reports.name(fault.named_by) for fault in harmful)
+        # One of two may hide the other: a controller that was killed cannot report bad poses, and
+        # a hostile fault ends nodes or floods their reports.
+        is_told = all(fault.group != "hostile" for fault in self._faults)
+        if harmful and is_told and not is_named:
             words = "' or '".join(word for fault in harmful for word in fault.named_by)
             self._complaints.append(f"no message named {name_of(harmful)}: no '{words}'")
-        if session.reports.name((_TOUCHED,)):
+        if session.reports.name((_TOUCHED,)) and not self._judge.contacts.excused:
             self._complaints.append("the sphere touched an obstacle")
         self._complaints += [p.ending for p in session.processes if p.code is not None]
         for process in session.processes:

@@ -39,7 +39,7 @@ FLOORS = {
         ("model",),
         ("quantity", "fault_log", "worker"),
         ("child", "errors", "library_threads"),
-        ("foreign_text",),
+        ("foreign_text", "channel"),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.floor.way import Way, in_sight
+from sphere_nmpc.floor.way import in_sight
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.state import POSE, POSITION, Vector, without_momentum
@@ -22,6 +22,7 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.on_the_way import way_of
 from sphere_nmpc.strategy.time_optimal.straight import joined, straight_hold
 
 _OPEN = 0.8
@@ -55,14 +56,15 @@ def is_narrow(situation: Situation, floor: Floor) -> bool:
     return there < situation.least_distance + _NARROW * floor.radius
 
 
-def approach_to(situation: Situation, way: Way, solver: ArrivalSolver) -> Approach | None:
+def approach_to(
+    situation: Situation, floor: Floor, solver: ArrivalSolver
+) -> Approach | None:
     """Return an approach to the goal from the open; None where none is found.
 
     It goes back along the way from the sphere to the goal, or away from what is near.
     """
-    floor = way.floor
     here, holds = replace(situation, state=without_momentum(situation.goal)), []
-    path = way.path(situation.state[POSITION])[::-1]
+    path = way_of(situation, floor).path(situation.state[POSITION])[::-1]
     for _ in range(_LINES):
         found = _line(here, floor, path, solver)
         if found is None:

@@ -49,8 +49,6 @@ class Aim(NamedTuple):
     ----------
     situation : Situation
         With the goal that is aimed at.
-    way : Way
-        The ways to the final goal.
     is_goal : bool
         Whether the final goal is aimed at.
     reason : str
@@ -60,10 +58,14 @@ class Aim(NamedTuple):
     """
 
     situation: Situation
-    way: Way
     is_goal: bool = False
     reason: str = ""
     detour: float = 0.0
+
+
+def way_of(situation: Situation, floor: Floor) -> Way:
+    """Return the ways to the goal of a situation."""
+    return way_to(floor, situation.goal[POSITION], situation.least_distance)
 
 
 def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
@@ -72,18 +74,22 @@ def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
     After `fruitless` searches it is nearer each time.
     """
     place, goal = situation.state[POSITION], situation.goal[POSITION]
-    way = way_to(floor, goal, situation.least_distance)
-    path = way.path(place)
-    if len(path) == 0:
-        return Aim(situation, way, reason=(
-            f"the goal: no way with {situation.least_distance:.3g} m (radius and clearance) on "
-            "either side leads there from the place of the sphere"
-        ))
     needed = needed_distance(situation, floor, Margin.FOUND)
     near = 0.5**fruitless
     straight = float(np.linalg.norm(goal - place))
-    if fruitless % 2 == 0 and in_sight(floor, place, goal[None, :], needed)[0]:
-        return Aim(situation, way, is_goal=True)
+    # Before the ways are computed, which takes as long as a search on a large floor.
+    if (
+        fruitless % 2 == 0 and floor.distances(place[None, :])[0] > 0.0
+        and in_sight(floor, place, goal[None, :], needed)[0]
+    ):
+        return Aim(situation, is_goal=True)
+    way = way_of(situation, floor)
+    path = way.path(place)
+    if len(path) == 0:
+        return Aim(situation, reason=(
+            f"the goal: no way with {situation.least_distance:.3g} m (radius and clearance) on "
+            "either side leads there from the place of the sphere"
+        ))
     away = _lengths(path)
     reach = max(_NEAREST, _FARTHEST * near) * floor.radius
     if fruitless and straight < reach:
@@ -109,7 +115,7 @@ def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
         situation, goal=member, orientation=Orientation.ANY,
         goal_rate=np.zeros_like(situation.goal_rate),
     )
-    return Aim(aim, way, detour=detour)
+    return Aim(aim, detour=detour)
 
 
 def detour_to_goal(situation: Situation, floor: Floor) -> float:
@@ -118,27 +124,28 @@ def detour_to_goal(situation: Situation, floor: Floor) -> float:
     needed = needed_distance(situation, floor, Margin.KEPT)
     if in_sight(floor, place, goal[None, :], needed)[0]:
         return 0.0
-    way = way_to(floor, goal, situation.least_distance)
+    way = way_of(situation, floor)
     return max(1e-3, way.length(place) - float(np.linalg.norm(goal - place)))
 
 
-def leads_on(way: Way, rested: Vector, place: Vector) -> bool:
+def leads_on(situation: Situation, floor: Floor, rested: Vector, place: Vector) -> bool:
     """Return whether a part that ends at a place leads on from where the sphere has last rested.
 
     Both are of shape (2,) [m].
     """
-    return way.length(place) <= way.length(rested) - _LEAST_GAIN * way.floor.radius
+    way = way_of(situation, floor)
+    return way.length(place) <= way.length(rested) - _LEAST_GAIN * floor.radius
 
 
 def rolled_straight(
-    situation: Situation, way: Way, solver: ArrivalSolver, rested: Vector
+    situation: Situation, floor: Floor, solver: ArrivalSolver, rested: Vector
 ) -> Arrival | None:
-    """Return the fastest of the straight lines that lead on along a way, from rest to rest.
+    """Return the fastest of the straight lines that lead on to the goal, from rest to rest.
 
     It is there where a search finds nothing, as long as it is clear of what is occupied: the
     orientation does not matter to it. The sphere has last `rested` at a place, shape (2,) [m].
     """
-    floor, place = way.floor, situation.state[POSITION]
+    place, way = situation.state[POSITION], way_of(situation, floor)
     path = way.path(place)
     away = _lengths(path)
     lengths = floor.radius * np.array(_STRAIGHT)
@@ -151,7 +158,7 @@ def rolled_straight(
     speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
     for target in seen:
         found = straight_arrival(situation, target, solver)
-        if found is None or not leads_on(way, rested, found.states[-1, POSITION]):
+        if found is None or not leads_on(situation, floor, rested, found.states[-1, POSITION]):
             continue
         if not is_clear(situation, found.hold, Margin.STRAIGHT):
             continue

@@ -60,7 +60,7 @@ the end."""
 
 
 class ArrivalSearch:
-    """Search from one situation; each call of `improve` continues where the last one stopped.
+    """Search from one situation; each call of `improve` begins with what the last one found.
 
     Parameters
     ----------
@@ -99,7 +99,6 @@ class ArrivalSearch:
             error = state_error(situation.state, situation.goal)
             self._reached = min(_REACHED, _REACHED_SHARE * error)
         self._window, self._later = settings.window * grid.unit, 0.0
-        self._steps = self._rounds()
         self.best: Arrival | None = known
         """The earliest arrival found so far."""
         self.work = 0
@@ -107,7 +106,7 @@ class ArrivalSearch:
         self._deadline = np.inf
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
-        """Continue the search.
+        """Search for an earlier arrival.
 
         Parameters
         ----------
@@ -122,8 +121,10 @@ class ArrivalSearch:
             The earliest arrival so far.
         """
         end, self._deadline = self.work + work, deadline
+        # Not kept, as they refer to the search, which would be freed as garbage only.
+        steps = self._rounds()
         while self.work < end and time.perf_counter() < deadline:
-            next(self._steps)
+            next(steps)
         return self.best
 
     def improve_once(self, deadline: float = np.inf) -> Arrival | None:

@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.floor.way import Way
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -31,6 +30,7 @@ from sphere_nmpc.strategy.time_optimal.on_the_way import (
     leads_on,
     rolled_straight,
     time_to_go,
+    way_of,
 )
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -127,27 +127,32 @@ class SearchTask:
         aim = aimed(situation, floor, self.fruitless)
         if aim.reason:
             return NoWay(aim.reason)
-        found = self._to_goal(solver, aim, end)
+        found = self._to_goal(solver, floor, aim, end)
         if found is not None:
             return found
         if not aim.is_goal:
             search = ArrivalSearch(solver, aim.situation, self.seed, detour=aim.detour)
             found = search.improve(self.effort, end)
         rested = situation.state[POSITION] if self.rested is None else self.rested
-        if found is not None and not leads_on(aim.way, rested, found.states[-1, POSITION]):
+        if found is not None and not leads_on(
+            situation, floor, rested, found.states[-1, POSITION]
+        ):
             found = None
         if found is None and self.from_rest:
-            found = rolled_straight(situation, aim.way, solver, rested)
+            found = rolled_straight(situation, floor, solver, rested)
         if found is None:
             return None
-        there = found.states[-1, POSITION]
-        return replace(found, to_go=time_to_go(aim.way, there, situation, limit))
+        way, there = way_of(situation, floor), found.states[-1, POSITION]
+        return replace(found, to_go=time_to_go(way, there, situation, limit))
 
-    def _to_goal(self, solver: ArrivalSolver, aim: Aim, end: float) -> Arrival | None:
+    def _to_goal(
+        self, solver: ArrivalSolver, floor: Floor, aim: Aim, end: float
+    ) -> Arrival | None:
         """Return the earliest arrival at the goal, in sight or near; None where none is found."""
-        situation, floor = self.situation, aim.way.floor
+        situation = self.situation
         if not aim.is_goal:  # motions are not straight
-            length = aim.way.length(situation.state[POSITION])
+            way = way_of(situation, floor)
+            length = way.length(situation.state[POSITION])
             if length > self.tuning.near_distance(self.robot):
                 return None
             detour = detour_to_goal(situation, floor)
@@ -157,12 +162,12 @@ class SearchTask:
         if not narrow:
             found = ArrivalSearch(solver, situation, self.seed).improve(self.effort, end)
         if found is None and (narrow or self.fruitless):
-            found = self._approached(solver, aim.way, end)
+            found = self._approached(solver, floor, end)
         return found
 
-    def _approached(self, solver: ArrivalSolver, way: Way, end: float) -> Arrival | None:
+    def _approached(self, solver: ArrivalSolver, floor: Floor, end: float) -> Arrival | None:
         """Return an arrival at the goal that ends with straight lines to it."""
-        approach = approach_to(self.situation, way, solver)
+        approach = approach_to(self.situation, floor, solver)
         if approach is None:
             return None
         aim = replace(self.situation, goal=approach.pose, orientation=Orientation.FULL)

@@ -19,6 +19,7 @@ import time
 
 import numpy as np
 
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign, state_error
@@ -116,6 +117,7 @@ class TimeOptimalStrategy:
         self._last: Situation | None = None
         self._improved_at = -np.inf
         self._no_way = ""
+        self._no_way_on: Floor | None = None
         for searches in (self._in_line, self._beside):
             if searches is not None:
                 searches.cancel()
@@ -150,14 +152,10 @@ class TimeOptimalStrategy:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
         situation = self._with_member(situation)
-        is_other, last = self._is_other_goal(situation), self._last
-        if is_other:
+        if self._is_other_goal(situation):
             self._forget_goal()
-        if situation.floor is not None and (
-            is_other or last is None or last.floor is not situation.floor
-        ):
             self._no_way = ""
-            if isinstance(self._state, Searching):
+            if situation.floor is not None and isinstance(self._state, Searching):
                 self._state = Searching()
                 self._searches.cancel()
         self._last = situation
@@ -238,17 +236,18 @@ class TimeOptimalStrategy:
         self._rest_at_goal.reset()
         fruitless = state.fruitless if isinstance(state, Searching) else 0
         fruitless = fruitless + 1 if is_fruitless else fruitless
-        if found is None and self._searches.task is None and self._may_find(situation.time):
+        if found is None and self._searches.task is None and self._may_find(situation):
             found, is_fruitless = self._searched_anew(
                 situation, fruitless, at_rest, dead_band, deadline
             )
             fruitless = fruitless + 1 if is_fruitless else fruitless
         return Searching(fruitless) if found is None else found
 
-    def _may_find(self, now: float) -> bool:
-        """Return whether to search; where there was no way, once a sample period."""
-        if not self._no_way:
+    def _may_find(self, situation: Situation) -> bool:
+        """Return whether to search; where there was no way on this floor, once a sample period."""
+        if not self._no_way or self._no_way_on is not situation.floor:
             return True
+        now = situation.time
         is_due = self._is_idle(now)
         if is_due:
             self._improved_at = now
@@ -272,7 +271,7 @@ class TimeOptimalStrategy:
         outcome = self._searches.take(situation.time, self._settings.control_period)
         if outcome is None:
             return None, False
-        self._no_way = outcome.reason
+        self._no_way, self._no_way_on = outcome.reason, outcome.task.situation.floor
         if outcome.arrival is None:
             return None, not outcome.reason
         begins = situation.time if outcome.task.from_rest else outcome.task.situation.time

@@ -21,6 +21,7 @@ from sphere_nmpc.ros.messages import joint_states_from_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.recording.message_fields import number
+from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
 from sphere_sim.ros.session.serving import serve_until
@@ -72,7 +73,12 @@ class DemoSession:
     @property
     def solve_time(self) -> float:
         """Newest solve time [s]."""
-        return number(self._runner.sender.status.values, "solve_time_s")
+        return number(self.status.values, "solve_time_s")
+
+    @property
+    def status(self) -> ControllerStatus:
+        """Newest status of the controller."""
+        return self._runner.sender.status
 
     def prepare(self, goal: Vector, tolerance: float, hold: float, timeout: float) -> GoalRun:
         """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.

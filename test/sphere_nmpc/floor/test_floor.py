@@ -2,17 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Distances on a floor, the certificate of a path, and the ways to a goal."""
 
+import gc
 import math
-import pickle
+import socket
+import weakref
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from sphere_nmpc.channel import Channel, encoded
 from sphere_nmpc.floor.floor import Floor, certified_distance, exact_distance
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.way import find_ways, plain_ways, way_to
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.strategy.clearance import Margin, needed_distance, refusal
+from sphere_nmpc.strategy.contract import Situation
 
 RADIUS = 0.3
 
@@ -117,19 +123,44 @@ def test_certificate_of_a_start_without_clearance() -> None:
     assert certified_distance(np.array([0.1]), np.empty(0), 0.25, 0.2) == pytest.approx(0.1)
 
 
-def test_a_floor_reaches_another_process_as_files() -> None:
-    floor = Floor(random_grid(2, 0.3), RADIUS, 0.05).prepared()
-    message = pickle.dumps(floor)
-    assert len(message) < 1000
-    copy = pickle.loads(message)
-    places = places_on(floor.grid, np.random.default_rng(0), 200)
-    np.testing.assert_array_equal(copy.distances(places), floor.distances(places))
-    assert (copy.radius, copy.clearance, copy.needed) == (RADIUS, 0.05, floor.needed)
-    np.testing.assert_allclose(
-        [copy.distance(place) for place in places], [floor.distance(place) for place in places],
-        atol=1e-9,
-    )
-    assert pickle.loads(message) is copy  # it is read once
+def test_a_floor_reaches_another_process_as_shared_memory() -> None:
+    here, there = (Channel(end) for end in socket.socketpair())
+    for yaw in (0.3, -0.2):  # another one each time
+        floor = Floor(random_grid(2, yaw), RADIUS, 0.05).prepared()
+        message = encoded(floor)
+        assert len(message.content) < 1000
+        here.send(message)
+        copy = there.receive()
+        places = places_on(floor.grid, np.random.default_rng(0), 200)
+        np.testing.assert_array_equal(copy.distances(places), floor.distances(places))
+        assert (copy.radius, copy.clearance, copy.needed) == (RADIUS, 0.05, floor.needed)
+        np.testing.assert_allclose(
+            [copy.distance(place) for place in places],
+            [floor.distance(place) for place in places], atol=1e-9,
+        )
+        here.send(encoded(floor))
+        assert there.receive() is copy  # which has the ways that were found
+    here.close()
+    there.close()
+
+
+def test_a_floor_is_freed_with_all_that_was_kept_with_it() -> None:
+    """At once, and not when garbage is collected, which may take minutes in a worker."""
+    gc.disable()
+    try:
+        floor = Floor(random_grid(1), RADIUS, 0.02).prepared()
+        goal = np.array([0.3, 1.2])
+        situation = Situation(0.0, np.append(goal, (1, 0, 0, 0)), np.append(goal, (1, 0, 0, 0)),
+                              np.zeros(2), RobotParameters().lumped, floor=floor)
+        assert way_to(floor, goal) is way_to(floor, goal)
+        refusal(situation)
+        needed_distance(situation, floor, Margin.FOUND)
+        assert len(floor.kept) == 3
+        freed = weakref.ref(floor)
+        del floor, situation
+        assert freed() is None
+    finally:
+        gc.enable()
 
 
 def test_ways_are_those_of_scipy() -> None:

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans among obstacles: their certificate, straight lines, and the closed loop on floors."""
 
+import gc
 import itertools
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -226,6 +228,57 @@ def test_a_goal_after_one_without_a_way_is_not_held_up_by_searches_beside_the_lo
     assert 3 <= len(searches) <= 2 + 1.1 / settings.period
     loop.controller.set_goal(pose(2.0, 1.0))
     loop.run(0.3)
+    assert not loop.given_up
+    assert not (loop.places[-1] == loop.places[0]).all()
+
+
+@pytest.mark.parametrize("walls", [[], DOORWAY])
+def test_a_goal_is_reached_while_the_floor_is_replaced_ten_times_a_second(
+    walls: list[tuple[float, float, float, float]]
+) -> None:
+    """An area moves far from the way, and a search takes longer than its floor is in force."""
+    settings = ControllerSettings(planning_effort=20_000, control_rate=50.0)
+    goal = pose(4.5, 1.0, SIDEWAYS)
+    loop = Loop(None, pose(1.0, 3.0), goal, settings)
+    worker = DelayedWorker(lambda: loop.simulator.time, 0.25)
+    loop.controller = Controller(settings, ROBOT, worker=worker)
+    loop.controller.set_goal(goal)
+    floors = []
+    gc.disable()
+    try:
+        for k in range(150):
+            away = 0.05 * (k % 10)
+            loop.controller.floor = floor_of([*walls, (5.0 + away, 3.5, 5.4 + away, 3.9)])
+            floors.append(weakref.ref(loop.controller.floor))
+            worker.tasks.clear()
+            loop.run(0.1)
+            assert "no way" not in loop.given_up
+        # In force, of a search under way, and of the last result; no garbage that keeps others.
+        assert sum(floor() is not None for floor in floors) <= 4
+    finally:
+        gc.enable()
+    assert state_error(loop.states[-1], goal) < 1e-2
+    assert clearance(floor_of(walls), loop.places) >= 0.02
+
+
+def test_no_way_is_told_while_the_floor_is_replaced_and_searched_for_at_once_on_the_next() -> None:
+    settings = ControllerSettings(planning_effort=20_000, control_rate=50.0)
+    loop = Loop(None, pose(1.0, 3.0), pose(4.5, 1.0), settings)
+    worker = DelayedWorker(lambda: loop.simulator.time, 0.15)
+    loop.controller = Controller(settings, ROBOT, worker=worker)
+    loop.controller.set_goal(pose(4.5, 1.0))
+    told = []
+    for k in range(20):
+        closed = [(3.0, 0.0, 3.1, 4.0), (5.0 + 0.05 * (k % 10), 3.5, 5.6, 3.9)]
+        loop.controller.floor = floor_of(closed)
+        loop.run(0.1)
+        told.append("no way" in loop.given_up)
+    # From the first search on, and without a break.
+    assert not any(told[:1])
+    assert all(told[4:])
+    loop.controller.floor = floor_of(DOORWAY)
+    # What is under way ends, and the next search finds a motion.
+    loop.run(0.5)
     assert not loop.given_up
     assert not (loop.places[-1] == loop.places[0]).all()
 

@@ -101,7 +101,7 @@ def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> Non
         assert state_error(plant.state, scenario.goal) < 1e-3
 
 
-def test_search_continues_where_it_stopped_repeats_itself_and_never_gets_worse() -> None:
+def test_search_goes_on_from_what_it_found_repeats_itself_and_never_gets_worse() -> None:
     first, second = (
         ArrivalSearch(SOLVER, situation(PAPER_CASES[1]), 3) for _ in range(2)
     )

@@ -76,6 +76,33 @@ def test_task_that_raises_is_told_and_the_next_one_is_done(
     assert faults == [failing.error]
 
 
+class Made:
+    """Object that a call makes when it is read."""
+
+    def __init__(self, function: Callable[..., object], argument: str) -> None:
+        self._call = function, (argument,)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return self._call
+
+
+UNREADABLE = "type('', (), {'__reduce__': lambda _: (open, ('/nonexistent',))})()"
+"""Object that can be sent, but reading it opens a file that is missing."""
+
+
+def test_what_cannot_be_read_fails_alone_and_ends_no_process(
+    worker: WorkerProcess, faults: list[str]
+) -> None:
+    """Neither a task nor a result, whatever the error is that reading it raises."""
+    assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 1))) == 1
+    task = worker.submit(methodcaller("setdefault", "lost", Made(open, "/nonexistent")))
+    assert "nonexistent" in ended(worker, task).error
+    result = worker.submit(methodcaller("setdefault", "lost", Made(eval, UNREADABLE)))
+    assert "cannot be read" in ended(worker, result).error and "nonexistent" in result.error
+    assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 2))) == 1
+    assert faults == [task.error, result.error]
+
+
 def test_process_that_is_killed_fails_its_tasks_and_is_replaced(
     worker: WorkerProcess, faults: list[str]
 ) -> None:

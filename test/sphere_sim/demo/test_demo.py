@@ -17,8 +17,10 @@ from patience import PATIENCE
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.torque import largest_acceleration
+from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.cli.demo import parse
 from sphere_sim.demo.plan import PROCESS_NOISE
+from sphere_sim.demo.results import hints_of
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.session.child_process import verb_command
@@ -53,6 +55,33 @@ def test_case_4_has_noise_and_another_robot(tmp_path) -> None:
 def test_wrong_arguments_exit_with_2(wrong) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse(wrong)
+
+
+@pytest.mark.parametrize(("missed", "reported", "hints"), [
+    (0.0, "", ""),
+    (float("nan"), "", ""),
+    (41.0, "", "17 % of the sampling instants missed: --rtf 0 lets time wait for the controller"),
+    (0.0, "'no progress: over'", "'no progress: over'"),
+    (41.0, "'no progress'", "17 % of the sampling instants missed: --rtf 0 lets time wait for the "
+     "controller; 'no progress'"),
+])
+def test_a_run_that_fails_tells_what_is_known(missed: float, reported: str, hints: str) -> None:
+    plan = parse(["--case", "3", "--rtf", "5"])
+    period = ControllerSettings(strategy=plan.strategy).control_period
+    assert hints_of(plan, missed, reported, 241.0 * period) == hints
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_tells_so_in_one_line_and_exits_with_1(tmp_path) -> None:
+    done = subprocess.run(
+        [*DEMO, "--case", "3", "--rtf", "0", "--duration", "1", "--no-compare",
+         "--out", str(tmp_path / "out")],
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )
+    assert done.returncode == 1
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("demo: ")]
+    expected = r"demo: not at the goal after 1\.\d s: error [\d.]+, expected below 0\.01"
+    assert re.fullmatch(expected, line)
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ class Hypothesis:
         level = replace(self, events=events, disturbed=False, torques=False, unbalanced=False)
         found = [] if self.is_undisturbed else [level]
         if self.has_event(len(self.events)):
-            nothing = tuple(Event.NONE for _ in self.events)
+            nothing = (Event.NONE,) * len(self.events)
             found.append(replace(level, events=nothing, weak=False, renewed=True))
         return found
 
@@ -132,7 +132,9 @@ class Hypothesis:
         slips, known = count(Event.SLIPPED), int(self.slippery or Event.SLIPPED not in self.events)
         others = self.unbalanced + self.torques + self.renewed + (self.weak and not self.weakened)
         others += 2 * sum(noise > 0.0 for noise in self.pose_noise)
-        likely = slips - 1 + known + count(Event.LATE) + (self.weak and self.weakened)
+        late, drives = count(Event.LATE), int(self.weak and self.weakened)
+        others += int(late > 0)
+        likely = slips - 1 + known + max(0, late - 1) + drives
         return numbers.rare * (events + others + 1 - known) + numbers.again * likely
 
     def extended(self, slippery: bool) -> "Hypothesis":
@@ -147,6 +149,19 @@ class Hypothesis:
             torques=False, weakened=self.weak,
         )
 
+    @property
+    def _noises(self) -> list["Hypothesis"]:
+        """Those with other noises of the poses."""
+        pose, time = self.pose_noise
+        noises = [PoseNoise(one, time) for one in _POSE_NOISES]
+        noises += [PoseNoise(pose, one) for one in _TIME_NOISES]
+        return [replace(self, pose_noise=noise) for noise in noises]
+
+    @property
+    def gradual(self) -> list["Hypothesis"]:
+        """Those with what no single interval shows: another slope, noises of the poses."""
+        return [replace(self, torques=True), *self._noises]
+
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
         """Return hypotheses that differ in one respect, with the interval of which the event does.
 
@@ -158,10 +173,10 @@ class Hypothesis:
             for kind in Event if momentum else (Event.NONE, Event.SLIPPED, Event.LATE):
                 changed = replace(self, events=(*events[:i], kind, *events[i + 1 :]))
                 found.append((i, changed))
-        pose, time = self.pose_noise
-        noises = [PoseNoise(one, time) for one in _POSE_NOISES]
-        noises += [PoseNoise(pose, one) for one in _TIME_NOISES]
-        others = [replace(self, pose_noise=noise) for noise in noises]
+        others = self._noises
+        if self.has_event(recent):
+            # Several events in a row look like noise, and noise like several events.
+            others += [replace(one, events=(Event.NONE,) * len(events)) for one in others]
         if momentum:
             for unbalanced, torques in product((False, True), (self.torques, True)):
                 others.append(replace(self, unbalanced=unbalanced, torques=torques))

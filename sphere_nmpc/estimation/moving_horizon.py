@@ -252,12 +252,12 @@ class MovingHorizon:
     ) -> _Fit:
         """Return the fit of a hypothesis that differs in one respect, if it is more probable.
 
-        With `simpler` events are only taken back, or a slope is found, which grows slowly.
+        With `simpler` events are only taken back, or what shows gradually is found.
         """
         hypothesis, numbers = fit.hypothesis, self._numbers
         others = hypothesis.alternatives(numbers.recent, self._momentum)
         if simpler:
-            cost, likely = hypothesis.cost(numbers), [replace(hypothesis, torques=True)]
+            cost, likely = hypothesis.cost(numbers), hypothesis.gradual
             if np.sum(fit.equations.whitened**2) < numbers.rare:
                 likely = []  # No event gains more than that.
             others = [one for one in others if one[1].cost(numbers) < cost or one[1] in likely]

@@ -24,6 +24,8 @@ from sphere_nmpc.foreign_text import shown
 
 _MOST_TEXT = 16_384
 """Bytes of the YAML file, which mostly has 150; its parser takes 0.1 s for that many."""
+_DEEPEST = 2
+"""Levels of its lists: the origin is one in a mapping."""
 _MOST_IMAGE = 2 * MOST_CELLS + _MOST_TEXT
 """Bytes of the image: two for a pixel, which are as many as an uncompressed file has."""
 _MOST_PLAIN = 20_000_000
@@ -94,9 +96,15 @@ def _read(name: str, path: Path) -> MapValues:
     import yaml
 
     text = read_file(path, _MOST_TEXT).decode("utf-8")
-    # A few lines of aliases of aliases are a value that no memory can hold.
-    if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-        raise InvalidMapError(name, "an alias", "a YAML file of map_server, which has none")
+    depth = 0
+    for event in yaml.parse(text):
+        # A few lines of aliases of aliases are a value that no memory can hold, and the parser
+        # takes minutes for thousands of brackets.
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
+            what = "an alias" if depth <= _DEEPEST else "lists in lists"
+            raise InvalidMapError(name, what, "a YAML file of map_server, which has none")
     entries = yaml.safe_load(text)
     if not isinstance(entries, dict):
         raise InvalidMapError(name, type(entries).__name__, "a mapping with image, resolution ...")
@@ -148,7 +156,7 @@ def _pixels(
             raise InvalidMapError(name, f"image {image}: {shown(content[:8])}", _FORMATS)
         if content.startswith(_PLAIN) and len(content) > _MOST_PLAIN:
             raise InvalidMapError(
-                name, f"image {image}: {len(content)} bytes in decimal numbers",
+                name, f"an image of {len(content)} bytes in decimal numbers",
                 f"at most {_MOST_PLAIN}; a binary one (P5) is smaller",
             )
         with Image.open(io.BytesIO(content), formats=("PPM", "PNG")) as opened:

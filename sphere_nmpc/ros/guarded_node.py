@@ -144,7 +144,7 @@ class GuardedNode(Node):
                     return step()
                 except Exception as error:
                     self.report(f"{name} refused", error)
-                    return _refusal(request, response, _reason(error))
+                    return _refusal(request, response, reason_of(error))
 
             found = tried(lambda: callback(request, response))
             return _driven(found, tried) if isinstance(found, Generator) else found
@@ -153,7 +153,7 @@ class GuardedNode(Node):
 
     def report(self, kind: str, error: Exception) -> None:
         """Log an error as a fault of this kind; one of another package with its place."""
-        self._fault_log.report(kind, f"{_reason(error)}{_place(error)}")
+        self._fault_log.report(kind, f"{reason_of(error)}{_place(error)}")
 
 
 def _driven(
@@ -192,7 +192,7 @@ def _for_valid_hash(callback: Callable[..., Any]) -> Callable[..., Any]:
     return answer
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """Return the message of an error; that of another package has its type and is foreign."""
     if isinstance(error, SphereNmpcError):
         return str(error)

@@ -21,6 +21,7 @@ from rclpy.parameter import Parameter
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import Quantity, quantities
+from sphere_nmpc.ros.guarded_node import reason_of
 
 S = TypeVar("S")
 
@@ -191,8 +192,8 @@ class Parameters:
             # What is put in force by its check comes last, as it cannot be taken back.
             for owner in sorted(found, key=lambda owner: owner.has_to_prepare):
                 owner.check(found[owner])
-        except InvalidParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:  # also of memory and disk, for what has to be made
+            return SetParametersResult(successful=False, reason=reason_of(error))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:

@@ -83,7 +83,7 @@ class ControllerMonitor:
         """Update the faults at control time `now` [s], None before the first message on /clock.
 
         `jump` is the step of the clock [s] if there was one no more than 0.2 s ago, or 0,
-        `pose_timeout` the largest accepted age of a pose [s]; `further` faults are found elsewhere.
+        `pose_timeout` the largest accepted age of a pose [s], `further` what is found elsewhere.
         """
         wall, graph = time.monotonic(), self._graph
         self.is_steady = jump == 0.0

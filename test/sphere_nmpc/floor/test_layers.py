@@ -81,7 +81,8 @@ def test_area_beyond_a_map_has_no_effect_on_it() -> None:
          "keepout 7: given 'a floor of 1.001e+05 m x 1.001e+05 m', expected at most 2.25e+0"),
         (Layers(edge=200.0 * ROOM), "floor: given 'a floor of 500 m x 200 m', expected at most"),
         (Layers(edge=ROOM * (3e5, 1e-6)), "floor: given 'a floor of 7.5e+05 m x 1e-06 m', exp"),
-        (Layers(edge=ROOM + (999_998.0, 0.0)), "floor: given 'a corner at 1000001 m', expected"),
+        (Layers(edge=ROOM + np.array((999_998.0, 0.0))),
+         "floor: given 'a corner at 1000001 m', expected all within 1e+06 m"),
     ],
 )
 def test_layer_that_would_make_cells_too_large_is_refused(layers, told) -> None:

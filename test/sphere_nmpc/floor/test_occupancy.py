@@ -189,10 +189,10 @@ def test_edges_that_cross_far_from_each_other_are_found() -> None:
     high = low[::-1] + np.array([0.0, 3.0])
     check_polygon("area", np.vstack((low, high)).tolist())
     high[700:702, 1] = -1.0
-    with pytest.raises(InvalidMapError, match="edges 79[789] and 2[12][0-9][0-9] that cross"):
+    with pytest.raises(InvalidMapError, match=r"edges 79[789] and 2[12][0-9][0-9] that cross"):
         check_polygon("area", np.vstack((low, high)).tolist())
     turned = np.vstack((low, high))[:, ::-1]
-    with pytest.raises(InvalidMapError, match="edges 79[789] and 2[12][0-9][0-9] that cross"):
+    with pytest.raises(InvalidMapError, match=r"edges 79[789] and 2[12][0-9][0-9] that cross"):
         check_polygon("area", turned.tolist())
 
 

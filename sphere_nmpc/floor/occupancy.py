@@ -249,7 +249,8 @@ def check_geometry(
     """
     if width < 1 or height < 1 or width * height > MOST_CELLS:
         raise InvalidMapError(name, f"{width} x {height} cells", f"1 to {MOST_CELLS} cells")
-    if not (math.isfinite(resolution) and resolution >= _FINEST):
+    # Messages have it in single precision.
+    if not (math.isfinite(resolution) and resolution >= float(np.float32(_FINEST))):
         raise InvalidMapError(
             name, f"a resolution of {resolution:g} m", f"a positive number, {_FINEST:g} or more"
         )

@@ -67,6 +67,10 @@ def test_bad_map_is_refused_with_what_was_given(changes, told) -> None:
     assert told in str(caught.value)
 
 
+def test_finest_resolution_is_accepted_as_a_message_has_it() -> None:
+    assert grid(np.zeros((2, 2)), resolution=float(np.float32(1e-4))).occupied.shape == (2, 2)
+
+
 def test_heading_of_the_origin_need_not_be_a_unit_quaternion() -> None:
     origin = (1.0, -2.0, 5.0, 0.0, 0.0, 2.0, 2.0)
     assert grid(np.zeros((2, 2)), origin=origin).origin == pytest.approx((1.0, -2.0, math.pi / 2))
